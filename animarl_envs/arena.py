@@ -1,0 +1,64 @@
+"""Where animals move: the recorded field, and the virtual boundary around it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError
+
+ArenaShape = Literal["square", "disc", "open"]
+SHAPE_CODES: dict[str, int] = {"square": 0, "disc": 1, "open": 2}
+
+
+@dataclass(frozen=True)
+class Arena:
+    """A field centred on the origin of the arena frame (x to the right, y up).
+
+    Parameters
+    ----------
+    shape
+        ``"square"`` (half side ``size``), ``"disc"`` (radius ``size``) or ``"open"`` (no edge).
+    size
+        Half side or radius of the recorded field, in arena units; for drawing and validation.
+    boundary
+        Half side or radius beyond which an individual is out of bounds; ``inf`` in an open field.
+    rebound
+        ``False``: leaving the boundary ends the episode with a penalty (the paper's rule).
+        ``True``: the individual is set back on the boundary and its outward velocity is reversed
+        and halved, so that nothing ever is out of bounds.
+    """
+
+    shape: ArenaShape = "square"
+    size: float = 1.0  # [arena unit]
+    boundary: float = 1.1  # [arena unit]
+    rebound: bool = False
+
+    def __post_init__(self) -> None:
+        if self.shape not in get_args(ArenaShape):
+            raise InputError(
+                f"arena shape {self.shape!r} is unknown: choose one of {', '.join(SHAPE_CODES)}"
+            )
+        if not (math.isfinite(self.size) and self.size > 0):
+            raise InputError(f"arena size is {self.size}: it must be a positive number")
+        if self.shape == "open":
+            object.__setattr__(self, "boundary", math.inf)
+        elif not self.boundary >= self.size:
+            raise InputError(
+                f"arena boundary {self.boundary} lies inside the arena of size {self.size}: "
+                "choose a boundary at least as large as the size"
+            )
+
+    def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether positions ``(..., 2)`` lie within the virtual boundary, widened by ``margin``."""
+        if self.shape == "open":
+            return np.ones(positions.shape[:-1], dtype=bool)
+        if self.shape == "disc":
+            extent = np.hypot(positions[..., 0], positions[..., 1])
+        else:
+            extent = np.abs(positions).max(axis=-1)
+        return np.asarray(extent <= self.boundary + margin)

@@ -1,0 +1,357 @@
+"""The container for recorded episodes: immutable, validated when made, stored without pickle."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import velocities
+
+SPLITS = ("train", "val", "test")
+Split = Literal["train", "val", "test"]
+
+# Outcome codes, one per episode. k > 0: contact by individual k - 1.
+TIME_OUT = 0
+TARGET_OUT = -1  # the target left the boundary
+PURSUER_OUT = -2  # a pursuer left the boundary
+UNFINISHED = -3  # the recording was cut for another reason
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One recorded episode; arrays are read-only views into the container.
+
+    ``positions`` is ``(frames, individuals, 2)`` in the arena frame [arena unit], ``velocities``
+    the same in arena unit / s with the velocity belonging to the position it led to, ``signals``
+    the per-frame channels by name.
+    """
+
+    index: int
+    positions: NDArray[np.float64]
+    velocities: NDArray[np.float64]
+    signals: Mapping[str, NDArray[Any]]
+    condition: int
+    outcome: int
+    split: str
+    recording: str
+    dt: float
+
+    @property
+    def num_steps(self) -> int:
+        """Decision steps: one less than the frames."""
+        return len(self.positions) - 1
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.num_steps * self.dt
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Demonstrations:
+    """Recorded episodes of the same individuals, laid end to end.
+
+    Parameters
+    ----------
+    species
+        Name of the species spec they belong to, or ``"custom"``.
+    individuals, roles
+        Names, and for each ``"pursuer"``, ``"target"`` or ``"searcher"``; pursuers first.
+    dt
+        Time between frames [s].
+    arena
+        The field; every position must lie within its boundary, widened by ``OUTSIDE_MARGIN``.
+    positions
+        ``(frames, individuals, 2)``, all episodes end to end, arena frame [arena unit].
+    lengths
+        ``(episodes,)``, frames per episode; an episode of T steps has T + 1 frames.
+    initial_velocity
+        ``(episodes, individuals, 2)``, velocity at each first frame [arena unit / s]. A reader that
+        does not know it drops the first recorded frame and keeps the velocity that it makes.
+    condition, outcome
+        ``(episodes,)`` int8: 0 or 1; and the outcome codes of this module.
+    split
+        ``(episodes,)``, ``"train"``, ``"val"`` or ``"test"``.
+    recording
+        ``(episodes,)``, the recording each episode was cut from.
+    signals
+        Further channels by name, each ``(frames,)`` or ``(frames, individuals, ...)``, such as
+        ``actions`` (int8; the action taken at a frame, -1 at the last one) or ``odour``.
+    provenance
+        JSON-like: ``source``, ``licence``, ``synthetic`` (bool) at least; further what was done.
+
+    Raises
+    ------
+    InputError
+        If anything is missing, misshapen or out of range; the sentence names place and mend.
+    """
+
+    OUTSIDE_MARGIN = 0.5  # the last frame may lie a step beyond the boundary [arena unit]
+
+    species: str
+    individuals: tuple[str, ...]
+    roles: tuple[str, ...]
+    dt: float
+    arena: Arena
+    positions: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    initial_velocity: NDArray[np.float64]
+    condition: NDArray[np.int8]
+    outcome: NDArray[np.int8]
+    split: NDArray[np.str_]
+    recording: NDArray[np.str_]
+    signals: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    name: str = "demonstrations"  # for messages: the file they came from
+
+    def __post_init__(self) -> None:
+        as_array = {
+            "positions": np.float64, "lengths": np.int64, "initial_velocity": np.float64,
+            "condition": np.int8, "outcome": np.int8, "split": np.str_, "recording": np.str_,
+        }  # fmt: skip
+        for key, dtype in as_array.items():
+            object.__setattr__(self, key, _frozen(getattr(self, key), dtype))
+        signals = {key: _frozen(value, None) for key, value in self.signals.items()}
+        object.__setattr__(self, "signals", MappingProxyType(signals))
+        object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
+        object.__setattr__(self, "individuals", tuple(self.individuals))
+        object.__setattr__(self, "roles", tuple(self.roles))
+        self._validate()
+
+    # -- shape ------------------------------------------------------------------------------------
+
+    @property
+    def num_episodes(self) -> int:
+        return len(self.lengths)
+
+    @property
+    def num_individuals(self) -> int:
+        return len(self.individuals)
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """First frame of each episode, and one past the last: ``(episodes + 1,)``."""
+        return np.concatenate([[0], np.cumsum(self.lengths)])
+
+    @property
+    def synthetic(self) -> bool:
+        return bool(self.provenance["synthetic"])
+
+    def __len__(self) -> int:
+        return self.num_episodes
+
+    def __repr__(self) -> str:
+        kind = "synthetic" if self.synthetic else "recorded"
+        return (
+            f"Demonstrations({self.species}, {self.num_episodes} {kind} episodes of "
+            f"{', '.join(self.individuals)}, {(self.lengths - 1).sum() * self.dt:.1f} s)"
+        )
+
+    def episode(self, index: int) -> Episode:
+        """Episode ``index`` (negative counts from the end), as read-only views."""
+        index = range(self.num_episodes)[index]
+        frames = slice(int(self.offsets[index]), int(self.offsets[index + 1]))
+        positions = self.positions[frames]
+        return Episode(
+            index=index,
+            positions=positions,
+            velocities=velocities(positions, self.initial_velocity[index], self.dt),
+            signals={key: value[frames] for key, value in self.signals.items()},
+            condition=int(self.condition[index]),
+            outcome=int(self.outcome[index]),
+            split=str(self.split[index]),
+            recording=str(self.recording[index]),
+            dt=self.dt,
+        )
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self.episode(i) for i in range(self.num_episodes))
+
+    def velocities(self) -> NDArray[np.float64]:
+        """Velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
+        out = velocities(self.positions, self.initial_velocity[0], self.dt)
+        out[self.offsets[:-1]] = self.initial_velocity
+        return out
+
+    # -- selection --------------------------------------------------------------------------------
+
+    def select(
+        self,
+        *,
+        split: str | None = None,
+        condition: int | None = None,
+        episodes: Sequence[int] | NDArray[np.integer] | None = None,
+    ) -> Demonstrations:
+        """The episodes that fulfil all that is given, in their order or that of ``episodes``."""
+        chosen = np.arange(self.num_episodes) if episodes is None else np.asarray(episodes)
+        if split is not None:
+            if split not in SPLITS:
+                raise InputError(f"split {split!r} is unknown: choose one of {', '.join(SPLITS)}")
+            chosen = chosen[self.split[chosen] == split]
+        if condition is not None:
+            chosen = chosen[self.condition[chosen] == condition]
+        if len(chosen) == 0:
+            wanted = f"split {split!r}" + (
+                f", condition {condition}" if condition is not None else ""
+            )
+            raise InputError(
+                f"{self.name}: {wanted} holds no episode: split the file again "
+                "or choose another split"
+            )
+        offsets = self.offsets
+        frames = np.concatenate([np.arange(offsets[i], offsets[i + 1]) for i in chosen])
+        return replace(
+            self,
+            positions=self.positions[frames],
+            lengths=self.lengths[chosen],
+            initial_velocity=self.initial_velocity[chosen],
+            condition=self.condition[chosen],
+            outcome=self.outcome[chosen],
+            split=self.split[chosen],
+            recording=self.recording[chosen],
+            signals={key: value[frames] for key, value in self.signals.items()},
+        )
+
+    def fingerprint(self) -> str:
+        """SHA-256 of the content (not of the provenance), 16 hexadecimal digits."""
+        digest = hashlib.sha256()
+        head = [self.species, self.individuals, self.roles, self.dt, vars(self.arena)]
+        digest.update(json.dumps(head, sort_keys=True).encode())
+        for key in ("positions", "lengths", "initial_velocity", "condition", "outcome"):
+            digest.update(np.ascontiguousarray(getattr(self, key)).tobytes())
+        digest.update("\n".join([*self.split, *self.recording]).encode())
+        for key in sorted(self.signals):
+            digest.update(key.encode() + np.ascontiguousarray(self.signals[key]).tobytes())
+        return digest.hexdigest()[:16]
+
+    # -- storage ----------------------------------------------------------------------------------
+
+    def save(self, path: str | Path, *, dtype: type[np.floating] = np.float64) -> Path:
+        """Write an ``.npz`` without pickle; see :func:`animarl_envs.demos.storage.save`."""
+        from animarl_envs.demos import storage
+
+        return storage.save(self, path, dtype=dtype)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Demonstrations:
+        """Read a file written by :meth:`save`; see :func:`animarl_envs.demos.storage.load`."""
+        from animarl_envs.demos import storage
+
+        return storage.load(path)
+
+    # -- validation -------------------------------------------------------------------------------
+
+    def _validate(self) -> None:
+        def refuse(what: str) -> None:
+            raise InputError(f"{self.name}: {what}")
+
+        names, num = self.individuals, len(self.individuals)
+        if num == 0:
+            refuse("it has no individuals: name at least one")
+        if len(set(names)) != num:
+            twice = next(n for n in names if names.count(n) > 1)
+            refuse(f"individual {twice!r} appears twice: give each individual its own name")
+        if len(self.roles) != num or set(self.roles) - {"pursuer", "target", "searcher"}:
+            refuse(
+                f"roles {self.roles} do not fit: give pursuer, target or searcher to each of {names}"
+            )
+        targets = self.roles.count("target")
+        if targets > 1 or (targets and self.roles[-1] != "target"):
+            refuse(f"roles are {self.roles}: there is one target at most and it comes last")
+        if not 0 < self.dt < float("inf"):
+            refuse(f"dt is {self.dt} s: it must be positive; give the frame rate")
+        if self.positions.ndim != 3 or self.positions.shape[1:] != (num, 2):
+            refuse(
+                f"positions have shape {self.positions.shape}, not (frames, {num}, 2): "
+                f"give x and y of {num} individuals per frame"
+            )
+        count = len(self.lengths)
+        if self.lengths.ndim != 1 or count == 0:
+            refuse("it holds no episode: check the cut or the split")
+        for i, length in enumerate(self.lengths):
+            if length < 2:
+                refuse(
+                    f"episode {i} has {length} frame{'s' * (length != 1)}: "
+                    "leave it out, an episode needs at least two"
+                )
+        if self.lengths.sum() != len(self.positions):
+            refuse(
+                f"episode lengths add up to {self.lengths.sum()} frames but there are "
+                f"{len(self.positions)} positions: cut the episodes again"
+            )
+        for key in ("condition", "outcome", "split", "recording"):
+            if getattr(self, key).shape != (count,):
+                refuse(
+                    f"{key} has {getattr(self, key).size} entries for {count} episodes: "
+                    "give one for each"
+                )
+        if self.initial_velocity.shape != (count, num, 2):
+            refuse(
+                f"initial_velocity has shape {self.initial_velocity.shape}, not ({count}, {num}, 2)"
+                ": give x and y of each individual and episode"
+            )
+        if not np.isfinite(self.initial_velocity).all():
+            refuse("initial_velocity holds NaN or infinity: use zeros for a start at rest")
+        bad = np.argwhere(~np.isfinite(self.positions).all(axis=2))
+        if len(bad):
+            refuse(
+                f"{self._place(*bad[0])}: the position is not a number: fill the gap or cut it out"
+            )
+        outside = ~self.arena.contains(self.positions, margin=self.OUTSIDE_MARGIN)
+        if outside.any():
+            place = np.argwhere(outside)[0]
+            x, y = self.positions[tuple(place)]
+            refuse(
+                f"{self._place(*place)}: position ({x:.3g}, {y:.3g}) lies outside the arena "
+                f"({self.arena.shape}, boundary {self.arena.boundary:g}): scale the tracks "
+                "or declare a larger arena"
+            )
+        for first in range(num):
+            for second in range(first + 1, num):
+                if np.array_equal(self.positions[:, first], self.positions[:, second]):
+                    refuse(
+                        f"individuals {names[first]!r} and {names[second]!r} have the same track: "
+                        "drop the duplicate"
+                    )
+        if set(np.unique(self.condition)) - {0, 1}:
+            refuse(f"condition {sorted(set(self.condition.tolist()))}: it must be 0 or 1")
+        if (self.outcome > num).any() or (self.outcome < UNFINISHED).any():
+            refuse(
+                f"outcome {self.outcome.min()} to {self.outcome.max()} is out of range: use "
+                f"{UNFINISHED} to {num}"
+            )
+        unknown = sorted(set(self.split.tolist()) - set(SPLITS))
+        if unknown:
+            refuse(f"split {unknown[0]!r} is unknown: choose one of {', '.join(SPLITS)}")
+        for key, value in self.signals.items():
+            if len(value) != len(self.positions):
+                refuse(
+                    f"signal {key!r} has {len(value)} frames, positions have {len(self.positions)}: "
+                    "give one value per frame"
+                )
+        for key in ("source", "licence", "synthetic"):
+            if key not in self.provenance:
+                refuse(f"the provenance lacks {key!r}: say where the data comes from")
+
+    def _place(self, frame: int, individual: int) -> str:
+        episode = int(np.searchsorted(self.offsets, frame, side="right") - 1)
+        within = frame - self.offsets[episode]
+        return f"episode {episode}, frame {within}, {self.individuals[individual]}"
+
+
+def _frozen(value: Any, dtype: Any) -> NDArray[Any]:
+    array = np.array(value, dtype=dtype)
+    if array.dtype == object:
+        raise InputError("an array holds Python objects: give plain numbers or strings")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,25 @@
+"""The species, by name."""
+
+from animarl_envs.errors import InputError
+from animarl_envs.species.agent import AGENT
+from animarl_envs.species.base import ChaseSpecies, Recording, SearchSpecies, Species
+from animarl_envs.species.fly import FLY
+from animarl_envs.species.newt import NEWT
+from animarl_envs.species.silkmoth import SILKMOTH
+
+SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH)}
+
+__all__ = [
+    "AGENT", "FLY", "NEWT", "SILKMOTH", "SPECIES",
+    "ChaseSpecies", "Recording", "SearchSpecies", "Species", "get_species",
+]  # fmt: skip
+
+
+def get_species(name: str) -> Species:
+    """The species of that name, or one sentence that lists the names."""
+    try:
+        return SPECIES[name]
+    except KeyError:
+        raise InputError(
+            f"species {name!r} is unknown: choose one of {', '.join(SPECIES)}"
+        ) from None

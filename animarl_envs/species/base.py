@@ -1,0 +1,105 @@
+"""What a species is: numbers with units, no behaviour. DESIGN: one frozen spec per species."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import Locomotion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """How the paper recorded and cut the species; used by import and by the generators."""
+
+    frame_rate: float  # [Hz]
+    smoothing_cutoff: float | None = None  # Butterworth low-pass, order 1, zero phase [Hz]
+    onset_threshold: float  # th_acc of the onset fit [arena unit / s^2]
+    start_farther_than: float | None = None  # episodes are cut from this distance [arena unit]
+    end_closer_than: float | None = None  # ... to this distance [arena unit]
+    longest: float | None = None  # only the last seconds of longer episodes are kept [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Species:
+    """Numbers that every world needs. Lengths are in arena units, times in seconds or steps.
+
+    ``individuals`` are in order: pursuers first, the target (if any) last.
+    """
+
+    name: str
+    title: str
+    individuals: tuple[str, ...]
+    locomotion: tuple[Locomotion, ...]  # one per individual
+    arena: Arena
+    contact_radius: float  # [arena unit]
+    dt: float  # one decision step [s]
+    time_limit: int  # [steps]
+    warmup: int = 0  # steps replayed from the demonstration
+    conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
+    boundary_penalty: float = -10.0
+    recording: Recording
+    source: str = ""
+    version_history: tuple[str, ...] = field(default=("v0: first release",))
+
+    reward_components = ("touch", "elapsed", "boundary")
+
+    def __post_init__(self) -> None:
+        if len(set(self.individuals)) != len(self.individuals):
+            raise InputError(f"individuals {self.individuals} are not all different: rename them")
+        if len(self.locomotion) != len(self.individuals):
+            raise InputError(
+                f"{len(self.locomotion)} sets of locomotion parameters for "
+                f"{len(self.individuals)} individuals: give one each"
+            )
+        for name, value in (("contact_radius", self.contact_radius), ("dt", self.dt)):
+            if not 0 < value < float("inf"):
+                raise InputError(f"{name} is {value}: it must be a positive number")
+        if self.time_limit < 1:
+            raise InputError(f"time_limit is {self.time_limit} steps: it must be at least 1")
+        if not 0 <= self.warmup < self.time_limit:
+            raise InputError(
+                f"warmup is {self.warmup} steps: it must lie between 0 and the time limit"
+            )
+
+    @property
+    def num_individuals(self) -> int:
+        return len(self.individuals)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChaseSpecies(Species):
+    """Pursuers and a target (the last individual) in an arena."""
+
+    start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
+    senses_centre: bool = False  # adds the distance from the arena's centre to the observation
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.num_individuals < 2:
+            raise InputError("a chase needs at least one pursuer and a target")
+
+    @property
+    def num_pursuers(self) -> int:
+        return self.num_individuals - 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSpecies(Species):
+    """One searcher and an odour source at the origin; upwind is the direction -x.
+
+    The numbers of the senses are those of DESIGN section 5 ("Silkmoth senses").
+    """
+
+    metres_per_unit: float = 1.0
+    start_distance: float = 0.3  # downwind of the source [arena unit]
+    antenna_length: float = 0.013  # ahead of the body centre [arena unit]
+    antenna_angle: float = 19.0  # to either side [deg]
+    antenna_radius: float = 0.0025  # an antenna senses the plume within this radius [arena unit]
+    odour_decay: float = 1.96  # time constant after the last hit [s]
+    odour_baseline: float = 0.07
+    flow_threshold: float = 0.1  # yaw rates below it give no visual flow [rad/s]
+    flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
+    train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
+    test_plumes: tuple[int, ...] = (3, 4)  # ... and held out

@@ -1,0 +1,25 @@
+"""Two males courting a female fruit fly in a round chamber (paper, "Fly dataset")."""
+
+from animarl_envs.arena import Arena
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.species.base import ChaseSpecies, Recording
+
+FLY = ChaseSpecies(
+    name="fly",
+    title="Courting flies",
+    individuals=("male_0", "male_1", "female"),
+    locomotion=(Locomotion(0.013, 0.143), Locomotion(0.017, 0.165), Locomotion(0.014, 0.156)),
+    arena=Arena("disc", size=1.0, boundary=1.1),
+    contact_radius=0.2,
+    dt=0.1,
+    time_limit=500,
+    senses_centre=True,
+    recording=Recording(
+        frame_rate=30.0,
+        smoothing_cutoff=2.0,
+        onset_threshold=0.1,
+        start_farther_than=0.3,
+        end_closer_than=0.2,
+    ),
+    source="Fujii et al., Fly dataset and Table 1",
+)

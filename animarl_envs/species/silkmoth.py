@@ -1,0 +1,24 @@
+"""A silkmoth searching an odour source (paper, "Silkmoth dataset").
+
+The published d and u imply a terminal speed of 0.050 m/s, where recorded moths stay below 0.036;
+they are kept as the defaults. Fit your own.
+"""
+
+from animarl_envs.arena import Arena
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.species.base import Recording, SearchSpecies
+
+SILKMOTH = SearchSpecies(
+    name="silkmoth",
+    title="Silkmoth and odour source",
+    individuals=("moth",),
+    locomotion=(Locomotion(0.208, 0.021),),
+    arena=Arena("open", size=0.35),
+    contact_radius=0.05,
+    dt=0.5,
+    time_limit=600,
+    warmup=10,
+    conditions=("full senses", "wind and vision blocked"),
+    recording=Recording(frame_rate=30.0, onset_threshold=0.01),
+    source="Fujii et al., Silkmoth dataset and Table 1; Yamada et al. 2021, eLife",
+)
