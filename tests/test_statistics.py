@@ -1,0 +1,299 @@
+"""Statistics: known answers, agreement with SciPy, coverage and uniformity on simulated data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from animarl_algos.evaluation.distances import (
+    bootstrap_distances,
+    kde_distance,
+    kde_rule,
+    kde_weighted,
+    null_distances,
+    wasserstein,
+)
+from animarl_algos.evaluation.statistics import (
+    Cells,
+    Interval,
+    bootstrap_difference,
+    bootstrap_mean,
+    cells,
+    draw_weights,
+    f_statistic,
+    percentile_interval,
+    permutation_anova,
+    resampled_means,
+)
+from animarl_envs.errors import InputError
+
+
+def crossed(
+    rng: np.random.Generator, seeds: int, demos: int, repetitions: int, sd: tuple[float, ...]
+) -> Cells:
+    """Cells of a crossed design with true mean 0; ``sd`` of seeds, demos, cells, repetitions."""
+    means = (
+        rng.normal(0, sd[0], (seeds, 1))
+        + rng.normal(0, sd[1], (1, demos))
+        + rng.normal(0, sd[2], (seeds, demos))
+    )
+    values = means[..., None] + rng.normal(0, sd[3], (seeds, demos, repetitions))
+    return Cells(values.sum(axis=2), np.full((seeds, demos), float(repetitions)))
+
+
+# -- cells and resampling ------------------------------------------------------------
+
+
+def test_cells_gather_what_counts() -> None:
+    data = cells(
+        values=[1.0, 3.0, 10.0, np.nan, 7.0],
+        seed=[4, 4, 4, 9, 9],
+        demo=[0, 0, 2, 0, 1],
+        num_demos=3,
+        counts=[True, True, True, True, False],
+    )
+    assert data.sums.tolist() == [[4.0, 0.0, 10.0], [0.0, 0.0, 0.0]]
+    assert data.counts.tolist() == [[2.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
+    assert data.mean == pytest.approx(14.0 / 3.0)
+    assert data.cell_means[0, 0] == 2.0 and np.isnan(data.cell_means[1, 1])
+
+
+def test_weights_are_a_resample() -> None:
+    weights = draw_weights(np.random.default_rng(0), 7, 400)
+    assert weights.shape == (400, 7) and (weights.sum(axis=1) == 7).all()
+    assert weights.mean() == pytest.approx(1.0)
+    with pytest.raises(InputError, match="nothing to resample"):
+        draw_weights(np.random.default_rng(0), 0)
+
+
+def test_resampled_means_equal_the_means_of_the_drawn_rollouts() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.normal(size=(3, 4, 2))
+    data = Cells(values.sum(axis=2), np.full((3, 4), 2.0))
+    seed_weights, demo_weights = draw_weights(rng, 3, 20), draw_weights(rng, 4, 20)
+    fast = resampled_means(data, seed_weights, demo_weights)
+    for b in range(20):
+        drawn_seeds = np.repeat(np.arange(3), seed_weights[b].astype(int))
+        drawn_demos = np.repeat(np.arange(4), demo_weights[b].astype(int))
+        assert fast[b] == pytest.approx(values[np.ix_(drawn_seeds, drawn_demos)].mean())
+
+
+def test_repetitions_are_not_counted_as_independent() -> None:
+    """Copying every rollout a hundred times must not shorten the interval."""
+    rng = np.random.default_rng(2)
+    data = crossed(rng, 4, 20, 1, (0.3, 1.0, 0.2, 0.0))
+    copied = Cells(100 * data.sums, 100 * data.counts)
+    once = bootstrap_mean(data, np.random.default_rng(5), 500)
+    often = bootstrap_mean(copied, np.random.default_rng(5), 500)
+    assert (often.low, often.high) == pytest.approx((once.low, once.high))
+
+
+def test_intervals_of_constants_and_of_nothing() -> None:
+    constant = Cells(np.full((2, 5), 3.0), np.ones((2, 5)))
+    assert bootstrap_mean(constant, np.random.default_rng(0), 50) == Interval(3.0, 3.0, 3.0)
+    empty = bootstrap_mean(Cells(np.zeros((2, 5)), np.zeros((2, 5))), np.random.default_rng(0), 50)
+    assert np.isnan([empty.estimate, empty.low, empty.high]).all()
+
+
+def test_interval_is_undefined_when_many_resamples_are() -> None:
+    values = np.where(np.arange(100) < 10, np.nan, 1.0)
+    assert np.isnan(percentile_interval(1.0, values).low)
+    assert percentile_interval(1.0, np.linspace(0, 1, 1001)).low == pytest.approx(0.025)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "demos", "sd", "least", "most"),
+    [
+        # One network, demonstrations vary: the plain bootstrap of a mean.
+        (1, 50, (0.0, 1.0, 0.0, 0.5), 0.90, 0.98),
+        # Five seeds that differ little beside the demonstrations, the usual case.
+        (5, 50, (0.1, 1.0, 0.3, 1.0), 0.90, 0.99),
+        # Many seeds and demonstrations, both vary.
+        (20, 30, (1.0, 1.0, 0.3, 1.0), 0.90, 0.98),
+        # Five seeds that differ most: known to be too short (about 0.85), as documented.
+        (5, 50, (1.0, 0.3, 0.3, 1.0), 0.78, 0.92),
+    ],
+)
+def test_coverage_of_the_hierarchical_interval(
+    seeds: int, demos: int, sd: tuple[float, ...], least: float, most: float
+) -> None:
+    rng = np.random.default_rng(3)
+    hits = []
+    for _ in range(300):
+        interval = bootstrap_mean(crossed(rng, seeds, demos, 3, sd), rng, 400)
+        hits.append(interval.low <= 0.0 <= interval.high)
+    assert least <= np.mean(hits) <= most
+
+
+def test_pairing_removes_what_demonstrations_share() -> None:
+    rng = np.random.default_rng(4)
+    level = rng.normal(0, 10, (1, 40))
+    first = Cells(level + 0.5 + rng.normal(0, 0.1, (3, 40)), np.ones((3, 40)))
+    second = Cells(level + rng.normal(0, 0.1, (1, 40)), np.ones((1, 40)))
+    interval = bootstrap_difference(first, second, rng, 1000)
+    assert interval.low < 0.5 < interval.high
+    assert interval.high - interval.low < 0.2
+    assert interval.excludes_zero
+    with pytest.raises(InputError, match="same demonstrations"):
+        bootstrap_difference(first, Cells(np.ones((1, 3)), np.ones((1, 3))), rng)
+
+
+def test_shared_seeds_are_resampled_together() -> None:
+    """One network asked two questions: what the seed adds to both cancels."""
+    rng = np.random.default_rng(5)
+    network = rng.normal(0, 10, (5, 1)) + np.zeros((5, 30))
+    first, second = Cells(network + 1.0, np.ones((5, 30))), Cells(network, np.ones((5, 30)))
+    shared = bootstrap_difference(first, second, rng, 500, same_seeds=True)
+    apart = bootstrap_difference(first, second, rng, 500)
+    assert (shared.low, shared.high) == pytest.approx((1.0, 1.0))
+    assert apart.high - apart.low > 5.0
+
+
+def test_same_generator_same_numbers() -> None:
+    data = crossed(np.random.default_rng(6), 3, 10, 2, (1.0, 1.0, 1.0, 1.0))
+    intervals = [bootstrap_mean(data, np.random.default_rng(9), 200) for _ in range(2)]
+    assert intervals[0] == intervals[1]
+
+
+# -- ANOVA ------------------------------------------------------------
+
+
+def test_f_equals_scipy() -> None:
+    groups = np.random.default_rng(7).normal(size=(4, 9)) + np.arange(4)[:, None]
+    assert f_statistic(groups) == pytest.approx(stats.f_oneway(*groups).statistic)
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_permutation_p_is_uniform_when_nothing_differs(paired: bool) -> None:
+    rng = np.random.default_rng(8)
+    shared = rng.normal(0, 3, (400, 1, 12)) if paired else np.zeros((400, 1, 1))
+    tables = shared + rng.exponential(size=(400, 3, 12))
+    p = [permutation_anova(t, rng, 199, paired=paired).p for t in tables]
+    assert stats.kstest(p, "uniform").pvalue > 0.01
+    assert np.mean(np.array(p) <= 0.05) <= 0.09
+
+
+def test_permutation_anova_sees_a_difference_that_pairing_uncovers() -> None:
+    rng = np.random.default_rng(9)
+    table = rng.normal(0, 5, (1, 30)) + rng.normal(0, 0.3, (3, 30)) + [[0.0], [0.0], [1.0]]
+    assert permutation_anova(table, rng, 999, paired=True).p < 0.01
+    assert permutation_anova(table, rng, 999, paired=False).p > 0.2
+
+
+def test_anova_refuses_what_it_cannot_judge() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="two groups"):
+        permutation_anova(np.ones((1, 5)), rng, paired=True)
+    with pytest.raises(InputError, match="finite"):
+        permutation_anova([[1.0, np.nan], [1.0, 2.0]], rng, paired=True)
+    assert permutation_anova(np.ones((2, 5)), rng, paired=True).p == 1.0
+
+
+# -- distances ------------------------------------------------------------
+
+
+def textbook_kde_distance(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    grid = np.linspace(-30, 30, 20_001)
+    densities = [stats.gaussian_kde(sample)(grid) for sample in (first, second)]
+    return float(np.trapezoid(np.abs(densities[0] - densities[1]), grid))
+
+
+def test_kde_distance_known_answers() -> None:
+    rng = np.random.default_rng(10)
+    sample = rng.normal(size=60)
+    assert kde_distance(sample, sample) == 0.0
+    assert kde_distance(sample, sample + 100.0) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_kde_distance_equals_scipys_densities_integrated() -> None:
+    rng = np.random.default_rng(11)
+    for shift in (0.0, 0.7, 3.0):
+        first, second = rng.normal(size=25), rng.gamma(2.0, size=60) + shift
+        assert kde_distance(first, second) == pytest.approx(
+            textbook_kde_distance(first, second), abs=2e-3
+        )
+
+
+def test_kde_distance_is_symmetric_and_free_of_scale() -> None:
+    rng = np.random.default_rng(12)
+    first, second = rng.normal(size=30), rng.normal(0.5, 2.0, 50)
+    distance = kde_distance(first, second)
+    assert kde_distance(second, first) == pytest.approx(distance)
+    assert kde_distance(1000 * first + 7, 1000 * second + 7) == pytest.approx(distance, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        ([14.8] * 5, [14.8] * 9, 0.0),  # every episode timed out, here and there
+        ([14.8] * 5, [3.0] * 9, 2.0),
+        ([14.8], [3.0], 2.0),
+        ([14.8], [14.8], 0.0),
+    ],
+)
+def test_kde_distance_without_variance(
+    first: list[float], second: list[float], expected: float
+) -> None:
+    assert kde_distance(first, second) == pytest.approx(expected, abs=1e-3)
+
+
+def test_kde_distance_of_a_peak_to_a_spread() -> None:
+    spread = np.random.default_rng(13).uniform(0, 14.8, 50)
+    assert 1.7 < kde_distance([14.8] * 50, spread) < 2.0
+
+
+def test_distances_of_nothing_are_undefined() -> None:
+    assert np.isnan(kde_distance([], [1.0, 2.0])) and np.isnan(wasserstein([np.nan], [1.0]))
+    nothing = bootstrap_distances([np.nan], [1.0], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing.kde.estimate)
+    assert np.isnan(null_distances([], 5, np.random.default_rng(0)).kde.estimate)
+
+
+def test_binned_density_equals_the_exact_one() -> None:
+    rng = np.random.default_rng(14)
+    sample, other = rng.normal(size=80), rng.normal(4, 0.5, 20)
+    rule = kde_rule(sample, other)
+    assert rule is not None
+    weights = draw_weights(rng, len(sample), 10)
+    fast = kde_weighted(rule, sample, weights)
+    for b in range(10):
+        drawn = np.repeat(sample, weights[b].astype(int))
+        exact = stats.gaussian_kde(drawn)(rule.grid)
+        assert np.abs(fast[b] - exact).sum() * rule.step < 5e-3
+
+
+def test_wasserstein_equals_scipy() -> None:
+    rng = np.random.default_rng(15)
+    first, second = rng.normal(size=31), rng.exponential(size=17)
+    assert wasserstein(first, second) == pytest.approx(stats.wasserstein_distance(first, second))
+    assert wasserstein(first, first + 2.5) == pytest.approx(2.5)
+
+
+def test_null_reference_shows_the_bias() -> None:
+    """Ten values against fifty of one distribution differ by 0.3 to 0.5; more values by less."""
+    rng = np.random.default_rng(16)
+    direct = np.mean(
+        [kde_distance(rng.exponential(size=10), rng.exponential(size=50)) for _ in range(100)]
+    )
+    assert 0.3 < direct < 0.5
+    recorded = rng.exponential(size=50)
+    null = null_distances(recorded, 10, rng, 400)
+    assert null.kde.estimate == pytest.approx(direct, abs=0.1)
+    assert null.kde.low < null.kde.estimate < null.kde.high
+    many = null_distances(recorded, 1000, rng, 400, num_recorded=1000)
+    assert many.kde.estimate < 0.15
+    assert many.wasserstein.estimate < null.wasserstein.estimate
+
+
+def test_bootstrap_distances_surround_a_large_distance() -> None:
+    rng = np.random.default_rng(17)
+    demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
+    recorded = rng.normal(size=30)
+    simulated = recorded[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
+    both = bootstrap_distances(simulated, recorded, seed, demo, rng, 400)
+    assert both.wasserstein.low < 2.0 < both.wasserstein.high
+    assert both.kde.low < both.kde.estimate < both.kde.high < 2.0
+    null = null_distances(recorded, len(simulated), rng, 400)
+    assert both.kde.low > null.kde.high
