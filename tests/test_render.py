@@ -1,0 +1,354 @@
+"""Pictures: right places, right colours, same pixels; clips; windows."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+
+from animarl_envs import palette
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.render import Renderer, round_length, write_clip
+from animarl_envs.scenario import make_scenario
+from animarl_envs.scene import PlumeField, Scene, SceneRecorder
+from animarl_envs.sketch import view_of
+from animarl_envs.worlds.chase import ChaseWorld
+
+SIZE = 200
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer("rgb_array", size=SIZE)
+
+
+def make_scene(**changes: object) -> Scene:
+    scene = Scene(
+        arena=Arena("square", size=1.0, boundary=1.1),
+        contact_radius=0.1,
+        names=("hunter", "prey"),
+        roles=("pursuer", "target"),
+        positions=np.array([(0.5, 0.4), (-0.5, -0.6)]),
+        headings=np.array([0.7, 2.0]),
+        trails=np.zeros((0, 2, 2)),
+        touched=np.zeros(2, dtype=bool),
+        rewards=np.zeros(2),
+    )
+    return dataclasses.replace(scene, **changes)  # type: ignore[arg-type]
+
+
+def pixel_of(scene: Scene, point: tuple[float, float]) -> tuple[int, int]:
+    """Row and column of a point of the arena frame."""
+    view = view_of(scene)
+    column = (point[0] - view.x + view.half) / (2 * view.half) * SIZE
+    row = (view.y + view.half - point[1]) / (2 * view.half) * SIZE
+    return int(row), int(column)
+
+
+def colour_distance(pixel: np.ndarray, colour: palette.RGB) -> int:
+    return int(np.abs(pixel.astype(int) - colour).max())
+
+
+def darkness(picture: np.ndarray, place: tuple[int, int]) -> int:
+    """The darkest of the pixels around a place, as 255 minus its mean."""
+    row, column = place
+    patch = picture[row - 1 : row + 2, column - 1 : column + 2].astype(int)
+    return int(255 - patch.mean(axis=-1).min())
+
+
+def test_picture_is_an_array_and_the_same_scene_gives_the_same_pixels(renderer):
+    first, second = renderer.draw(make_scene()), Renderer("rgb_array", size=SIZE).draw(make_scene())
+    assert first.shape == (renderer.height, SIZE, 3)
+    assert first.dtype == np.uint8
+    assert first.flags.c_contiguous
+    np.testing.assert_array_equal(first, second)
+
+
+def test_individuals_are_where_they_are_with_y_up(renderer):
+    scene = make_scene()
+    picture = renderer.draw(scene)
+    assert colour_distance(picture[pixel_of(scene, (0.5, 0.4))], palette.PURSUERS[0]) < 12
+    assert colour_distance(picture[pixel_of(scene, (-0.5, -0.6))], palette.TARGET) < 12
+    assert colour_distance(picture[pixel_of(scene, (0.0, 0.0))], palette.ARENA) == 0
+
+
+@pytest.mark.parametrize("shape", ["square", "disc"])
+def test_mirrored_scene_is_the_mirrored_picture(renderer, shape):
+    trails = np.linspace((-0.8, -0.2), (0.5, 0.4), 20)[:, None].repeat(2, axis=1)
+    scene = make_scene(arena=Arena(shape), trails=trails)
+    flip = np.array([-1.0, 1.0])
+    mirrored = dataclasses.replace(
+        scene,
+        positions=scene.positions * flip,
+        trails=trails * flip,
+        headings=np.pi - scene.headings,
+    )
+    unturned = dataclasses.replace(mirrored, headings=scene.headings)
+
+    def difference(other: Scene) -> float:
+        row, column = pixel_of(scene, (0.5, 0.4))
+        near = np.s_[row - 15 : row + 15, column - 15 : column + 15]
+        field, mirror = renderer.draw(scene)[:SIZE], renderer.draw(other)[:SIZE, ::-1]
+        return float(np.abs(field[near].astype(int) - mirror[near]).mean())
+
+    assert difference(mirrored) < 0.5 * difference(unturned)
+
+
+def test_trail_fades_with_age(renderer):
+    trails = np.zeros((101, 2, 2))
+    trails[:, 0] = np.linspace((-0.9, 0.4), (0.5, 0.4), 101)
+    trails[:, 1] = (-0.5, -0.6)
+    scene = make_scene(trails=trails)
+    picture = renderer.draw(scene)
+    ages = [darkness(picture, pixel_of(scene, (x, 0.4))) for x in (-0.8, 0.0, 0.38)]
+    floor = 255 - np.mean(palette.ARENA)
+    assert floor + 5 < ages[0] < ages[1] < ages[2]
+
+
+def test_touched_target_is_highlighted(renderer):
+    scene = make_scene()
+    beside = pixel_of(scene, (-0.5, -0.525))
+    touched = make_scene(touched=np.array([True, True]))
+    before = renderer.draw(scene)[beside]
+    after = renderer.draw(touched)[beside]
+    assert colour_distance(after, palette.TOUCH) < colour_distance(before, palette.TOUCH)
+    assert after[2] < before[2] - 60  # from grey to amber
+
+
+def test_plume_has_its_first_row_at_the_bottom(renderer):
+    values = np.zeros((10, 10))
+    values[0, 0] = 1.0
+    plume = PlumeField(values=values, extent=(-1.0, 1.0, -1.0, 1.0))
+    scene = make_scene(plume=plume)
+    picture = renderer.draw(scene)
+    hot, cold = pixel_of(scene, (-0.92, -0.92)), pixel_of(scene, (-0.92, 0.92))
+    assert colour_distance(picture[cold], palette.ARENA) == 0
+    assert colour_distance(picture[hot], palette.ARENA) > 40
+
+
+def test_demonstration_is_drawn_and_fainter_than_the_trail(renderer):
+    path = np.linspace((-0.9, 0.8), (0.9, 0.8), 30)[:, None].repeat(2, axis=1)
+    scene = make_scene()
+    at = pixel_of(scene, (0.0, 0.8))
+    empty = darkness(renderer.draw(scene), at)
+    recorded = darkness(renderer.draw(make_scene(demonstration=path)), at)
+    trail = darkness(renderer.draw(make_scene(trails=path[:16])), at)
+    assert empty < recorded < trail
+
+
+def test_view_widens_to_show_who_is_far_out():
+    usual = view_of(make_scene())
+    far = make_scene(positions=np.array([(2.5, 0.0), (0.0, 0.0)]))
+    assert usual.half < 1.3
+    assert view_of(far).half > 2.5
+
+
+def test_open_field_shows_source_start_and_scale(renderer):
+    start = np.array([[[0.3, 0.0]]])
+    moth = Scene(
+        arena=Arena("open", size=0.35),
+        contact_radius=0.05,
+        names=("moth",),
+        roles=("searcher",),
+        positions=np.array([(0.25, 0.02)]),
+        headings=np.array([3.0]),
+        trails=start,
+        touched=np.array([False]),
+        rewards=np.zeros(1),
+        source=(0.0, 0.0),
+        wind=0.0,
+        unit="m",
+        antennae=np.array([(0.24, 0.015), (0.24, 0.025)]),
+        odour=(1.0, 0.0),
+    )
+    view = view_of(moth)
+    for x in (0.0, 0.3):
+        assert abs(x - view.x) < view.half
+    calm = dataclasses.replace(moth, wind=None)
+    assert (renderer.draw(moth) != renderer.draw(calm)).any()
+    smelling = dataclasses.replace(moth, odour=(0.0, 0.0))
+    assert (renderer.draw(moth) != renderer.draw(smelling)).any()
+
+
+@pytest.mark.parametrize(
+    ("longest", "unit", "length", "label"),
+    [
+        (0.123, "m", 0.1, "10 cm"),
+        (0.2, "m", 0.2, "20 cm"),
+        (0.0049, "m", 0.002, "2 mm"),
+        (7.0, "m", 5.0, "5 m"),
+        (0.7, "unit", 0.5, "0.5 unit"),
+    ],
+)
+def test_scale_bar_is_round(longest, unit, length, label):
+    found, text = round_length(longest, unit)
+    assert found == pytest.approx(length)
+    assert text == label
+
+
+def test_text_strip_tells_time_rewards_and_ending(renderer):
+    plain = renderer.draw(make_scene(title="Chase"))
+    for change in ({"time": 3.0}, {"rewards": np.ones(2)}, {"note": "time limit"}, {"step": 7}):
+        other = renderer.draw(make_scene(title="Chase", **change))
+        np.testing.assert_array_equal(plain[:SIZE], other[:SIZE])
+        assert (plain[SIZE:] != other[SIZE:]).any()
+
+
+def test_many_individuals_fit_the_strip(renderer):
+    names = tuple(f"a_rather_long_name_{i}" for i in range(12))
+    crowd = make_scene(
+        names=names,
+        roles=("pursuer",) * 11 + ("target",),
+        positions=np.linspace((-0.9, -0.9), (0.9, 0.9), 12),
+        headings=np.zeros(12),
+        trails=np.zeros((0, 12, 2)),
+        touched=np.zeros(12, dtype=bool),
+        rewards=np.zeros(12),
+    )
+    picture = renderer.draw(crowd)
+    margin = round(0.02 * SIZE)
+    assert colour_distance(picture[SIZE:, -margin:].min(axis=(0, 1)), palette.BACKGROUND) == 0
+
+
+@pytest.mark.parametrize("key", ["positions", "headings", "trails", "touched", "demonstration"])
+def test_scene_refuses_misshapen_arrays(key):
+    with pytest.raises(InputError, match=key):
+        make_scene(**{key: np.zeros((3, 5, 2))})
+
+
+def test_plume_field_refuses_an_inverted_extent():
+    with pytest.raises(InputError, match="extent"):
+        PlumeField(values=np.zeros((2, 2)), extent=(1.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize("arguments", [("svg",), ("rgb_array", 50), ("rgb_array", 600, 0.0)])
+def test_renderer_refuses_bad_values(arguments):
+    with pytest.raises(InputError):
+        Renderer(*arguments)
+
+
+def test_missing_pygame_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(MissingExtraError, match=r"animarl\[render\]"):
+        Renderer("rgb_array")
+
+
+def test_window_shows_closes_and_stays_closed(monkeypatch):
+    import pygame
+
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    window = Renderer("human", size=SIZE, fps=1000.0)
+    assert window.draw(make_scene()) is None
+    assert pygame.display.get_surface().get_size() == (SIZE, window.height)
+    assert not window.closed
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    window.draw(make_scene())
+    assert window.closed
+    assert not pygame.display.get_init()
+    assert window.draw(make_scene()) is None
+    window.close()
+    window.close()
+
+
+def test_window_without_display_is_refused(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no-such-driver")
+    with pytest.raises(InputError, match="rgb_array"):
+        Renderer("human", size=SIZE).draw(make_scene())
+
+
+# -- clips ------------------------------------------------------------
+
+
+def frames(count: int = 4):
+    for k in range(count):
+        frame = np.zeros((64, 64, 3), dtype=np.uint8)
+        frame[:, : 16 * (k + 1)] = (0, 114, 178)
+        yield frame
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+def test_clip_holds_all_frames_at_the_wanted_speed(tmp_path, suffix):
+    path = write_clip(frames(), tmp_path / f"clip{suffix}", fps=5)
+    assert list(tmp_path.iterdir()) == [path]
+    back = np.stack([np.asarray(f)[..., :3] for f in imageio.imiter(path)])
+    assert back.shape == (4, 64, 64, 3)
+    for k, frame in enumerate(frames()):
+        assert np.abs(back[k].astype(int) - frame).mean() < 6
+    if suffix == ".gif":
+        assert imageio.immeta(path)["duration"] == 200
+    else:
+        assert imageio.immeta(path)["fps"] == 5
+
+
+def test_other_suffixes_are_refused(tmp_path):
+    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
+        write_clip(frames(), tmp_path / "clip.avi")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_clip_leaves_the_old_file(tmp_path: Path):
+    def breaking():
+        yield from frames(2)
+        raise RuntimeError("stopped")
+
+    path = tmp_path / "clip.gif"
+    path.write_bytes(b"old")
+    with pytest.raises(RuntimeError, match="stopped"):
+        write_clip(breaking(), path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_clip_of_nothing_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no frame"):
+        write_clip(iter(()), tmp_path / "clip.gif")
+    assert not list(tmp_path.iterdir())
+
+
+# -- scenes of a world --------------------------------------------------
+
+
+def test_recorder_follows_a_world():
+    world = ChaseWorld(make_scenario("agent", demos=None), num_copies=2)
+    world.seed(np.array([3, 4]))
+    world.reset()
+    recorder = SceneRecorder(world, copy=1)
+    recorder.start()
+    rng = np.random.default_rng(0)
+    path, total = [world.position[1].copy()], np.zeros(3)
+    for _ in range(6):
+        world.step(rng.integers(0, 12, size=(2, 3)))
+        recorder.follow()
+        path.append(world.position[1].copy())
+        total += world.reward[1]
+    scene = recorder.scene()
+    np.testing.assert_array_equal(scene.trails, path)
+    np.testing.assert_allclose(scene.rewards, total)
+    velocity = world.velocity[1]
+    np.testing.assert_allclose(scene.headings, np.arctan2(velocity[:, 1], velocity[:, 0]))
+    assert scene.step == 6
+    assert scene.time == pytest.approx(0.6)
+    assert scene.roles == ("pursuer", "pursuer", "target")
+    recorder.start()
+    assert len(recorder.scene().trails) == 1
+    world.step(np.full((2, 3), 12))
+    assert len(scene.trails) == 7  # a scene is not changed by what follows
+
+
+def test_recorder_says_who_touched_whom():
+    start = np.array([(0.0, 0.0), (0.8, 0.8), (0.12, 0.0)])
+    world = ChaseWorld(make_scenario("agent", demos=None, start=start), num_copies=1)
+    world.reset()
+    recorder = SceneRecorder(world)
+    recorder.start()
+    while not world.terminated[0]:
+        world.step(np.array([[0, 12, 12]]))
+        recorder.follow()
+    scene = recorder.scene()
+    assert scene.touched.tolist() == [True, False, True]
+    assert scene.note == "predator_0 reached prey"
