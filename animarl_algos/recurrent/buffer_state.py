@@ -1,0 +1,110 @@
+"""Saving and restoring the replay memory, so that an interrupted run goes on exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.storage import read_npz
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+
+if TYPE_CHECKING:
+    from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
+
+State = dict[str, Any]
+_SETTINGS = (
+    "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
+    "stride", "burn_in", "state_size", "prioritized",
+)  # fmt: skip
+"""What must be equal for a state to fit a buffer."""
+
+
+def get_state(buffer: SequenceReplayBuffer) -> State:
+    """Arrays (copies) and plain numbers: the used part of the ring and the running episodes."""
+    rows, slots = buffer.used_rows(), buffer.used_slots()
+    state: State = {name: getattr(buffer, name) for name in _SETTINGS}
+    state["num_copies"] = buffer.num_copies
+    state["cursor"] = buffer.cursor.copy()
+    state["streams"] = buffer.streams.copy()
+    state["max_priority"] = buffer.max_priority.copy()
+    state["priorities"] = buffer.trees.priorities[:, slots if buffer.prioritized else slots[:0]]
+    for name, array in buffer.ring._asdict().items():
+        state[f"ring_{name}"] = array[rows]
+    for name, array in buffer.sequences._asdict().items():
+        state[f"sequence_{name}"] = array[slots]
+    if buffer.num_copies:
+        running = _running_rows(buffer)
+        state["step_count"] = buffer.step_count.copy()
+        state["staged_state"] = buffer.staged_state.copy()
+        for name, array in buffer.staging._asdict().items():
+            state[f"staging_{name}"] = array[running]
+    return state
+
+
+def set_state(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> None:
+    """Go on from the state of a buffer with the same settings.
+
+    Raises
+    ------
+    InputError
+        If a setting differs or the state is damaged.
+    """
+    for name in _SETTINGS:
+        if name not in state:
+            raise InputError(
+                f"the saved replay memory lacks {name!r}: start from another checkpoint"
+            )
+        if state[name] != getattr(buffer, name):
+            raise InputError(
+                f"the saved replay memory has {name} {state[name]}, this run has "
+                f"{getattr(buffer, name)}: resume with the settings it was saved with"
+            )
+    try:
+        buffer.cursor[:] = state["cursor"]
+        buffer.streams[:] = state["streams"]
+        buffer.max_priority[:] = state["max_priority"]
+        rows, slots = buffer.used_rows(), buffer.used_slots()
+        for name, array in buffer.ring._asdict().items():
+            array[rows] = state[f"ring_{name}"]
+        for name, array in buffer.sequences._asdict().items():
+            array[slots] = state[f"sequence_{name}"]
+        if buffer.prioritized:
+            buffer.trees.restore(slots, state["priorities"])
+        if copies := int(state["num_copies"]):
+            buffer.allocate_staging(copies)
+            buffer.step_count[:] = state["step_count"]
+            buffer.staged_state[:] = state["staged_state"]
+            running = _running_rows(buffer)
+            for name, array in buffer.staging._asdict().items():
+                array[running] = state[f"staging_{name}"]
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
+            "start from another checkpoint"
+        ) from error
+
+
+def save_npz(state: Mapping[str, Any], path: str | Path) -> Path:
+    """Write a state without pickle: to a temporary file first, then renamed."""
+    path = Path(path)
+    with write_then_rename(path) as part, part.open("wb") as file:
+        np.savez(file, **state)
+    return path
+
+
+def load_npz(path: str | Path) -> State:
+    """The state in a file of :func:`save_npz`."""
+    return dict(read_npz(Path(path)))
+
+
+def _running_rows(buffer: SequenceReplayBuffer) -> NDArray[np.int64]:
+    """Rows of the staging area that hold steps of unfinished episodes."""
+    room = buffer.max_episode_steps + 1
+    return np.concatenate([c * room + np.arange(t) for c, t in enumerate(buffer.step_count)])
