@@ -1,0 +1,1 @@
+"""Recurrent dueling Q-networks, one per individual, and their memory."""

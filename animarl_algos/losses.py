@@ -1,0 +1,158 @@
+"""Loss terms of the recipes, each a number per individual, and clipping per individual.
+
+A term is averaged over the valid steps of the individual itself, so that summing the terms of all
+individuals gives each the gradient it would have if trained alone. Axes: (individual, time, batch).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import torch
+from torch.nn import functional
+
+IGNORED_LABEL = -1
+
+
+def masked_mean(
+    per_step: torch.Tensor, valid: torch.Tensor, weights: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Mean over each individual's valid steps, steps weighted by their sequence's importance.
+
+    Parameters
+    ----------
+    per_step : Tensor (K, T, B)
+    valid : Tensor (K, T, B) bool
+        False on padded, burnt-in and warm-up steps.
+    weights : Tensor (K, B), optional
+        Importance-sampling weights. They scale the loss and not the divisor, which stays the number
+        of valid steps.
+
+    Returns
+    -------
+    Tensor (K,)
+        Zero for an individual without valid steps.
+    """
+    # where, not a product: whatever stands on an invalid step, infinities included, is ignored.
+    kept = torch.where(valid, per_step, per_step.new_zeros(()))
+    if weights is not None:
+        kept = kept * weights.unsqueeze(1)
+    return kept.sum((1, 2)) / valid.sum((1, 2)).clamp(min=1)
+
+
+def action_cross_entropy(
+    logits: torch.Tensor,
+    labels: torch.Tensor,
+    valid: torch.Tensor,
+    weights: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """Cross-entropy of demonstrated actions under softmax(logits), per individual.
+
+    Parameters
+    ----------
+    logits : Tensor (K, T, B, actions)
+    labels : Tensor (K, T, B) int64
+        Demonstrated actions; -1 where there is none, such steps are left out.
+    valid : Tensor (K, T, B) bool
+    weights : Tensor (K, B), optional
+
+    Returns
+    -------
+    Tensor (K,)
+    """
+    labelled = valid & (labels != IGNORED_LABEL)
+    per_step = functional.cross_entropy(
+        logits.flatten(0, 2), labels.clamp(min=0).flatten(), reduction="none"
+    ).view(labels.shape)
+    return masked_mean(per_step, labelled, weights)
+
+
+def treatment_cross_entropy(
+    logits: torch.Tensor,
+    condition: torch.Tensor,
+    valid: torch.Tensor,
+    weights: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """Binary cross-entropy of the treatment, per individual (the paper, equation of J_tr).
+
+    Parameters
+    ----------
+    logits : Tensor (K, T, B)
+    condition : Tensor (K, B) or (K, T, B)
+        0 or 1.
+    valid : Tensor (K, T, B) bool
+    weights : Tensor (K, B), optional
+
+    Returns
+    -------
+    Tensor (K,)
+    """
+    per_step = functional.binary_cross_entropy_with_logits(
+        logits, _per_step(condition, logits).to(logits.dtype), reduction="none"
+    )
+    return masked_mean(per_step, valid, weights)
+
+
+@torch.no_grad()
+def balanced_accuracy(
+    logits: torch.Tensor, condition: torch.Tensor, valid: torch.Tensor
+) -> torch.Tensor:
+    """Mean of the two treatments' recalls over valid steps, per individual.
+
+    Parameters
+    ----------
+    logits : Tensor (K, T, B)
+    condition : Tensor (K, B) or (K, T, B)
+    valid : Tensor (K, T, B) bool
+
+    Returns
+    -------
+    Tensor (K,)
+        0.5 is chance; NaN where only one treatment occurs.
+    """
+    condition = _per_step(condition, logits) > 0
+    correct = (logits > 0) == condition
+    recalls = []
+    for treated in (condition, ~condition):
+        members = valid & treated
+        recalls.append((correct & members).sum((1, 2)) / members.sum((1, 2)))
+    return (recalls[0] + recalls[1]) / 2
+
+
+def _per_step(condition: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+    return condition.unsqueeze(1).expand_as(like) if condition.dim() == 2 else condition
+
+
+def squared_l2(parameters: Iterable[torch.Tensor]) -> torch.Tensor:
+    """Sum of all squared parameters of each individual, (K,); parameters are (K, ...)."""
+    return torch.stack([p.square().flatten(1).sum(1) for p in parameters]).sum(0)
+
+
+@torch.no_grad()
+def clip_grad_norm_per_individual(
+    parameters: Iterable[torch.Tensor], max_norm: float
+) -> torch.Tensor:
+    """Scale each individual's gradient down to a Euclidean norm of at most ``max_norm``.
+
+    As :func:`torch.nn.utils.clip_grad_norm_`, for every individual separately.
+
+    Parameters
+    ----------
+    parameters : tensors (K, ...)
+        Those without a gradient are left out.
+    max_norm
+
+    Returns
+    -------
+    Tensor (K,)
+        Norms before clipping.
+    """
+    gradients = [p.grad for p in parameters if p.grad is not None]
+    if not gradients:
+        return torch.zeros(0)
+    norms = torch.stack([torch.linalg.vector_norm(g.flatten(1), dim=1) for g in gradients])
+    total: torch.Tensor = torch.linalg.vector_norm(norms, dim=0)
+    scale = (max_norm / (total + 1e-6)).clamp(max=1.0)
+    for gradient in gradients:
+        gradient.mul_(scale.view(-1, *[1] * (gradient.dim() - 1)))
+    return total

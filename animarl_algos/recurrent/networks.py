@@ -1,0 +1,344 @@
+"""K independent recurrent dueling Q-networks, one per individual, held as stacked parameters.
+
+Architecture (the paper, "Neural network architectures"), all of H = 32 units, for each individual::
+
+    x = relu(Linear(relu(Linear([observation, one-hot previous action]))))
+    h = GRU(x, h)                                     left out in the feed-forward twin
+    V = Linear(relu(Linear([h, c])))                  c, the treatment flag, where there is one
+    A = Linear(relu(Linear([h, c])))
+    Q = V + A - mean over actions of A
+    logit of c = Linear(relu(Linear(reversal(h))))    treatment head of DQCIL, 8 units
+
+Every parameter has a leading axis of individuals; nothing is shared, so that training K individuals
+together is training each alone. Axes: (individual, time, batch, feature).
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from animarl_algos.gradient_reversal import reverse_gradient
+from animarl_algos.recurrent.gru import Packing, stacked_gru
+from animarl_envs.errors import InputError
+
+TREATMENT_UNITS = 8
+
+
+@dataclass(frozen=True)
+class QOutput:
+    """What a network says about a batch of sequences; zero where the packing computed nothing.
+
+    Attributes
+    ----------
+    values : Tensor (K, T, B, actions, quantiles)
+        Action values, or their quantiles; one "quantile" where the expected value is learned.
+    hidden : Tensor (K, T, B, H)
+        Hidden state after each step.
+    final_state : Tensor (K, B, H)
+        Hidden state after each sequence's last valid step.
+    treatment_logits : Tensor (K, T, B) or None
+        Logit of treatment 1, predicted from the hidden state through gradient reversal.
+    """
+
+    values: torch.Tensor
+    hidden: torch.Tensor
+    final_state: torch.Tensor
+    treatment_logits: torch.Tensor | None
+
+
+def individual_generators(individuals: Sequence[str], seed: int) -> list[torch.Generator]:
+    """One generator per individual, from the seed and the individual's name alone."""
+    generators = []
+    for name in individuals:
+        words = np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(2)
+        generators.append(torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]) >> 1))
+    return generators
+
+
+def _uniform(
+    shape: tuple[int, ...], bound: float, generators: list[torch.Generator]
+) -> nn.Parameter:
+    """(K, *shape) drawn from [-bound, bound), each individual from its own generator."""
+    draws = [torch.empty(shape).uniform_(-bound, bound, generator=g) for g in generators]
+    return nn.Parameter(torch.stack(draws))
+
+
+class StackedLinear(nn.Module):
+    """K independent affine maps; ``weight`` (K, in, out), ``bias`` (K, 1, out).
+
+    Initialised like :class:`torch.nn.Linear`.
+    """
+
+    def __init__(self, inputs: int, outputs: int, generators: list[torch.Generator]) -> None:
+        super().__init__()
+        bound = 1 / math.sqrt(inputs)
+        self.weight = _uniform((inputs, outputs), bound, generators)
+        self.bias = _uniform((1, outputs), bound, generators)
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(K, row, in) to (K, row, out)."""
+        return torch.baddbmm(self.bias, inputs, self.weight)
+
+
+class StackedGRU(nn.Module):
+    """K independent one-layer GRUs; weights (K, in, 3H), (K, H, 3H), gates r, z, n.
+
+    Initialised like :class:`torch.nn.GRU`.
+    """
+
+    def __init__(self, inputs: int, units: int, generators: list[torch.Generator]) -> None:
+        super().__init__()
+        bound = 1 / math.sqrt(units)
+        self.weight_input = _uniform((inputs, 3 * units), bound, generators)
+        self.weight_hidden = _uniform((units, 3 * units), bound, generators)
+        self.bias_input = _uniform((1, 3 * units), bound, generators)
+        self.bias_hidden = _uniform((1, 3 * units), bound, generators)
+
+    def forward(self, inputs: torch.Tensor, state: torch.Tensor, packing: Packing) -> torch.Tensor:
+        """Hidden states (K, row, H) of packed inputs (K, row, in)."""
+        return stacked_gru(
+            inputs,
+            state,
+            self.weight_input,
+            self.weight_hidden,
+            self.bias_input,
+            self.bias_hidden,
+            packing,
+        )
+
+
+class DuelingHead(nn.Module):
+    """Q = V + A - mean over actions of A, per quantile.
+
+    V and A each have a hidden layer of their own (``hidden`` holds V's units first, then A's). The
+    combination is linear in those units, so it is folded into one weight matrix instead of being
+    spelt out for every row.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        units: int,
+        num_actions: int,
+        num_quantiles: int,
+        generators: list[torch.Generator],
+    ) -> None:
+        super().__init__()
+        self.num_actions = num_actions
+        self.num_quantiles = num_quantiles
+        self.hidden = StackedLinear(inputs, 2 * units, generators)
+        self.value = StackedLinear(units, num_quantiles, generators)
+        self.advantage = StackedLinear(units, num_actions * num_quantiles, generators)
+
+    def combined(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Weight (K, 2H, actions * quantiles) and bias (K, 1, same) from hidden units to Q."""
+        weight, bias = self.advantage.weight, self.advantage.bias
+        shape = (self.num_actions, self.num_quantiles)
+        advantage = weight.view(*weight.shape[:-1], *shape)
+        centred = (advantage - advantage.mean(-2, keepdim=True)).flatten(-2)
+        value = self.value.weight.repeat(1, 1, self.num_actions)
+        advantage_bias = bias.view(*bias.shape[:-1], *shape)
+        centred_bias = (advantage_bias - advantage_bias.mean(-2, keepdim=True)).flatten(-2)
+        value_bias = self.value.bias.repeat(1, 1, self.num_actions)
+        return torch.cat((value, centred), dim=1), value_bias + centred_bias
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """(K, row, in) to (K, row, actions * quantiles)."""
+        weight, bias = self.combined()
+        return torch.baddbmm(bias, torch.relu(self.hidden(inputs)), weight)
+
+
+class StackedQNetwork(nn.Module):
+    """Recurrent (or feed-forward) dueling Q-networks, one per named individual.
+
+    Parameters
+    ----------
+    individuals
+        Names, distinct. An individual's initial weights depend on its name and the seed only.
+    observation_size
+        Components of one flattened observation, the treatment flag included where there is one.
+    num_actions
+        Discrete actions; as a previous action, ``num_actions`` stands for "none yet".
+    num_quantiles
+        1 for expected values.
+    units
+        Width of every hidden layer.
+    recurrent
+        False leaves the GRU out; the state is then passed through untouched.
+    previous_action
+        Whether the previous action is an input.
+    condition_flag
+        Whether the last observation component is the treatment flag. It bypasses encoder and GRU
+        and enters the dueling head beside the hidden state.
+    treatment_head
+        Whether to predict the treatment through gradient reversal (DQCIL).
+    reversal
+        Strength of the gradient reversal.
+    seed
+        Of the initial weights.
+    """
+
+    def __init__(
+        self,
+        individuals: Sequence[str],
+        observation_size: int,
+        num_actions: int,
+        *,
+        num_quantiles: int = 1,
+        units: int = 32,
+        recurrent: bool = True,
+        previous_action: bool = True,
+        condition_flag: bool = False,
+        treatment_head: bool = False,
+        reversal: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        if not individuals or len(set(individuals)) != len(individuals):
+            raise InputError(f"individuals={tuple(individuals)}: give one or more distinct names")
+        if condition_flag and observation_size < 2:
+            raise InputError(
+                "condition_flag=True needs an observation of at least two components, the last of "
+                f"them the flag, but there is {observation_size}: use the condition-flag wrapper"
+            )
+        self.individuals = tuple(individuals)
+        self.num_actions = num_actions
+        self.num_quantiles = num_quantiles
+        self.units = units
+        self.recurrent = recurrent
+        self.previous_action = previous_action
+        self.condition_flag = condition_flag
+        self.reversal = reversal
+        self.sensed = observation_size - condition_flag
+        generators = individual_generators(individuals, seed)
+        encoder_inputs = self.sensed + (num_actions if previous_action else 0)
+        self.encoder_1 = StackedLinear(encoder_inputs, units, generators)
+        self.encoder_2 = StackedLinear(units, units, generators)
+        self.gru = StackedGRU(units, units, generators) if recurrent else None
+        self.dueling = DuelingHead(
+            units + condition_flag, units, num_actions, num_quantiles, generators
+        )
+        self.treatment: nn.Sequential | None = None
+        if treatment_head:
+            self.treatment = nn.Sequential(
+                StackedLinear(units, TREATMENT_UNITS, generators),
+                nn.ReLU(),
+                StackedLinear(TREATMENT_UNITS, 1, generators),
+            )
+
+    def initial_state(self, batch: int) -> torch.Tensor:
+        """Zeros (K, batch, H): nothing remembered."""
+        weight = self.encoder_1.weight
+        return weight.new_zeros((len(self.individuals), batch, self.units))
+
+    def _encode(self, observations: torch.Tensor, previous_actions: torch.Tensor) -> torch.Tensor:
+        """Packed observations (K, row, n) and previous actions (K, row) to features (K, row, H)."""
+        inputs = observations[..., : self.sensed]
+        if self.previous_action:
+            # One column more than there are actions: "none yet" falls there and is cut off.
+            shape = (*previous_actions.shape, self.num_actions + 1)
+            one_hot = inputs.new_zeros(shape).scatter_(-1, previous_actions.unsqueeze(-1), 1.0)
+            inputs = torch.cat((inputs, one_hot[..., : self.num_actions]), dim=-1)
+        return torch.relu(self.encoder_2(torch.relu(self.encoder_1(inputs))))
+
+    def forward(
+        self,
+        observations: torch.Tensor,
+        previous_actions: torch.Tensor,
+        state: torch.Tensor | None = None,
+        packing: Packing | None = None,
+    ) -> QOutput:
+        """Run whole sequences.
+
+        Parameters
+        ----------
+        observations : Tensor (K, T, B, n)
+        previous_actions : Tensor (K, T, B) int64
+            Action taken before each observation; ``num_actions`` for none.
+        state : Tensor (K, B, H), optional
+            Hidden state before the first step; zeros by default.
+        packing : Packing, optional
+            Rows to compute; by default all.
+        """
+        _, time, batch, _ = observations.shape
+        if packing is None:
+            packing = Packing.full(time, batch, observations.device)
+        if state is None:
+            state = self.initial_state(batch)
+        packed = packing.pack(observations)
+        features = self._encode(packed, packing.pack(previous_actions))
+        final_state = state
+        if self.gru is not None:
+            features = self.gru(features, state, packing)
+            final_state = packing.final(features, state)
+        logits = None
+        if self.treatment is not None:
+            logits = packing.unpack(
+                self.treatment(reverse_gradient(features, self.reversal))[..., 0]
+            )
+        values = packing.unpack(self.dueling(self._with_flag(features, packed)))
+        shape = (*values.shape[:-1], self.num_actions, self.num_quantiles)
+        return QOutput(
+            values=values.view(shape),
+            hidden=packing.unpack(features),
+            final_state=final_state,
+            treatment_logits=logits,
+        )
+
+    def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
+        if not self.condition_flag:
+            return features
+        return torch.cat((features, observations[..., self.sensed :]), dim=-1)
+
+    @torch.no_grad()
+    def step(
+        self, observations: torch.Tensor, previous_actions: torch.Tensor, state: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """One decision, without gradient.
+
+        Parameters
+        ----------
+        observations : Tensor (K, B, n)
+        previous_actions : Tensor (K, B) int64
+        state : Tensor (K, B, H)
+
+        Returns
+        -------
+        q_values : Tensor (K, B, actions)
+            Mean over the quantiles.
+        state : Tensor (K, B, H)
+        """
+        features = self._encode(observations, previous_actions)
+        if self.gru is not None:
+            state = self.gru(features, state, Packing.full(1, observations.shape[1], state.device))
+            features = state
+        values = self.dueling(self._with_flag(features, observations))
+        if self.num_quantiles > 1:
+            values = values.view(*values.shape[:-1], self.num_actions, self.num_quantiles).mean(-1)
+        return values, state
+
+
+def dueling_parts(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """State value and centred advantage of Q-values.
+
+    The centred advantages sum to zero over actions, so V is the mean of Q over actions.
+
+    Parameters
+    ----------
+    values : Tensor (..., actions, quantiles)
+
+    Returns
+    -------
+    state_value : Tensor (..., quantiles)
+    advantage : Tensor (..., actions, quantiles)
+        A - mean over actions of A.
+    """
+    state_value = values.mean(-2)
+    return state_value, values - state_value.unsqueeze(-2)

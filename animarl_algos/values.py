@@ -1,0 +1,182 @@
+"""What is learned about an action: its expected return (DQN) or the return's quantiles (QR-DQN).
+
+This is the only difference between the two families of learners. Both use the one-step double-Q
+target (van Hasselt et al. 2016; the paper, equation "ddqn")::
+
+    a*     = argmax over a of Q(s', a; online)
+    target = R + gamma Q(s', a*; target network),      without the second term where s' is terminal
+
+A time-out is not terminal: it bootstraps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import torch
+from torch.nn import functional
+
+from animarl_envs.errors import InputError
+
+
+class ErrorLoss(Enum):
+    """How a temporal-difference error is scored by :class:`ExpectedValue`."""
+
+    SQUARED = "squared"
+    HUBER = "huber"
+
+
+@dataclass(frozen=True)
+class TDLoss:
+    """Per-step loss and size of the temporal-difference error, both (...,), the latter detached."""
+
+    loss: torch.Tensor
+    error: torch.Tensor
+
+
+class ValueDistribution(Protocol):
+    """What the learners ask of :class:`ExpectedValue` and :class:`Quantiles`."""
+
+    @property
+    def num_quantiles(self) -> int:
+        """Outputs of the network per action."""
+        ...
+
+    def q_values(self, values: torch.Tensor) -> torch.Tensor:
+        """Expected returns (..., actions) of network outputs (..., actions, quantiles)."""
+        ...
+
+    def td_loss(self, values: torch.Tensor, actions: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Loss of the actions taken, per step.
+
+        Parameters
+        ----------
+        values : Tensor (..., actions, quantiles)
+            Online network at the state the action was taken in.
+        actions : Tensor (...) int64
+        target : Tensor (..., quantiles)
+            From :func:`double_q_target`.
+        """
+        ...
+
+
+def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    """Pick one action's outputs: (..., actions, quantiles) and (...) to (..., quantiles)."""
+    index = actions[..., None, None].expand(*actions.shape, 1, values.shape[-1])
+    return values.gather(-2, index).squeeze(-2)
+
+
+@torch.no_grad()
+def double_q_target(
+    distribution: ValueDistribution,
+    rewards: torch.Tensor,
+    terminated: torch.Tensor,
+    next_online: torch.Tensor,
+    next_target: torch.Tensor,
+    gamma: float,
+) -> torch.Tensor:
+    """One-step double-Q target, without gradient.
+
+    Parameters
+    ----------
+    distribution
+        Which turns network outputs into Q-values.
+    rewards : Tensor (...)
+    terminated : Tensor (...) bool
+        True where the next state is terminal; never for a time-out.
+    next_online, next_target : Tensor (..., actions, quantiles)
+        Outputs of the two networks at the next state.
+    gamma
+        Discount per step.
+
+    Returns
+    -------
+    Tensor (..., quantiles)
+    """
+    best = distribution.q_values(next_online).argmax(-1)  # ties: the lowest index
+    bootstrap = take_action(next_target, best)
+    discount = gamma * (~terminated).to(rewards.dtype)
+    return rewards.unsqueeze(-1) + discount.unsqueeze(-1) * bootstrap
+
+
+@dataclass(frozen=True)
+class ExpectedValue:
+    """DQN: one number per action.
+
+    ``SQUARED`` is the paper's loss, ``HUBER`` (with threshold 1) that of stable-baselines3.
+    """
+
+    loss: ErrorLoss = ErrorLoss.SQUARED
+
+    @property
+    def num_quantiles(self) -> int:
+        """One output per action."""
+        return 1
+
+    def q_values(self, values: torch.Tensor) -> torch.Tensor:
+        """Expected returns (..., actions)."""
+        return values.squeeze(-1)
+
+    def td_loss(self, values: torch.Tensor, actions: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Squared or Huber loss of target - Q, per step."""
+        error = (target - take_action(values, actions)).squeeze(-1)
+        if self.loss is ErrorLoss.SQUARED:
+            loss = error.square()
+        else:
+            loss = functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
+        return TDLoss(loss, error.detach().abs())
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """QR-DQN: ``num_quantiles`` quantiles of the return per action (Dabney et al. 2018)."""
+
+    num_quantiles: int
+
+    def __post_init__(self) -> None:
+        if self.num_quantiles < 2:
+            raise InputError(
+                f"n_quantiles={self.num_quantiles}: give at least 2, or None for expected values"
+            )
+
+    def q_values(self, values: torch.Tensor) -> torch.Tensor:
+        """Expected returns (..., actions): the quantiles' mean."""
+        return values.mean(-1)
+
+    def td_loss(self, values: torch.Tensor, actions: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Quantile Huber loss per step: summed over the quantiles, averaged over the target's."""
+        current = take_action(values, actions)
+        error = (target.mean(-1) - current.mean(-1)).detach().abs()
+        return TDLoss(quantile_huber(current, target), error)
+
+
+def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Quantile Huber loss with threshold 1, per step (Dabney et al. 2018, equations 9 and 10)::
+
+        sum over i, mean over j of |tau_i - 1(delta_ij < 0)| huber(delta_ij)
+        delta_ij = target_j - current_i,  tau_i = (i + 1/2) / quantiles
+
+    Parameters
+    ----------
+    current, target : Tensor (..., quantiles)
+
+    Returns
+    -------
+    Tensor (...)
+    """
+    quantiles = current.shape[-1]
+    tau = (torch.arange(quantiles, device=current.device, dtype=current.dtype) + 0.5) / quantiles
+    delta = target.unsqueeze(-2) - current.unsqueeze(-1)
+    # Halves of the weight |tau - 1(delta < 0)|, which is tau above and 1 - tau below.
+    weight = torch.where(delta.detach() < 0, (1 - tau).unsqueeze(-1), tau.unsqueeze(-1))
+    huber = functional.huber_loss(delta, torch.zeros_like(delta), reduction="none")
+    return (weight * huber).sum(-2).mean(-1)
+
+
+def value_distribution(
+    n_quantiles: int | None, loss: ErrorLoss = ErrorLoss.SQUARED
+) -> ExpectedValue | Quantiles:
+    """``ExpectedValue`` for None, else ``Quantiles(n_quantiles)``."""
+    return ExpectedValue(loss) if n_quantiles is None else Quantiles(n_quantiles)

@@ -1,0 +1,215 @@
+"""Targets, losses and clipping against numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from sb3_contrib.common.utils import quantile_huber_loss
+from torch import nn
+
+from animarl_algos.gradient_reversal import reverse_gradient
+from animarl_algos.losses import (
+    action_cross_entropy,
+    balanced_accuracy,
+    clip_grad_norm_per_individual,
+    masked_mean,
+    squared_l2,
+    treatment_cross_entropy,
+)
+from animarl_algos.values import (
+    ErrorLoss,
+    ExpectedValue,
+    Quantiles,
+    double_q_target,
+    quantile_huber,
+    take_action,
+    value_distribution,
+)
+from animarl_envs.errors import InputError
+
+# A three-step episode of one individual, two actions, gamma 0.5; steps are (1, 3, 1).
+REWARDS = torch.tensor([1.0, 0.0, 2.0]).view(1, 3, 1)
+ACTIONS = torch.tensor([0, 1, 0]).view(1, 3, 1)
+VALUES = torch.tensor([[1.0, 0.0], [0.5, 2.0], [1.0, 9.0]]).view(1, 3, 1, 2, 1)
+NEXT_ONLINE = torch.tensor([[0.5, 2.0], [1.0, 9.0], [4.0, 3.0]]).view(1, 3, 1, 2, 1)
+NEXT_TARGET = torch.tensor([[8.0, 4.0], [8.0, 6.0], [2.0, 7.0]]).view(1, 3, 1, 2, 1)
+CONTACT = torch.tensor([False, False, True]).view(1, 3, 1)
+TIME_OUT = torch.zeros(1, 3, 1, dtype=torch.bool)
+
+
+@pytest.mark.parametrize(
+    ("terminated", "last"),
+    [(CONTACT, 2.0), (TIME_OUT, 2.0 + 0.5 * 2.0)],
+)
+def test_double_q_target_by_hand(terminated: torch.Tensor, last: float) -> None:
+    """The online net picks actions 1, 1, 0; the target net's values there are 4, 6, 2."""
+    target = double_q_target(ExpectedValue(), REWARDS, terminated, NEXT_ONLINE, NEXT_TARGET, 0.5)
+    expected = [1 + 0.5 * 4, 0 + 0.5 * 6, last]
+    assert target.shape == (1, 3, 1, 1)
+    assert target.flatten().tolist() == expected
+
+
+def test_ties_go_to_the_lowest_index() -> None:
+    online = torch.zeros(1, 1, 1, 2, 1)
+    target = double_q_target(
+        ExpectedValue(), REWARDS[:, :1], TIME_OUT[:, :1], online, NEXT_TARGET[:, :1], 0.5
+    )
+    assert target.item() == 1 + 0.5 * 8
+
+
+@pytest.mark.parametrize(
+    ("loss", "expected"),
+    [
+        # Errors: targets 3, 3, 2 minus Q of the actions taken, 1, 2, 1.
+        (ErrorLoss.SQUARED, [4.0, 1.0, 1.0]),
+        (ErrorLoss.HUBER, [1.5, 0.5, 0.5]),
+    ],
+)
+def test_expected_value_loss_by_hand(loss: ErrorLoss, expected: list[float]) -> None:
+    distribution = ExpectedValue(loss)
+    target = double_q_target(distribution, REWARDS, CONTACT, NEXT_ONLINE, NEXT_TARGET, 0.5)
+    result = distribution.td_loss(VALUES, ACTIONS, target)
+    assert result.loss.flatten().tolist() == expected
+    assert result.error.flatten().tolist() == [2.0, 1.0, 1.0]
+
+
+def test_quantile_target_and_loss_by_hand() -> None:
+    """Two quantiles, spread by 1 to either side of the values above: tau = 1/4, 3/4."""
+    spread = torch.tensor([-1.0, 1.0])
+    distribution = Quantiles(2)
+    target = double_q_target(
+        distribution, REWARDS, CONTACT, NEXT_ONLINE + spread, NEXT_TARGET + spread, 0.5
+    )
+    assert target[0, :, 0].tolist() == [[2.5, 3.5], [2.5, 3.5], [2.0, 2.0]]
+    result = distribution.td_loss(VALUES + spread, ACTIONS, target)
+    assert result.error.flatten().tolist() == [2.0, 1.0, 1.0]
+    # Step 2: current (0, 2), target (2, 2): deltas of quantile 0 are 2, 2 (huber 1.5, weight 1/4),
+    # of quantile 1 are 0: sum over quantiles of the mean over targets = 0.25 * 1.5.
+    assert result.loss[0, 2, 0].item() == pytest.approx(0.375)
+    # Step 0: current (0, 2), target (2.5, 3.5): 1/4 (2 + 3) / 2 + 3/4 (0.125 + 1) / 2.
+    assert result.loss[0, 0, 0].item() == pytest.approx(0.625 + 0.421875)
+    # Step 1: current (1, 3): 1/4 (1 + 2) / 2 + (1/4 * 0.125 [below: 1 - 3/4] + 3/4 * 0.125) / 2.
+    assert result.loss[0, 1, 0].item() == pytest.approx(0.375 + 0.0625)
+
+
+def test_quantile_huber_equals_sb3_contrib_in_value_and_gradient() -> None:
+    generator = torch.Generator().manual_seed(0)
+    current = torch.randn(64, 9, generator=generator, requires_grad=True)
+    target = 2 * torch.randn(64, 9, generator=generator)
+    ours = quantile_huber(current, target)
+    theirs = quantile_huber_loss(current, target)
+    assert ours.shape == (64,)
+    torch.testing.assert_close(ours.mean(), theirs)
+    torch.testing.assert_close(
+        torch.autograd.grad(ours.mean(), current)[0], torch.autograd.grad(theirs, current)[0]
+    )
+
+
+def test_quantile_huber_gradient_is_the_derivative() -> None:
+    generator = torch.Generator().manual_seed(1)
+    current = torch.randn(5, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+    target = torch.randn(5, 3, generator=generator, dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda c: quantile_huber(c, target), (current,))
+
+
+def test_q_values_and_the_choice_of_distribution() -> None:
+    values = torch.arange(12.0).view(2, 3, 2)
+    assert value_distribution(2).q_values(values).tolist() == [[0.5, 2.5, 4.5], [6.5, 8.5, 10.5]]
+    assert value_distribution(None).q_values(values[..., :1]).tolist() == [[0, 2, 4], [6, 8, 10]]
+    assert take_action(values, torch.tensor([2, 0])).tolist() == [[4, 5], [6, 7]]
+    with pytest.raises(InputError, match="n_quantiles=1"):
+        value_distribution(1)
+
+
+def test_masked_mean_counts_each_individuals_own_steps() -> None:
+    per_step = torch.tensor([[[1.0], [3.0], [math.inf]], [[5.0], [7.0], [9.0]]])
+    valid = torch.tensor([[[True], [True], [False]], [[True], [True], [True]]])
+    assert masked_mean(per_step, valid).tolist() == [2.0, 7.0]
+    weights = torch.tensor([[0.5], [2.0]])
+    assert masked_mean(per_step, valid, weights).tolist() == [1.0, 14.0]
+    assert masked_mean(per_step, torch.zeros_like(valid)).tolist() == [0.0, 0.0]
+
+
+def test_action_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
+    logits = torch.randn(2, 3, 2, 4, requires_grad=True)
+    labels = torch.tensor([[[0, -1], [1, 2], [3, 3]], [[-1, -1], [0, 0], [1, 1]]])
+    valid = torch.ones(2, 3, 2, dtype=torch.bool)
+    valid[:, 2] = False
+    loss = action_cross_entropy(logits, labels, valid)
+    first = nn.functional.cross_entropy(logits[0, [0, 1, 1], [0, 0, 1]], torch.tensor([0, 1, 2]))
+    second = nn.functional.cross_entropy(logits[1, 1], torch.tensor([0, 0]))
+    torch.testing.assert_close(loss, torch.stack((first, second)))
+    gradient = torch.autograd.grad(loss.sum(), logits)[0]
+    assert gradient[:, 2].abs().sum() == 0
+    assert gradient[0, 0, 1].abs().sum() == 0
+
+
+def test_treatment_cross_entropy_by_hand() -> None:
+    logits = torch.tensor([[[0.0, math.log(3.0)]]])
+    condition = torch.tensor([[1, 0]])
+    valid = torch.ones(1, 1, 2, dtype=torch.bool)
+    expected = (-math.log(0.5) - math.log(0.25)) / 2
+    assert treatment_cross_entropy(logits, condition, valid).item() == pytest.approx(expected)
+
+
+def test_balanced_accuracy_weighs_both_treatments_equally() -> None:
+    logits = torch.tensor([[[1.0, 1.0, 1.0, 1.0, -1.0]]])
+    condition = torch.tensor([[1, 1, 1, 0, 0]])
+    valid = torch.ones(1, 1, 5, dtype=torch.bool)
+    assert balanced_accuracy(logits, condition, valid).item() == 0.75
+    valid[..., 3] = False
+    assert balanced_accuracy(logits, condition, valid).item() == 1.0
+    assert balanced_accuracy(logits[..., :3], condition[..., :3], valid[..., :3]).isnan().all()
+
+
+def test_squared_l2_is_the_sum_of_squares_per_individual() -> None:
+    parameters = [torch.tensor([[1.0, 2.0], [3.0, 0.0]]), torch.tensor([[[2.0]], [[1.0]]])]
+    assert squared_l2(parameters).tolist() == [9.0, 10.0]
+
+
+def test_clipping_equals_torch_for_each_individual() -> None:
+    generator = torch.Generator().manual_seed(0)
+    parameters = [nn.Parameter(torch.zeros(3, 4, 2)), nn.Parameter(torch.zeros(3, 1, 5))]
+    parameters.append(nn.Parameter(torch.zeros(3, 2)))  # has no gradient
+    scales = torch.tensor([0.01, 1.0, 50.0])
+    for p in parameters[:2]:
+        p.grad = torch.randn(p.shape, generator=generator) * scales.view(3, 1, 1)
+    before = [p.grad.clone() for p in parameters[:2]]
+    norms = clip_grad_norm_per_individual(parameters, 1.0)
+    for k in range(3):
+        alone = [nn.Parameter(torch.zeros_like(g[k])) for g in before]
+        for p, g in zip(alone, before):
+            p.grad = g[k].clone()
+        norm = nn.utils.clip_grad_norm_(alone, 1.0)
+        torch.testing.assert_close(norms[k], norm)
+        for p, q in zip(parameters, alone):
+            torch.testing.assert_close(p.grad[k], q.grad)
+    assert torch.equal(parameters[0].grad[0], before[0][0])  # small gradients are left alone
+
+
+def test_gradient_reversal_is_minus_lambda_times_the_plain_gradient() -> None:
+    x = torch.randn(4, 3, requires_grad=True)
+    weight = torch.randn(4, 3)
+    assert torch.equal(reverse_gradient(x, 2.5), x)
+    (plain,) = torch.autograd.grad((x * weight).sum(), x)
+    (reversed_,) = torch.autograd.grad((reverse_gradient(x, 2.5) * weight).sum(), x)
+    torch.testing.assert_close(reversed_, -2.5 * plain)
+
+
+def test_stacked_adam_equals_separate_ones() -> None:
+    generator = torch.Generator().manual_seed(0)
+    start = torch.randn(3, 4, 2, generator=generator)
+    stacked = nn.Parameter(start.clone())
+    alone = [nn.Parameter(start[k].clone()) for k in range(3)]
+    optimizers = [torch.optim.Adam([p], lr=0.01) for p in (stacked, *alone)]
+    for _ in range(20):
+        gradient = torch.randn(3, 4, 2, generator=generator)
+        stacked.grad = gradient.clone()
+        for k, p in enumerate(alone):
+            p.grad = gradient[k].clone()
+        for optimizer in optimizers:
+            optimizer.step()
+    for k, p in enumerate(alone):
+        torch.testing.assert_close(stacked[k], p, rtol=0, atol=1e-6)

@@ -1,0 +1,242 @@
+"""Acting: routing of slots, memory between calls, the acting rules, saving and loading."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.utils import ConstantSchedule
+
+from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy, boltzmann
+from animarl_envs.errors import InputError
+
+NAMES = ("predator_0", "predator_1", "prey")
+K, COPIES, T, A = 3, 4, 6, 13
+S = K * COPIES
+SHAPE = (5, 2)
+OBSERVATIONS = spaces.Box(-np.inf, np.inf, SHAPE, np.float32)
+ACTIONS = spaces.Discrete(A)
+
+kinds = pytest.mark.parametrize("kind", [GruPolicy, MlpPolicy])
+
+
+def make(kind: type[GruPolicy] = GruPolicy, **options: object) -> GruPolicy:
+    options = {"individuals": NAMES, **options}
+    return kind(OBSERVATIONS, ACTIONS, ConstantSchedule(1e-3), **options)
+
+
+def observe(steps: int = T, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((steps, S, *SHAPE)).astype(np.float32)
+
+
+@kinds
+@pytest.mark.parametrize("options", [{}, {"n_quantiles": 5, "condition_flag": True}])
+def test_carried_state_equals_the_whole_sequence(kind: type[GruPolicy], options: dict) -> None:
+    policy = make(kind, previous_action=True, **options)
+    observations = observe()
+    previous = np.full((T, S), A)
+    q_values, state = [], None
+    for t in range(T):
+        q_now, _, _ = policy.advance(observations[t], state, None)
+        q_values.append(q_now)
+        actions, state = policy.predict(observations[t], state, deterministic=True)
+        if t + 1 < T:
+            previous[t + 1] = actions
+
+    def stacked(array: np.ndarray) -> torch.Tensor:
+        """(T, S, ...) to (K, T, copies, ...), written out slot by slot."""
+        rows = [np.stack([array[:, c * K + k] for c in range(COPIES)], axis=1) for k in range(K)]
+        return torch.from_numpy(np.stack(rows))
+
+    flat = observations.reshape(T, S, -1)
+    whole = policy.q_net(stacked(flat), stacked(previous)).values.mean(-1)
+    torch.testing.assert_close(stacked(np.stack(q_values)), whole, rtol=1e-4, atol=1e-6)
+
+
+@kinds
+def test_compiled_and_tensor_acting_agree(kind: type[GruPolicy]) -> None:
+    policy = make(kind, condition_flag=True, n_quantiles=4, previous_action=True)
+    observations = observe(1)[0].reshape(S, -1)
+    rng = np.random.default_rng(0)
+    hidden = rng.uniform(-1, 1, (S, 32)).astype(np.float32)
+    previous = rng.integers(0, A + 1, S)
+    want_q, want_hidden = policy._advance_on_device(observations, previous, hidden)
+    got_q = policy._actor.decide(observations, previous, hidden)
+    np.testing.assert_allclose(got_q, want_q, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(hidden, want_hidden, rtol=1e-4, atol=1e-6)
+
+
+def test_acting_follows_training_and_moved_parameters() -> None:
+    policy = make()
+    observations = observe(1)[0]
+    before, _, _ = policy.advance(observations, None, None)
+    with torch.no_grad():
+        policy.q_net.dueling.value.bias.add_(1.0)
+    trained, _, _ = policy.advance(observations, None, None)
+    np.testing.assert_allclose(trained, before + 1, atol=1e-5)
+    for parameter in policy.q_net.parameters():
+        parameter.data = parameter.data.clone()
+    policy.q_net.dueling.value.bias.data.add_(1.0)
+    moved, _, _ = policy.advance(observations, None, None)
+    np.testing.assert_allclose(moved, before + 2, atol=1e-5)
+
+
+def test_slots_are_routed_by_individual() -> None:
+    """Each individual alone chooses what it chooses among the others."""
+    together = make()
+    observations = observe(1)[0]
+    q_values, _, _ = together.advance(observations, None, None)
+    for k, name in enumerate(NAMES):
+        alone = make(individuals=(name,))
+        expected, _, _ = alone.advance(observations[k::K], None, None)
+        np.testing.assert_allclose(q_values[k::K], expected, rtol=1e-5, atol=1e-6)
+
+
+def test_episode_start_resets_those_slots_only() -> None:
+    policy = make()
+    observations = observe(2)
+    _, state = policy.predict(observations[0], deterministic=True)
+    kept = [array.copy() for array in state]
+    starts = np.zeros(S, dtype=bool)
+    starts[[1, 7]] = True
+    some, _, _ = policy.advance(observations[1], state, starts)
+    none, _, _ = policy.advance(observations[1], state, None)
+    fresh, _, _ = policy.advance(observations[1], None, None)
+    np.testing.assert_array_equal(some[starts], fresh[starts])
+    np.testing.assert_array_equal(some[~starts], none[~starts])
+    assert (some[starts] != none[starts]).any(axis=1).all()
+    for before, after in zip(kept, state):
+        np.testing.assert_array_equal(before, after)
+
+
+def test_memory_is_hidden_state_and_executed_action() -> None:
+    policy = make()
+    observations = observe(2)
+    actions, (hidden, previous) = policy.predict(observations[0], deterministic=True)
+    np.testing.assert_array_equal(previous, actions)
+    executed = (actions + 1) % A
+    as_chosen, _, _ = policy.advance(observations[1], (hidden, previous), None)
+    as_executed, _, _ = policy.advance(observations[1], (hidden, executed), None)
+    assert not np.allclose(as_chosen, as_executed)
+
+
+def test_greedy_ties_go_to_the_lowest_index_and_draw_nothing() -> None:
+    policy = make(epsilon=1.0)
+    before = policy.random_state
+    q_values = np.zeros((S, A), dtype=np.float32)
+    q_values[:, [4, 9]] = 1
+    assert (policy.choose(q_values, deterministic=True) == 4).all()
+    assert policy.random_state == before
+
+
+def test_epsilon_greedy_frequencies_and_one_coin_per_slot() -> None:
+    policy = make(epsilon=0.4)
+    slots = K * 40_000
+    q_values = np.zeros((slots, A), dtype=np.float32)
+    q_values[:, 5] = 1
+    counts = np.bincount(policy.choose(q_values, deterministic=False), minlength=A) / slots
+    expected = np.full(A, 0.4 / A)
+    expected[5] += 0.6
+    np.testing.assert_allclose(counts, expected, atol=5 * np.sqrt(0.25 / slots))
+    # One coin for all slots at once would make whole rows of draws random or greedy together.
+    greedy = (policy.choose(q_values[:S], deterministic=False) == 5).sum()
+    assert 0 < greedy < S
+
+
+@pytest.mark.parametrize("temperature", [0.5, (0.25, 0.5, 2.0)])
+def test_boltzmann_frequencies(temperature: float | tuple[float, ...]) -> None:
+    policy = make(temperature=temperature)
+    copies = 40_000
+    logits = np.random.default_rng(0).standard_normal((K, A)).astype(np.float32)
+    actions = policy.choose(np.tile(logits, (copies, 1)), deterministic=False)
+    for k in range(K):
+        expected = np.exp(logits[k] / np.broadcast_to(temperature, K)[k])
+        expected /= expected.sum()
+        counts = np.bincount(actions[k::K], minlength=A) / copies
+        np.testing.assert_allclose(counts, expected, atol=5 * np.sqrt(0.25 / copies))
+
+
+def test_boltzmann_stays_in_range_at_extreme_draws() -> None:
+    scaled = np.array([[0.0, -1e4, 0.0], [0.0, -1e4, 0.0], [5.0, 5.0, -1e4]])
+    draw = np.array([0.0, np.nextafter(1.0, 0.0), np.nextafter(1.0, 0.0)])
+    assert boltzmann(scaled, draw).tolist() == [0, 2, 1]
+
+
+def test_draws_are_seeded_and_one_per_slot() -> None:
+    policy, twin = make(epsilon=0.5, seed=3), make(epsilon=0.5, seed=3)
+    observations = observe(1)[0]
+    first, _ = policy.predict(observations)
+    np.testing.assert_array_equal(first, twin.predict(observations)[0])
+    after = np.random.default_rng(3)
+    after.random(S)
+    assert policy.random_state == after.bit_generator.state
+    policy.random_state = np.random.default_rng(3).bit_generator.state
+    np.testing.assert_array_equal(policy.predict(observations)[0], first)
+
+
+def test_a_single_bare_slot() -> None:
+    policy = make(individuals=("agent",))
+    observations = observe(2)[:, 0]
+    action, state = policy.predict(observations[0], deterministic=True)
+    assert np.shape(action) == ()
+    assert ACTIONS.contains(action)
+    batched, _ = policy.predict(observations[:1], deterministic=True)
+    assert batched.shape == (1,)
+    assert batched[0] == action
+    again, _ = policy.predict(
+        observations[1], state, episode_start=np.array([True]), deterministic=True
+    )
+    assert again == policy.predict(observations[1], deterministic=True)[0]
+
+
+@kinds
+def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
+    policy = make(
+        kind, n_quantiles=3, condition_flag=True, treatment_head=True, hidden=8, temperature=0.3
+    )
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.mul_(1.5)
+    policy.save(str(tmp_path / "policy.pt"))
+    loaded = kind.load(str(tmp_path / "policy.pt"), device="cpu")
+    assert loaded.individuals == NAMES
+    assert loaded.temperature == 0.3
+    for (name, saved), read in zip(policy.state_dict().items(), loaded.state_dict().values()):
+        assert torch.equal(saved, read), name
+    observations = observe(1)[0]
+    np.testing.assert_array_equal(
+        policy.advance(observations, None, None)[0], loaded.advance(observations, None, None)[0]
+    )
+
+
+def test_target_network_starts_equal_and_is_not_trained() -> None:
+    policy = make()
+    for online, target in zip(policy.q_net.parameters(), policy.q_net_target.parameters()):
+        assert torch.equal(online, target)
+        assert not target.requires_grad
+    trained = {id(p) for group in policy.optimizer.param_groups for p in group["params"]}
+    assert trained == {id(p) for p in policy.q_net.parameters()}
+
+
+@pytest.mark.parametrize(
+    ("observation_space", "action_space", "message"),
+    [
+        (spaces.Discrete(3), ACTIONS, "not a Box"),
+        (OBSERVATIONS, spaces.Box(-1, 1, (2,)), "not Discrete"),
+        (OBSERVATIONS, spaces.Discrete(3, start=1), "starting at 0"),
+    ],
+)
+def test_foreign_spaces_are_refused(observation_space, action_space, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        GruPolicy(observation_space, action_space, ConstantSchedule(1e-3))
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"), [((4, *SHAPE), "cannot be dealt"), ((S, 7), "does not fit")]
+)
+def test_misfitting_observations_are_refused(shape: tuple[int, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make().predict(np.zeros(shape, dtype=np.float32))
