@@ -234,17 +234,6 @@ class SequenceReplayBuffer:
         each = (self.num_copies,)
         pair = (*each, self.num_individuals)
         observed = (*pair, self.observation_dim)
-        actions = _fit("actions", actions, np.int64, pair)
-        if int(actions.min()) < 0 or int(actions.max()) >= self.num_actions:
-            raise InputError(
-                f"actions run from {actions.min()} to {actions.max()}: they must lie in "
-                f"0 .. {self.num_actions - 1}"
-            )
-        if int(self.step_count.max()) >= self.max_episode_steps:
-            raise InputError(
-                f"copy {int(self.step_count.argmax())} is past {self.max_episode_steps} steps "
-                "without an end: raise max_episode_steps or give the environment a time limit"
-            )
         if self.state_size and hidden is None:
             raise InputError("state_mode 'stored' needs the recurrent state: pass hidden to add")
         none = self._none
@@ -253,40 +242,55 @@ class SequenceReplayBuffer:
         labels = none.labels if labels is None else labels
         warmup = none.warmup if warmup is None else warmup
         condition = none.condition if condition is None else condition
-        kernels.add_steps(
+        actions = _fit("actions", actions, np.int64, pair)
+        terminated = _fit("terminated", terminated, np.bool_, each)
+        truncated = _fit("truncated", truncated, np.bool_, each)
+        condition = _fit("condition", condition, np.float32, each)
+        ended = kernels.stage_steps(
             self.staging,
             self.step_count,
             self.staged_state,
-            self.ring,
-            self.sequences,
-            self.cursor,
-            self.trees.nodes,
-            self.max_priority,
-            self.alpha,
             self.stride,
             self.burn_in,
+            self.num_actions,
             _fit("observations", observations, np.float32, observed),
             actions,
             _fit("rewards", rewards, np.float32, pair),
             _fit("next_observations", next_observations, np.float32, observed),
-            _fit("terminated", terminated, np.bool_, each),
-            _fit("truncated", truncated, np.bool_, each),
-            _fit(
-                "penalties",
-                penalties,
-                np.float32,
-                pair,
-            ),
+            terminated,
+            truncated,
+            _fit("penalties", penalties, np.float32, pair),
             _fit("labels", labels, np.int64, pair),
             _fit("warmup", warmup, np.bool_, each),
             _fit("hidden", hidden, np.float32, (*pair, self.state_size)),
-            _fit(
-                "condition",
-                condition,
-                np.float32,
-                each,
-            ),
         )
+        if ended == kernels.BAD_ACTION:
+            raise InputError(
+                f"actions run from {actions.min()} to {actions.max()}: they must lie in "
+                f"0 .. {self.num_actions - 1}"
+            )
+        if ended == kernels.TOO_LONG:
+            raise InputError(
+                f"copy {int(self.step_count.argmax())} is past {self.max_episode_steps} steps "
+                "without an end: raise max_episode_steps or give the environment a time limit"
+            )
+        if ended:
+            kernels.commit_ended(
+                self.staging,
+                self.step_count,
+                self.staged_state,
+                self.ring,
+                self.sequences,
+                self.cursor,
+                self.trees.nodes,
+                self.max_priority,
+                self.alpha,
+                self.stride,
+                self.burn_in,
+                terminated,
+                truncated,
+                condition,
+            )
 
     def drop_running(self) -> None:
         """Forget the unfinished episodes of all copies, as when every copy is reset."""

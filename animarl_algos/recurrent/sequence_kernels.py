@@ -16,6 +16,7 @@ from animarl_envs.worlds.streams import next_uniform
 
 # Entries of the cursor, the (5,) int64 array that says where the rings stand.
 OLDEST, NEXT, NEXT_ROW, ROWS_USED, EPISODES = 0, 1, 2, 3, 4
+BAD_ACTION, TOO_LONG = -1, -2  # what stage_steps refuses
 PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
 
 
@@ -102,18 +103,29 @@ def _commit(  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True)
-def add_steps(  # type: ignore[no-untyped-def]
-    staging, step_count, staged_state,
-    ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in,
+def stage_steps(  # type: ignore[no-untyped-def]
+    staging, step_count, staged_state, stride, burn_in, num_actions,
     observations, actions, rewards, next_observations, terminated, truncated,
-    penalties, labels, warmup, hidden, condition,
+    penalties, labels, warmup, hidden,
 ):  # fmt: skip
-    """Add one step of every copy; finished episodes enter the ring, in the order of the copies."""
+    """Write one step of every copy into the staging rows; the number of episodes that ended.
+
+    Nothing is written, and ``BAD_ACTION`` or ``TOO_LONG`` returned, if a step does not fit.
+    """
     copies, individuals, size = observations.shape
     room = len(staging.warmup) // copies
     for c in range(copies):
+        if step_count[c] + 1 >= room:
+            return TOO_LONG
+        for k in range(individuals):
+            if not 0 <= actions[c, k] < num_actions:
+                return BAD_ACTION
+    ended = 0
+    for c in range(copies):
         t = step_count[c]
         row = c * room + t
+        done = terminated[c] or truncated[c]
+        ended += done
         for k in range(individuals):
             for n in range(size):
                 staging.observations[row, k, n] = observations[c, k, n]
@@ -121,30 +133,40 @@ def add_steps(  # type: ignore[no-untyped-def]
             staging.rewards[row, k] = rewards[c, k]
             staging.penalties[row, k] = penalties[c, k]
             staging.labels[row, k] = labels[c, k]
-        staging.warmup[row] = warmup[c]
-        if staged_state.shape[3] > 0:
-            # Pieces whose first step, prefix included, is this one.
-            if t == 0:
-                pieces = range(0, min(burn_in // stride + 1, staged_state.shape[1]))
-            elif (t + burn_in) % stride == 0:
-                pieces = range((t + burn_in) // stride, (t + burn_in) // stride + 1)
-            else:
-                pieces = range(0, 0)
-            for piece in pieces:
-                if piece < staged_state.shape[1]:
-                    staged_state[c, piece] = hidden[c]
-        step_count[c] = t + 1
-        if terminated[c] or truncated[c]:
-            for k in range(individuals):
+            if done:
                 for n in range(size):
                     staging.observations[row + 1, k, n] = next_observations[c, k, n]
                 staging.actions[row + 1, k] = 0
                 staging.rewards[row + 1, k] = 0.0
                 staging.penalties[row + 1, k] = 0.0
                 staging.labels[row + 1, k] = NO_LABEL
-            staging.warmup[row + 1] = False
+        staging.warmup[row] = warmup[c]
+        staging.warmup[row + 1] = False
+        if staged_state.shape[3] > 0:
+            # Pieces whose first step, prefix included, is this one.
+            begin, end = 0, burn_in // stride + 1
+            if t > 0:
+                begin, end = (t + burn_in) // stride, (t + burn_in) // stride + 1
+                end = end if (t + burn_in) % stride == 0 else begin
+            for piece in range(begin, min(end, staged_state.shape[1])):
+                staged_state[c, piece] = hidden[c]
+        step_count[c] = t + 1
+    return ended
+
+
+@nb.njit(cache=True)
+def commit_ended(  # type: ignore[no-untyped-def]
+    staging, step_count, staged_state,
+    ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in,
+    terminated, truncated, condition,
+):  # fmt: skip
+    """Move the episodes that ended from staging to the ring, in the order of the copies."""
+    copies = len(step_count)
+    room = len(staging.warmup) // copies
+    for c in range(copies):
+        if terminated[c] or truncated[c]:
             _commit(
-                staging, c * room, t + 1, terminated[c], condition[c], staged_state[c],
+                staging, c * room, step_count[c], terminated[c], condition[c], staged_state[c],
                 ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in,
             )  # fmt: skip
             step_count[c] = 0
