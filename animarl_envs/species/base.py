@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
@@ -92,7 +93,7 @@ class SearchSpecies(Species):
     The numbers of the senses are those of DESIGN section 5 ("Silkmoth senses").
     """
 
-    metres_per_unit: float = 1.0
+    metres_per_unit: float = 1.0  # the plume is in metres
     start_distance: float = 0.3  # downwind of the source [arena unit]
     antenna_length: float = 0.013  # ahead of the body centre [arena unit]
     antenna_angle: float = 19.0  # to either side [deg]
@@ -101,5 +102,33 @@ class SearchSpecies(Species):
     odour_baseline: float = 0.07
     flow_threshold: float = 0.1  # yaw rates below it give no visual flow [rad/s]
     flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
+    rest_speed: float = 1e-4  # the body keeps its heading when slower [arena unit / s]
+    plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
     train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
     test_plumes: tuple[int, ...] = (3, 4)  # ... and held out
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in (
+            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "flow_limit",
+        ):  # fmt: skip
+            if not 0 < getattr(self, name) < float("inf"):
+                raise InputError(f"{name} is {getattr(self, name)}: it must be a positive number")
+        for name in ("antenna_radius", "flow_threshold", "rest_speed"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise InputError(f"{name} is {getattr(self, name)}: it must be zero or positive")
+        if not 0 <= self.odour_baseline < 1:
+            raise InputError(f"odour_baseline is {self.odour_baseline}: it must lie in [0, 1)")
+        if not 0 <= self.antenna_angle <= 90:
+            raise InputError(
+                f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
+            )
+        for name in ("train_plumes", "test_plumes"):
+            chosen = getattr(self, name)
+            if len(chosen) == 0:
+                raise InputError(f"{name} is empty: name at least one plume pattern, 0 to 4")
+            object.__setattr__(self, name, tuple(int(p) for p in chosen))
+        if self.plume != "model":
+            from animarl_envs.worlds.plume import as_plume  # the model itself is made when needed
+
+            as_plume(self.plume)
