@@ -46,9 +46,8 @@ class OfflineDataset:
         ``(episodes,)``; ``None``: 0.
     warmup
         ``(frames,)`` bool, steps that enter no loss; ``None``: none.
-    names, seed
-        Roots of the shuffling: each individual's order depends on the seed, its name and the epoch
-        only, so that individuals trained together see what they would see alone.
+    names
+        Names of the individuals; they enter the shuffling. Default ``individual_0`` and so on.
     device
         Where batches go.
     source
@@ -74,7 +73,6 @@ class OfflineDataset:
         condition: NDArray[Any] | None = None,
         warmup: NDArray[np.bool_] | None = None,
         names: Sequence[str] | None = None,
-        seed: int = 0,
         device: torch.device | str = "cpu",
         source: str = "demonstrations",
     ) -> None:
@@ -88,7 +86,6 @@ class OfflineDataset:
         self.names = tuple(names or (f"individual_{i}" for i in range(k)))
         if len(set(self.names)) != k:
             raise InputError(f"{source}: names {self.names} do not name {k} individuals")
-        self.seed = seed
         self.device = torch.device(device)
         size: NDArray[np.int64] = np.array(lengths, dtype=np.int64)
         if size.size == 0 or size.min() < 2 or size.sum() != frames:
@@ -157,22 +154,30 @@ class OfflineDataset:
         """Minibatches of one pass; the last one may be smaller than the others."""
         return -(-self.num_episodes // batch_size)
 
-    def epoch(self, epoch: int, batch_size: int) -> Iterator[SequenceBatch]:
-        """All episodes once, in an order drawn for this ``epoch``, each individual its own.
+    def batches(
+        self, batch_size: int, generator: np.random.Generator | None = None
+    ) -> Iterator[SequenceBatch]:
+        """All episodes once, in minibatches; each batch is overwritten by the next one.
 
-        ``SequenceBatch.indices`` are episode numbers. A batch is overwritten by the next one.
+        ``SequenceBatch.indices`` are episode numbers.
+
+        Parameters
+        ----------
+        generator
+            Shuffles. One number is drawn from it; with that and its name each individual gets an
+            order of its own, so that individuals trained together see what each would see alone.
+            ``None``: longest first, the same episodes for every individual; for validation.
         """
         order = np.empty((self.num_individuals, self.num_episodes), dtype=np.int64)
-        for k, name in enumerate(self.names):
-            rng = np.random.default_rng([self.seed, zlib.crc32(name.encode()), epoch])
-            order[k] = rng.permutation(self._episodes)
-        yield from self._batches(order, batch_size)
-
-    def full(self, batch_size: int) -> Iterator[SequenceBatch]:
-        """All episodes once, longest first, the same ones for every individual; for validation."""
-        longest_first = np.argsort(-self._sequences.trained[self._episodes], kind="stable")
-        order = np.tile(self._episodes[longest_first], (self.num_individuals, 1))
-        yield from self._batches(order, batch_size)
+        if generator is None:
+            steps = self._sequences.trained[self._episodes]
+            order[:] = self._episodes[np.argsort(-steps, kind="stable")]
+        else:
+            seed = int(generator.integers(2**63))
+            for k, name in enumerate(self.names):
+                own = np.random.default_rng([seed, zlib.crc32(name.encode())])
+                order[k] = own.permutation(self._episodes)
+        return self._batches(order, batch_size)
 
     def _batches(self, order: NDArray[np.int64], batch_size: int) -> Iterator[SequenceBatch]:
         for begin in range(0, order.shape[1], batch_size):

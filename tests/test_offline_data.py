@@ -47,12 +47,12 @@ def arrays(seed: int = 0, lengths: NDArray[np.int64] = LENGTHS) -> dict[str, Any
 
 def test_every_entry_equals_the_demonstrations() -> None:
     data = arrays()
-    dataset = OfflineDataset(**data, seed=3)
+    dataset = OfflineDataset(**data)
     kept = np.flatnonzero(LENGTHS > 2)  # those of one step end within the warm-up
     assert (dataset.num_episodes, dataset.num_steps) == (len(kept), (LENGTHS[kept] - 1).sum())
     first = np.cumsum(LENGTHS) - LENGTHS
     seen: list[list[int]] = [[] for _ in NAMES]
-    for batch in dataset.epoch(0, 2):
+    for batch in dataset.batches(2, np.random.default_rng(0)):
         assert batch.burn_in == 0 and not batch.starts.any()
         assert batch.num_steps == int(batch.lengths.max())
         assert (batch.weights == 1).all()
@@ -90,30 +90,34 @@ def test_every_entry_equals_the_demonstrations() -> None:
     assert [sorted(mine) for mine in seen] == [kept.tolist()] * 3
 
 
-def orders(dataset: OfflineDataset, epoch: int) -> NDArray[np.int64]:
-    """Columns of an epoch, as sets per minibatch would hide the order: one episode a batch."""
-    return np.concatenate([batch.indices for batch in dataset.epoch(epoch, 1)], axis=1)
+def orders(dataset: OfflineDataset, seed: int) -> NDArray[np.int64]:
+    """The order of the episodes for each individual: minibatches of one do not sort by length."""
+    batches = dataset.batches(1, np.random.default_rng(seed))
+    return np.concatenate([batch.indices for batch in batches], axis=1)
 
 
-def test_shuffling_is_repeatable_and_differs_by_epoch_seed_and_individual() -> None:
-    data = arrays(lengths=np.full(40, 3))
-    dataset = OfflineDataset(**data, seed=3)
+def test_shuffling_is_repeatable_and_differs_by_seed_and_individual() -> None:
+    dataset = OfflineDataset(**arrays(lengths=np.full(40, 3)))
     order = orders(dataset, 0)
-    np.testing.assert_array_equal(order, orders(OfflineDataset(**data, seed=3), 0))
+    np.testing.assert_array_equal(order, orders(dataset, 0))
     assert not np.array_equal(order, orders(dataset, 1))
-    assert not np.array_equal(order, orders(OfflineDataset(**data, seed=4), 0))
     assert not np.array_equal(order[0], order[1])
     assert [sorted(mine) for mine in order] == [list(range(40))] * 3
 
 
 def test_an_individual_alone_sees_what_it_sees_with_others() -> None:
     data = arrays()
-    together = OfflineDataset(**data, seed=3)
+    together = OfflineDataset(**data)
     per_individual = ("observations", "actions", "rewards", "action_penalties")
     for k, name in enumerate(NAMES):
         mine = data | {key: data[key][:, k : k + 1] for key in per_individual} | {"names": (name,)}
-        alone = OfflineDataset(**mine, seed=3)
-        for whole, single in zip(together.epoch(5, 3), alone.epoch(5, 3), strict=True):
+        alone = OfflineDataset(**mine)
+        pairs = zip(
+            together.batches(3, np.random.default_rng(5)),
+            alone.batches(3, np.random.default_rng(5)),
+            strict=True,
+        )
+        for whole, single in pairs:
             np.testing.assert_array_equal(whole.indices[k], single.indices[0])
             steps = single.num_steps
             np.testing.assert_array_equal(whole.rewards[k, :steps], single.rewards[0])
@@ -122,7 +126,7 @@ def test_an_individual_alone_sees_what_it_sees_with_others() -> None:
 
 def test_the_full_pass_is_the_same_for_all_and_longest_first() -> None:
     dataset = OfflineDataset(**arrays())
-    batches = [(b.indices.copy(), b.lengths[0].tolist()) for b in dataset.full(2)]
+    batches = [(b.indices.copy(), b.lengths[0].tolist()) for b in dataset.batches(2)]
     assert len(batches) == dataset.num_batches(2) == 3
     order = np.concatenate([indices for indices, _ in batches], axis=1)
     assert (order == order[0]).all() and len(set(order[0])) == 5
@@ -133,7 +137,7 @@ def test_the_full_pass_is_the_same_for_all_and_longest_first() -> None:
 def test_without_rewards_and_ends_all_bootstrap() -> None:
     data = arrays()
     plain = {key: data[key] for key in ("observations", "actions", "lengths", "num_actions")}
-    for batch in OfflineDataset(**plain).full(7):
+    for batch in OfflineDataset(**plain).batches(7):
         assert not batch.terminated.any() and not batch.rewards.any()
         assert not batch.penalties.any() and batch.action_penalties is None
         assert batch.mask.sum() == 3 * (LENGTHS - 1).sum()
