@@ -1,0 +1,213 @@
+"""The plume: what a table says, the filament model, a user's movie, and the fit to recordings."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animarl_envs.errors import InputError
+from animarl_envs.worlds.filaments import FilamentModel
+from animarl_envs.worlds.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
+from animarl_envs.worlds.plume_fit import compare, distance
+from animarl_envs.worlds.plume_probe import Probe, summarise, whiffs_and_blanks
+
+SMALL = replace(FilamentModel.fitted(), period=6.0)
+MOVIE = {"mm_per_pixel": 1.0, "source_pixel": (10, 0), "frame_rate": 30.0}
+
+
+def concentration(model: FilamentModel, pattern: int, time: float, x: float, y: float) -> float:
+    """The equations of the model, summed over all filaments one by one."""
+    total = 0.0
+    for s, U, v, w, y0, z0 in model.release(pattern).reshape(-1, 6):
+        age = (time - s) % model.period
+        square = model.initial_radius**2 + model.growth * age
+        dx, dy, z = x - U * age, y - y0 - v * age, z0 + w * age
+        if max(abs(dx), abs(dy), abs(z)) <= 3 * math.sqrt(square):
+            strength = (model.initial_radius**2 / square) ** 1.5
+            total += strength * math.exp(-(dx**2 + dy**2 + z**2) / (2 * square))
+    return total
+
+
+def test_concentration_is_the_sum_over_filaments() -> None:
+    rng = np.random.default_rng(0)
+    rows, columns, x0, y0 = SMALL.grid
+    seen = 0
+    for time in (0.3, 1.7, 5.9):
+        field = SMALL.concentration(1, time)
+        lit = np.argwhere(field > 1e-3)
+        for row, column in rng.permutation(lit)[:25]:
+            x, y = x0 + column * SMALL.cell, y0 + row * SMALL.cell
+            assert field[row, column] == pytest.approx(
+                concentration(SMALL, 1, time, x, y), rel=1e-4
+            )
+            seen += 1
+    assert seen > 30
+
+
+def test_table_is_the_maximum_over_a_step_and_over_the_antenna() -> None:
+    table = ModelPlume(SMALL).pattern_table(0, 0.5, 0.0025)
+    assert table.bits.shape[:2] == (1, 12)
+    for step in (0, 7):
+        frames = [SMALL.concentration(0, f / 30.0) for f in range(15 * step, 15 * step + 15)]
+        hit = np.max(frames, axis=0) > SMALL.threshold
+        near = hit.copy()  # 2.5 mm is one cell: the four neighbours
+        near[1:] |= hit[:-1]
+        near[:-1] |= hit[1:]
+        near[:, 1:] |= hit[:, :-1]
+        near[:, :-1] |= hit[:, 1:]
+        assert hit.any()
+        np.testing.assert_array_equal(table.unpack(0, step), near)
+
+
+def test_patterns_are_fixed_different_and_repeat() -> None:
+    assert np.array_equal(SMALL.release(2), SMALL.release(2))
+    assert not np.array_equal(SMALL.release(2), SMALL.release(3))
+    again = SMALL.concentration(0, 1.2 + SMALL.period)
+    np.testing.assert_allclose(again, SMALL.concentration(0, 1.2), atol=1e-5)
+
+
+def test_puffs_come_once_a_second_and_travel_downwind() -> None:
+    """Seen at one place the odour peaks every second; farther downwind it peaks later."""
+    plume = ModelPlume(replace(FilamentModel.fitted(), period=60.0))
+    table = plume.pattern_table(0, 1 / 30, 0.0025)
+
+    def rhythm(x: float) -> complex:
+        column = table.source_column + round(x / table.cell)
+        rows = slice(table.source_row - 8, table.source_row + 9)
+        share = np.array([table.unpack(0, f)[rows, column].mean() for f in range(1800)])
+        return complex((share * np.exp(-2j * np.pi * np.arange(1800) / 30)).sum() / share.sum())
+
+    near, far = rhythm(0.06), rhythm(0.2)
+    assert abs(near) > 0.6
+    delay = -np.angle(far / near) / (2 * np.pi)  # [s]
+    assert 0.14 / delay == pytest.approx(plume.model.advection_speed, rel=0.35)
+
+
+def test_is_hit_looks_up_the_nearest_cell() -> None:
+    frames = np.zeros((1, 21, 40), dtype=bool)
+    frames[0, 4, 25] = True  # 6 rows above the source, 25 columns downwind
+    table = Plume.from_array(frames, **MOVIE).pattern_table(0, 0.5, 0.0)
+    where = (table.bits, table.rows, table.columns, table.source_row, table.source_column)
+
+    def hit(x: float, y: float) -> bool:
+        return bool(is_hit(*where, table.cell, 0, 0, x, y))
+
+    assert hit(0.025, 0.006) and hit(0.0254, 0.0056)
+    assert not hit(0.025, -0.006) and not hit(0.026, 0.006) and not hit(5.0, 0.006)
+
+
+def test_movie_steps_unite_their_frames() -> None:
+    frames = np.zeros((7, 21, 40))
+    frames[np.arange(7), 10, np.arange(7)] = 200.0  # one pixel per frame, moving downwind
+    plume = Plume.from_array(frames, mm_per_pixel=1.0, source_pixel=(10, 0), frame_rate=6.0)
+    table = plume.pattern_table(0, 0.5, 0.0)
+    hits = [np.flatnonzero(table.unpack(0, s)[table.source_row]).tolist() for s in range(2)]
+    assert table.bits.shape[1] == 2  # whole steps of three frames; the seventh is left over
+    assert hits == [[0, 1, 2], [3, 4, 5]]
+    slow = replace(plume, frame_rate=1.0).pattern_table(0, 0.5, 0.0)
+    assert slow.bits.shape[1] == 14  # a frame that lasts two steps is seen twice
+    assert np.array_equal(slow.unpack(0, 4), slow.unpack(0, 5))
+
+
+def test_antenna_reaches_beyond_the_picture() -> None:
+    frames = np.ones((1, 3, 3), dtype=bool)
+    table = Plume.from_array(
+        frames, mm_per_pixel=1, source_pixel=(1, 1), frame_rate=1
+    ).pattern_table(0, 0.5, 0.002)
+    assert table.extent == pytest.approx((-0.0035, 0.0035, -0.0035, 0.0035))
+    assert table.unpack(0, 0).sum() == 9 + 4 * 3 * 2 + 4  # edges two cells wide, corners one cell
+
+
+def test_movie_file_is_read_when_needed(tmp_path: Path) -> None:
+    frames = np.random.default_rng(0).random((6, 21, 12)) > 0.7
+    np.save(tmp_path / "plume.npy", frames)
+    from_file = Plume.from_movie(tmp_path / "plume.npy", **MOVIE, threshold=0.5)
+    in_memory = Plume.from_array(frames, **MOVIE)
+    tables = [p.pattern_table(0, 0.1, 0.001).bits for p in (from_file, in_memory)]
+    np.testing.assert_array_equal(*tables)
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "says"),
+    [
+        (np.zeros((4, 4)), {}, "(4, 4)"),
+        (np.zeros((2, 4, 4, 3)), {}, "(frames, height, width)"),
+        (np.zeros((0, 4, 4)), {}, "(0, 4, 4)"),
+        (np.full((1, 4, 4), np.nan), {}, "NaN"),
+        (np.array([[["a"]]]), {}, "grey values"),
+        (np.zeros((1, 4, 4)), {"mm_per_pixel": 0.0}, "mm_per_pixel"),
+        (np.zeros((1, 4, 4)), {"frame_rate": -30.0}, "frame_rate"),
+        (np.zeros((1, 4, 4)), {"source_pixel": (1.5, 0)}, "source_pixel"),
+        (np.zeros((1, 4, 4)), {"source_pixel": (1, 2, 3)}, "source_pixel"),
+        (np.zeros((1, 4, 4)), {"threshold": math.nan}, "threshold"),
+    ],
+)
+def test_bad_movie_is_refused_in_one_sentence(
+    frames: np.ndarray, options: dict[str, object], says: str
+) -> None:
+    with pytest.raises(InputError, match=says.replace("(", r"\(").replace(")", r"\)")) as error:
+        Plume.from_array(frames, **(MOVIE | options))
+    assert "\n" not in str(error.value)
+
+
+def test_bad_choices_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        Plume.from_movie(tmp_path / "absent.mp4", **MOVIE)
+    np.save(tmp_path / "flat.npy", np.zeros((4, 4)))
+    with pytest.raises(InputError, match=r"flat\.npy has shape \(4, 4\)"):
+        Plume.from_movie(tmp_path / "flat.npy", **MOVIE).pattern_table(0, 0.5, 0.0)
+    with pytest.raises(InputError, match="'model', 'off', 'continuous'"):
+        as_plume("windy")
+    with pytest.raises(InputError, match="pattern 5 does not exist: choose 0 to 4"):
+        hit_table(ModelPlume.fitted(), (5,), 0.5, 0.0025)
+    with pytest.raises(InputError, match="growth is -1"):
+        replace(SMALL, growth=-1.0)
+    with pytest.raises(InputError, match="whole number"):
+        replace(SMALL, period=6.5)
+
+
+def test_plumes_can_be_pickled_and_tables_are_shared() -> None:
+    plume = ModelPlume(SMALL)
+    twin = pickle.loads(pickle.dumps(plume))
+    assert twin == plume
+    assert hit_table(plume, (0, 1), 0.5, 0.0025) is hit_table(twin, (0, 1), 0.5, 0.0025)
+
+
+def test_whiffs_and_blanks_are_counted_within_runs() -> None:
+    hits = np.array([0, 1, 1, 0, 0, 0, 1, 0, 1, 0, 1, 1, 1], dtype=bool)
+    probe = Probe(
+        np.zeros((13, 2)), np.zeros((13, 2, 2)), np.zeros((13, 2), bool), np.arange(13),
+        np.array([0, 8, 13]), np.array([0, 1]),
+    )  # fmt: skip
+    whiffs, blanks = whiffs_and_blanks(probe, hits)
+    assert whiffs.tolist() == [2, 1, 1, 3]
+    assert blanks.tolist() == [3, 1]  # the pause between the two runs is none
+
+
+@pytest.mark.realdata
+def test_fitted_model_agrees_with_recorded_plumes(data_dir: Path) -> None:
+    folder = data_dir / "silkmoth_mothvr"
+    seen = compare(folder, draws=3)
+    correlation, cells = seen["correlation over cells"]
+    assert cells > 2000
+    assert correlation > 0.7
+    assert correlation > seen["correlation of recorded halves"][0]
+    assert seen["hit rate"]["model"] == pytest.approx(seen["hit rate"]["recorded"], rel=0.15)
+    for _, recorded, modelled in seen["by distance"][:-1]:
+        assert modelled == pytest.approx(recorded, rel=0.4)
+    blank = seen["blank [frames]"]
+    assert blank["model"][2] == pytest.approx(blank["recorded"][2], abs=4)  # one puff a second
+
+
+@pytest.mark.realdata
+def test_distance_is_zero_for_the_recordings_themselves(data_dir: Path) -> None:
+    probe = Probe.load(data_dir / "silkmoth_mothvr").runs(np.arange(400) < 20)
+    summary = summarise(probe, probe.hits)
+    assert distance(summary, summary) == 0.0
+    shuffled = summarise(probe, np.random.default_rng(0).permutation(probe.hits))
+    assert distance(summary, shuffled) > 1.0
