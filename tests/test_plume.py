@@ -35,7 +35,7 @@ def concentration(model: FilamentModel, pattern: int, time: float, x: float, y: 
 
 def test_concentration_is_the_sum_over_filaments() -> None:
     rng = np.random.default_rng(0)
-    rows, columns, x0, y0 = SMALL.grid
+    _, _, x0, y0 = SMALL.grid
     seen = 0
     for time in (0.3, 1.7, 5.9):
         field = SMALL.concentration(1, time)

@@ -9,6 +9,9 @@ Wind and vision modulate the sequence (Yamada et al. 2021): with the wind from a
 fast, with the wind from elsewhere carefully, and turns into it; visual flow tells how far the body
 really turned, and the next step makes good the difference.
 
+``python -m animarl_envs.demos.programmed_moth [DATA_DIR]`` prints how often, how fast and on how long
+a path it finds the source, and the same of recorded moths.
+
 The policy sees observations only. It plans in its body's frame, and uses the body angle only to
 say its plan in the world's 13 actions, never as a compass: with wind blocked it does not know where
 upwind is. Without any contact it stands still.
@@ -23,14 +26,16 @@ Experimental Biology 218: 3845-3854. Yamada, Ohashi, Hosoda, Kurabayashi and Shi
 
 from __future__ import annotations
 
+import argparse
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import ACTION_VECTORS
+from animarl_envs.locomotion import ACTION_VECTORS, Locomotion
 from animarl_envs.species import SILKMOTH, SearchSpecies
 
 AHEAD, LEFT, BODY_ANGLE, ODOUR_LEFT, ODOUR_RIGHT, FLOW = range(6)
@@ -40,17 +45,22 @@ _NEVER = 1_000_000  # steps since the last contact, before the first
 
 @dataclass(frozen=True, kw_only=True)
 class MothProgramme:
-    """Numbers of the sequence, chosen by hand and by search; see ``docs/plume.md``."""
+    """Numbers of the sequence.
+
+    The yaw rate is that of the programmed searcher that probed the recorded plumes. The others
+    were chosen by random search for the success, duration and path of recorded moths
+    (``docs/plume.md``).
+    """
 
     surge: float = 1.0  # duration [s]
     turns: tuple[float, ...] = (1.0, 2.0, 3.0)  # durations of the zigzag turns [s]
-    yaw_rate: float = 1.3  # of zigzag and loop [rad/s]; the recorded programme's
-    surge_speed: float = 0.019  # [arena unit/s]; the recorded programme's
-    turn_speed: float = 0.010  # [arena unit/s]
-    careful: float = 0.5  # share of the surge's speed with the wind not from ahead
-    odour_turn: float = 0.35  # of the surge, towards the antenna that was hit [rad]
-    wind_turn: float = 0.65  # of the surge, into the wind, per step [rad]
-    motor_noise: float = 0.3  # standard deviation of the angle turned, per step [rad]
+    yaw_rate: float = 1.3  # of zigzag and loop [rad / s]
+    surge_speed: float = 0.021  # [arena unit / s]
+    turn_speed: float = 0.0075  # [arena unit / s]
+    careful: float = 0.7  # share of the surge's speed with the wind not from ahead
+    odour_turn: float = 0.5  # of the surge, towards the antenna that was hit [rad]
+    wind_turn: float = 0.08  # of the surge, into the wind, per step [rad]
+    motor_noise: float = 0.25  # standard deviation of the angle turned, per step [rad]
 
     def __post_init__(self) -> None:
         for name in ("surge", "yaw_rate", "surge_speed", "turn_speed"):
@@ -58,6 +68,8 @@ class MothProgramme:
                 raise InputError(f"{name} is {getattr(self, name)}: it must be a positive number")
         if not all(0 < t < math.inf for t in self.turns):
             raise InputError(f"turns are {self.turns}: give positive durations in seconds")
+        if not 0 < self.careful <= 1:
+            raise InputError(f"careful is {self.careful}: it must lie between 0 and 1")
         if not 0 <= self.motor_noise < math.inf:
             raise InputError(f"motor_noise is {self.motor_noise}: it must be zero or positive")
 
@@ -88,7 +100,7 @@ class ProgrammedMoth:
     def __post_init__(self) -> None:
         self._since = np.full(self.copies, _NEVER)  # steps since the last contact
         self._side = np.ones(self.copies)  # of the first turn, 1 left
-        self._turned = np.zeros(self.copies)  # what the last step meant to turn [rad]
+        self.turned = np.zeros(self.copies)  # what the last step meant to turn, to the left [rad]
         dt = self.species.dt
         starts = np.cumsum([self.programme.surge, *self.programme.turns]) / dt
         self._phase_starts = np.maximum.accumulate(np.round(starts)).astype(int)
@@ -97,7 +109,7 @@ class ProgrammedMoth:
         """Forget the past where ``mask`` (copies,) is true (everywhere by default)."""
         mask = np.ones(self.copies, dtype=bool) if mask is None else mask
         self._since[mask] = _NEVER
-        self._turned[mask] = 0.0
+        self.turned[mask] = 0.0
 
     def act(self, observation: NDArray[np.floating]) -> NDArray[np.int64]:
         """Actions ``(copies, 1)`` for observations ``(copies, 1, 10)`` of the search world."""
@@ -128,10 +140,10 @@ class ProgrammedMoth:
         speed = np.where(careful, programme.careful * speed, speed)
 
         # Vision: make good what the last turn missed; visual flow is minus the yaw rate.
-        missed = self._turned + seen[:, FLOW] * dt
+        missed = self.turned + seen[:, FLOW] * dt
         saturated = np.abs(seen[:, FLOW]) >= self.species.flow_limit
         turn = np.where(felt & ~saturated, turn + missed, turn)
-        self._turned = turn
+        self.turned = turn
 
         direction = seen[:, BODY_ANGLE] + turn + noise
         wanted = speed[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
@@ -147,3 +159,127 @@ class ProgrammedMoth:
         reachable = coasting[:, None] + loco.thrust * self.species.dt * ACTION_VECTORS
         error = np.linalg.norm(reachable - wanted[:, None], axis=-1)
         return np.asarray(error.argmin(axis=1), dtype=np.int64)
+
+
+# -- how well it searches -------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Searches:
+    """How ``episodes`` searches ended; arrays ``(episodes,)``."""
+
+    reached: NDArray[np.bool_]
+    duration: NDArray[np.float64]  # [s]; the time limit where the source was not reached
+    path: NDArray[np.float64]  # walked [arena unit], at one sample per decision step
+
+    @property
+    def rate(self) -> float:
+        """Share of searches that reached the source."""
+        return float(self.reached.mean())
+
+    def interval(self) -> tuple[float, float]:
+        """95 % Wilson interval of the rate."""
+        n, p, z = len(self.reached), self.rate, 1.96
+        middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+        half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+        return middle - half, middle + half
+
+
+def search_rates(
+    species: SearchSpecies,
+    condition: int,
+    *,
+    episodes: int,
+    seed: int,
+    programme: MothProgramme | None = None,
+) -> Searches:
+    """Let programmed moths search, each from the start without a demonstration.
+
+    The plume patterns are those of ``species.train_plumes``.
+    """
+    from animarl_envs.scenario import Scenario
+    from animarl_envs.worlds.search import SearchWorld
+
+    if episodes < 1:
+        raise InputError(f"episodes is {episodes}: it must be at least 1")
+    scenario = Scenario(
+        species=species,
+        condition=condition,  # type: ignore[arg-type]
+        start="uniform",
+        drivers=("action",),
+    )
+    world = SearchWorld(scenario, episodes)
+    generator = np.random.default_rng(seed)
+    world.seed(generator.integers(2**63, size=episodes))
+    world.reset()
+    moths = ProgrammedMoth(episodes, generator, species, programme or MothProgramme())
+    reached = np.zeros(episodes, dtype=bool)
+    duration = np.full(episodes, species.time_limit * species.dt)
+    path = np.zeros(episodes)
+    for step in range(1, species.time_limit + 1):
+        world.step(moths.act(world.observation))
+        searching = ~reached
+        path += np.where(searching, np.linalg.norm(world.velocity[:, 0], axis=1) * species.dt, 0.0)
+        arrived = searching & world.terminated
+        duration[arrived] = step * species.dt
+        reached |= arrived
+        if reached.all():
+            break
+    return Searches(reached, duration, path)
+
+
+def recorded_searches(folder: Path, species: SearchSpecies = SILKMOTH) -> Searches:
+    """The recorded runs in ``folder/raw`` (``Time, X, Y [mm]`` at 30 Hz), sampled like the world."""
+    files = sorted((folder / "raw").glob("*.csv"))
+    if not files:
+        raise InputError(
+            f"{folder}: there is no raw/*.csv in it: name the folder of recorded moths"
+        )
+    reached, duration, path = [], [], []
+    for file in files:
+        track = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 1, 2))
+        position = track[:, 1:] / 1000.0
+        every = round(species.dt * species.recording.frame_rate)
+        kept = np.unique([*range(0, len(position), every), len(position) - 1])
+        reached.append(float(np.linalg.norm(position[-1])) < species.contact_radius + 0.001)
+        duration.append(track[-1, 0] - track[0, 0])
+        path.append(np.linalg.norm(np.diff(position[kept], axis=0), axis=1).sum())
+    return Searches(np.array(reached), np.array(duration), np.array(path))
+
+
+def main() -> None:
+    """Command line; see the top of this module."""
+    parser = argparse.ArgumentParser(description="How well the programmed moth searches.")
+    parser.add_argument("folder", type=Path, nargs="?", help="folder of recorded moths")
+    parser.add_argument("--episodes", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    onset_fit = replace(SILKMOTH, locomotion=(Locomotion(0.341, 0.0171),))
+    cases = [
+        (f"{who}, {plumes}, {SILKMOTH.conditions[condition]}", spec, condition)
+        for who, spec in (("default", SILKMOTH), ("d = 0.341, u = 0.0171", onset_fit))
+        for plumes, spec in (
+            ("training plumes", spec),
+            ("held-out plumes", replace(spec, train_plumes=SILKMOTH.test_plumes)),
+        )
+        for condition in (0, 1)
+    ]
+    for name, spec, condition in cases:
+        _report(name, search_rates(spec, condition, episodes=given.episodes, seed=given.seed))
+    if given.folder is not None:
+        _report("recorded moths", recorded_searches(given.folder))
+
+
+def _report(name: str, found: Searches) -> None:
+    low, high = found.interval()
+    duration = np.percentile(found.duration[found.reached], (25, 50, 75)).round(1)
+    path = np.percentile(found.path[found.reached], (25, 50, 75)).round(2)
+    print(
+        f"{name}: reached {found.reached.sum()} of {len(found.reached)} "
+        f"= {found.rate:.3f} [{low:.3f}, {high:.3f}]; of those, quartiles of duration {duration} s, "
+        f"path {path} m"
+    )
+
+
+if __name__ == "__main__":
+    main()

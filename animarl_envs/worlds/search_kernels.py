@@ -18,6 +18,7 @@ from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.plume import is_hit
 from animarl_envs.worlds.streams import next_below
 
+HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
 
 
@@ -49,7 +50,7 @@ def _turn(b, velocity_x, velocity_y, rest_speed, heading, body_angle):  # type: 
         turned -= 2.0 * math.pi
     elif turned < -math.pi:
         turned += 2.0 * math.pi
-    return turned
+    return 0.0 if abs(turned) > HALF_TURN else turned
 
 
 @nb.njit(inline="always")

@@ -1,0 +1,127 @@
+"""The programmed moth: its sequence, and that it finds the source better with full senses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animarl_envs.demos.programmed_moth import (
+    MothProgramme,
+    ProgrammedMoth,
+    recorded_searches,
+    search_rates,
+)
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import COAST, Locomotion
+from animarl_envs.species import SILKMOTH
+
+QUIET = MothProgramme(motor_noise=0.0)
+
+
+def observation(
+    *, odour: tuple[float, float] = (0.07, 0.07), body_angle: float = 0.0, wind: int | None = None
+) -> np.ndarray:
+    seen = np.zeros((1, 1, 10))
+    seen[0, 0, 2:5] = body_angle, *odour
+    if wind is not None:
+        seen[0, 0, 6 + wind] = 1.0
+    return seen
+
+
+def moth(programme: MothProgramme = QUIET) -> ProgrammedMoth:
+    return ProgrammedMoth(1, np.random.default_rng(0), programme=programme)
+
+
+def test_without_any_contact_it_stands_still() -> None:
+    still = moth()
+    assert all(still.act(observation())[0, 0] == COAST for _ in range(50))
+
+
+@pytest.mark.parametrize(("body_angle", "action"), [(0.0, 0), (np.pi / 2, 9), (-np.pi / 2, 3)])
+def test_contact_starts_a_surge_ahead_of_the_body(body_angle: float, action: int) -> None:
+    """With wind blocked, "ahead" is the body's, wherever upwind is."""
+    assert moth().act(observation(odour=(1.0, 1.0), body_angle=body_angle))[0, 0] == action
+
+
+def test_surge_turns_towards_the_antenna_that_was_hit() -> None:
+    strong = replace(QUIET, odour_turn=np.pi / 6)
+    assert moth(strong).act(observation(odour=(1.0, 0.07)))[0, 0] == 11  # 30 deg to the left
+    assert moth(strong).act(observation(odour=(0.07, 1.0)))[0, 0] == 1
+
+
+def test_surge_turns_into_the_wind() -> None:
+    strong = replace(QUIET, wind_turn=np.pi / 6)
+    front, right, left = (moth(strong).act(observation(odour=(1, 1), wind=w)) for w in range(3))
+    assert (front[0, 0], right[0, 0], left[0, 0]) == (0, 1, 11)
+
+
+def test_zigzag_lengthens_and_ends_in_a_loop() -> None:
+    """Turns after a hit on the left: left, right, left, then right for ever."""
+    programme = replace(QUIET, surge=1.0, turns=(0.5, 1.0, 1.5))
+    one = moth(programme)
+    one.act(observation(odour=(1.0, 0.07)))
+    sides = []
+    for _ in range(20):
+        one.act(observation())
+        sides.append(int(np.sign(one.turned[0])))
+    assert sides == [0, 1, -1, -1, 1, 1, 1] + [-1] * 13
+
+
+def test_a_new_contact_starts_the_sequence_anew_and_reset_forgets() -> None:
+    one = moth()
+    for _ in range(3):
+        one.act(observation(odour=(1.0, 1.0)))
+        for _ in range(6):
+            one.act(observation())
+    assert one.act(observation(odour=(1.0, 1.0)))[0, 0] == 0
+    one.reset()
+    assert one.act(observation())[0, 0] == COAST
+
+
+@pytest.mark.parametrize("locomotion", [SILKMOTH.locomotion[0], Locomotion(0.341, 0.0171)])
+def test_full_senses_find_the_source_more_often(locomotion: Locomotion) -> None:
+    species = replace(SILKMOTH, locomotion=(locomotion,))
+    full, reduced = (search_rates(species, condition, episodes=256, seed=3) for condition in (0, 1))
+    assert full.rate > 0.8
+    assert 0.2 < reduced.rate < 0.75
+    low, high = full.interval()
+    assert low > reduced.interval()[1]
+    assert low < full.rate < high
+    # Successful searches end at the source: at least the straight way was walked.
+    assert (full.path[full.reached] > 0.2).all() and (full.path[full.reached] < 10).all()
+    assert (full.duration[~full.reached] == 300.0).all()
+
+
+def test_rates_repeat_with_the_seed() -> None:
+    first, again = (search_rates(SILKMOTH, 0, episodes=16, seed=5) for _ in range(2))
+    np.testing.assert_array_equal(first.duration, again.duration)
+    assert not np.array_equal(
+        first.duration, search_rates(SILKMOTH, 0, episodes=16, seed=6).duration
+    )
+
+
+def test_bad_programmes_are_refused() -> None:
+    for change, says in (
+        ({"surge": 0.0}, "surge is 0.0"), ({"turns": (1.0, -1.0)}, "turns are"),
+        ({"motor_noise": -0.1}, "motor_noise"), ({"careful": 2.0}, "careful"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=says):
+            replace(QUIET, **change)
+    with pytest.raises(InputError, match="episodes is 0"):
+        search_rates(SILKMOTH, 0, episodes=0, seed=0)
+
+
+@pytest.mark.realdata
+def test_recorded_moths_are_read(data_dir: Path) -> None:
+    found = recorded_searches(data_dir / "silkmoth_mothvr")
+    assert len(found.reached) == 24 and found.reached.sum() == 22
+    assert (found.duration[~found.reached] > 299).all()
+    assert (found.path > 0.25).all()
+
+
+def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no raw/\*\.csv"):
+        recorded_searches(tmp_path)
