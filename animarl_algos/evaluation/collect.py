@@ -1,0 +1,176 @@
+"""Collecting rollouts: policies drive every individual from each demonstration's start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.worlds.base import World
+
+MAX_COPIES = 512
+Cue = Literal["actual", "flipped", 0, 1]
+
+
+class Policy(Protocol):
+    """What acts: anything with stable-baselines3's ``predict``, a state per slot included."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]: ...
+
+
+class RandomPolicy:
+    """Uniformly random actions from a seeded generator: the floor any learner must leave."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: NDArray[np.floating] | Mapping[str, NDArray[Any]],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        """One action of 13 per slot."""
+        return self._rng.integers(NUM_ACTIONS, size=len(observation)), state
+
+
+def collect_rollouts(
+    make_world: Callable[[int], World],
+    policy: Policy,
+    *,
+    method: str,
+    seed: int,
+    repetitions: int = 5,
+    cue: Cue | None = None,
+    deterministic: bool = False,
+) -> Rollouts:
+    """Let ``policy`` drive all individuals from the start of every demonstration of the world.
+
+    Parameters
+    ----------
+    make_world
+        Makes a world of so many copies, paired with the demonstrations to evaluate on, such as
+        ``partial(ChaseWorld, scenario)``. Warm-up steps are replayed by the world.
+    policy
+        Asked for all individuals of all copies at once: observations ``(slots, n)`` with slot =
+        copy * individuals + individual. Its own randomness (test epsilon, temperature) is its
+        owner's to seed.
+    method, seed
+        Name and training seed that the rollouts carry; the seed also starts the world's streams.
+    repetitions
+        Rollouts from each start.
+    cue
+        ``None``: no condition flag. Otherwise the flag is appended to every observation as its
+        last component: the world's condition, its opposite, or a constant. The world itself is
+        never changed by it.
+    deterministic
+        Handed on to ``predict``.
+
+    Raises
+    ------
+    InputError
+        If the world has no demonstrations to start from, or ``repetitions`` is not positive.
+    """
+    if repetitions < 1:
+        raise InputError(f"repetitions is {repetitions}: collect at least one rollout per start")
+    probe = make_world(1)
+    demos = probe.demos
+    if demos is None or not probe.scenario.paired:
+        raise InputError(
+            "rollouts start from demonstrations but the world has none: "
+            "give demos= and start='demo'"
+        )
+    tasks = np.stack(
+        np.meshgrid(np.arange(demos.num_episodes), np.arange(repetitions), indexing="ij"), axis=-1
+    ).reshape(-1, 2)
+    parts = []
+    for first in range(0, len(tasks), MAX_COPIES):
+        batch = tasks[first : first + MAX_COPIES]
+        world = make_world(len(batch))
+        world.seed([_stream_seed(seed, *task) for task in batch.tolist()])
+        parts.append(_run_batch(world, policy, demos, batch, method, seed, cue, deterministic))
+    return Rollouts.concatenate(parts)
+
+
+def _run_batch(
+    world: World,
+    policy: Policy,
+    demos: Demonstrations,
+    tasks: NDArray[np.int64],
+    method: str,
+    seed: int,
+    cue: Cue | None,
+    deterministic: bool,
+) -> Rollouts:
+    """One rollout per copy, all from the start to their own end."""
+    copies, num = world.num_copies, world.num_individuals
+    world.reset(demo=tasks[:, 0].copy())
+    flag = None if cue is None else _flag(cue, world.condition)
+    frames = [world.position.copy()]
+    components = np.zeros_like(world.components)
+    length = np.zeros(copies, dtype=np.int64)
+    outcome = np.zeros(copies, dtype=np.int8)
+    running = np.ones(copies, dtype=bool)
+    starts = np.ones(copies * num, dtype=bool)
+    state: Any = None
+    while running.any():
+        observation = world.observation.reshape(copies * num, -1)
+        if flag is not None:
+            column = np.repeat(flag, num)[:, None].astype(observation.dtype)
+            observation = np.concatenate([observation, column], axis=1)
+        actions, state = policy.predict(
+            observation, state=state, episode_start=starts, deterministic=deterministic
+        )
+        world.step(np.asarray(actions).reshape(copies, num))
+        starts = np.zeros_like(starts)
+        frames.append(world.position.copy())
+        components[running] += world.components[running]
+        ended = running & (world.terminated | world.truncated)
+        length[ended], outcome[ended] = len(frames), world.outcome[ended]
+        running &= ~ended
+    stacked = np.stack(frames)
+    return Rollouts(
+        method=method,
+        individuals=demos.individuals,
+        roles=demos.roles,
+        dt=demos.dt,
+        positions=np.concatenate([stacked[: length[b], b] for b in range(copies)]),
+        lengths=length,
+        outcome=outcome,
+        condition=world.condition,
+        cue=np.full(copies, NO_CUE) if flag is None else flag,
+        demo=tasks[:, 0],
+        seed=np.full(copies, seed),
+        repetition=tasks[:, 1],
+        component_names=world.reward_components,
+        components=components,
+    )
+
+
+def _flag(cue: Cue, condition: NDArray[np.int8]) -> NDArray[np.int8]:
+    if cue == "actual":
+        return condition.copy()
+    if cue == "flipped":
+        return np.asarray(1 - condition, dtype=np.int8)
+    if cue not in (0, 1):
+        raise InputError(f"cue is {cue!r}: choose 'actual', 'flipped', 0 or 1")
+    return np.full(condition.shape, cue, dtype=np.int8)
+
+
+def _stream_seed(seed: int, demo: int, repetition: int) -> int:
+    """One stream per rollout, whatever the number of copies."""
+    sequence = np.random.SeedSequence([seed % 2**63, demo, repetition])
+    return int(sequence.generate_state(1, np.uint64)[0])

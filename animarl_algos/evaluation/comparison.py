@@ -1,0 +1,262 @@
+"""Every method against the recordings and against behavioural cloning, in one table.
+
+Which episodes count is part of every row: ``"all"``, or ``"captures"`` (rollouts and recordings in
+which the target was reached). The two can point in opposite directions, so both are always there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animarl_algos.evaluation.distances import (
+    DISTANCE_RESAMPLES,
+    Distances,
+    bootstrap_distances,
+    null_distances,
+)
+from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
+from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
+from animarl_algos.evaluation.statistics import (
+    RESAMPLES,
+    UNDEFINED,
+    Cells,
+    Floats,
+    Interval,
+    cells,
+    draw_weights,
+    percentile_interval,
+    permutation_anova,
+    resampled_means,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BASELINE = "BC"
+PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
+GATE_LEVEL = 0.05
+SEEDS_FOR_GATE = 3  # with fewer seeds, labels are exchanged within demonstrations instead
+COUNTING = ("all", "captures")
+
+
+@dataclass(frozen=True, eq=False)
+class Resamples:
+    """Bootstrap weights of one evaluation: demonstrations shared, seeds per method."""
+
+    demos: Floats
+    seeds: dict[str, Floats]
+
+    def mean(self, method: str, data: Cells) -> Interval:
+        return percentile_interval(data.mean, self.means(method, data))
+
+    def means(self, method: str, data: Cells) -> Floats:
+        return resampled_means(data, self.seeds[method], self.demos)
+
+    def difference(self, first: str, a: Cells, second: str, b: Cells) -> Interval:
+        """Mean of ``a`` minus mean of ``b``, on the same demonstrations."""
+        return percentile_interval(a.mean - b.mean, self.means(first, a) - self.means(second, b))
+
+
+def draw_resamples(
+    metrics: pd.DataFrame, num_demos: int, rng: np.random.Generator, resamples: int = RESAMPLES
+) -> Resamples:
+    """The resamples that all comparisons of one evaluation share."""
+    demos = draw_weights(rng, num_demos, resamples)
+    seeds = {
+        str(method): draw_weights(rng, rows["seed"].nunique(), resamples)
+        for method, rows in metrics.groupby("method", sort=False)
+    }
+    return Resamples(demos, seeds)
+
+
+def factual(metrics: pd.DataFrame) -> pd.DataFrame:
+    """The rows in which the policy was told the world's own condition, or none at all."""
+    return metrics[(metrics["cue"] == metrics["condition"]) | (metrics["cue"] == NO_CUE)]
+
+
+def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:
+    """One method's metric as cells of seed and demonstration."""
+    counts = rows["captured"].to_numpy() if counting == "captures" else True
+    return cells(rows[metric], rows["seed"], rows["demo"], num_demos, counts)
+
+
+def comparison_table(
+    metrics: pd.DataFrame,
+    num_demos: int,
+    rng: np.random.Generator,
+    *,
+    baseline: str = BASELINE,
+    resamples: int = RESAMPLES,
+    distance_resamples: int = DISTANCE_RESAMPLES,
+) -> pd.DataFrame:
+    """Means, differences and distances of every method, with 95 % intervals.
+
+    Parameters
+    ----------
+    metrics
+        Rows of :func:`~animarl_algos.evaluation.metrics.measure`, the recordings among them.
+    num_demos
+        Number of evaluated demonstrations.
+    baseline
+        The method that differences are taken to, where it is present.
+
+    Returns
+    -------
+    One row per method, metric and counting rule. ``rollouts``, ``demos`` and ``seeds`` say how
+    many count. Each of ``mean``, ``to_recorded``, ``to_baseline``, ``kde``, ``kde_null``,
+    ``wasserstein`` and ``wasserstein_null`` comes with ``_low`` and ``_high``; for the two nulls
+    that is the central 95 % of the null distribution.
+    """
+    import pandas as pd
+
+    metrics = factual(metrics)
+    weights = draw_resamples(metrics, num_demos, rng, resamples)
+    by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
+    recorded = by_method[RECORDED]
+    other = find_method(by_method, baseline)
+    table = []
+    for metric, counting in [(m, c) for m in METRICS for c in COUNTING]:
+        if metric is RETURN and counting == "captures":
+            continue
+        reference = method_cells(recorded, metric.key, num_demos, counting)
+        nulls: dict[int, Distances] = {}
+        for name, rows in by_method.items():
+            if name == RECORDED and not metric.of_recordings:
+                continue
+            data = method_cells(rows, metric.key, num_demos, counting)
+            number = int(data.counts.sum())
+            row: dict[str, Any] = {
+                "method": name,
+                "metric": metric.key,
+                "counting": counting,
+                "rollouts": number,
+                "demos": int((data.counts.sum(axis=0) > 0).sum()),
+                "seeds": len(data.counts),
+            }
+            compared = name != RECORDED and metric.of_recordings
+            with_baseline = other is not None and name not in (RECORDED, other)
+            _put(row, "mean", weights.mean(name, data))
+            _put(
+                row,
+                "to_recorded",
+                weights.difference(name, data, RECORDED, reference) if compared else UNDEFINED,
+            )
+            _put(
+                row,
+                "to_baseline",
+                weights.difference(
+                    name,
+                    data,
+                    other,
+                    method_cells(by_method[other], metric.key, num_demos, counting),
+                )
+                if with_baseline and other is not None
+                else UNDEFINED,
+            )
+            distances, null = Distances(UNDEFINED, UNDEFINED), Distances(UNDEFINED, UNDEFINED)
+            if compared and metric is not RETURN:
+                simulated = rows[metric.key].where(rows["captured"] | (counting == "all"))
+                truth = reference.cell_means[0]
+                distances = bootstrap_distances(
+                    simulated, truth, rows["seed"], rows["demo"], rng, distance_resamples
+                )
+                if number not in nulls:
+                    nulls[number] = null_distances(truth, number, rng, distance_resamples)
+                null = nulls[number]
+            _put(row, "kde", distances.kde)
+            _put(row, "kde_null", null.kde)
+            _put(row, "wasserstein", distances.wasserstein)
+            _put(row, "wasserstein_null", null.wasserstein)
+            table.append(row)
+    return pd.DataFrame(table)
+
+
+def contrast_table(
+    metrics: pd.DataFrame,
+    num_demos: int,
+    rng: np.random.Generator,
+    *,
+    planned: Sequence[tuple[str, str]] = PLANNED_CONTRASTS,
+    resamples: int = RESAMPLES,
+) -> pd.DataFrame:
+    """The planned contrasts, behind their gate; empty if fewer than two methods take part.
+
+    Compared is the gap to the recordings: per seed and demonstration, the absolute difference
+    between the mean over repetitions and the recorded value; for DTW the distance itself. All
+    episodes count. A negative difference means that the first method is closer.
+
+    The gate is a one-way ANOVA over the methods that take part, with a permutation null: over
+    training seeds where every method has at least three, otherwise within demonstrations, and then
+    it speaks of these trained networks only.
+    """
+    import pandas as pd
+
+    columns = [
+        "metric", "first", "second", "difference", "difference_low", "difference_high",
+        "gate_f", "gate_p", "gate_unit", "gate_passed",
+    ]  # fmt: skip
+    metrics = factual(metrics)
+    by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
+    pairs = []
+    for a, b in planned:
+        first, second = find_method(by_method, a), find_method(by_method, b)
+        if first is not None and second is not None:
+            pairs.append((first, second))
+    taking_part = list(dict.fromkeys(name for pair in pairs for name in pair))
+    if len(taking_part) < 2 or num_demos < 2:
+        return pd.DataFrame(columns=columns)
+    weights = draw_resamples(metrics, num_demos, rng, resamples)
+    table = []
+    for metric in (PATH_LENGTH, DURATION, DTW):
+        truth = method_cells(by_method[RECORDED], metric.key, num_demos).cell_means
+        gaps = {
+            name: gap_cells(method_cells(by_method[name], metric.key, num_demos), truth, metric)
+            for name in taking_part
+        }
+        gate = _gate(list(gaps.values()), rng, resamples)
+        for first, second in pairs:
+            row: dict[str, Any] = {"metric": metric.key, "first": first, "second": second}
+            _put(row, "difference", weights.difference(first, gaps[first], second, gaps[second]))
+            row |= {
+                "gate_f": gate.f,
+                "gate_p": gate.p,
+                "gate_unit": gate.unit,
+                "gate_passed": gate.p < GATE_LEVEL,
+            }
+            table.append(row)
+    return pd.DataFrame(table, columns=columns)
+
+
+def gap_cells(data: Cells, truth: Floats, metric: Metric) -> Cells:
+    """Absolute gap of each cell mean to the recording's value ``(1, demos)``; DTW as it is."""
+    means = data.cell_means
+    gaps = np.abs(means - truth) if metric.of_recordings else means
+    present = np.isfinite(gaps)
+    return Cells(np.where(present, gaps, 0.0), present.astype(np.float64))
+
+
+def find_method(names: Any, wanted: str) -> str | None:
+    """The name among ``names`` that equals ``wanted`` but for its case."""
+    return next((str(n) for n in names if str(n).casefold() == wanted.casefold()), None)
+
+
+def interval(row: Any, key: str) -> Interval:
+    """The interval that a table row holds under ``key``, ``key_low`` and ``key_high``."""
+    return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
+
+
+def _gate(gaps: list[Cells], rng: np.random.Generator, permutations: int) -> Any:
+    seeds = {len(gap.sums) for gap in gaps}
+    if len(seeds) == 1 and seeds.pop() >= SEEDS_FOR_GATE:
+        per_seed = np.stack([gap.sums.sum(axis=1) / gap.counts.sum(axis=1) for gap in gaps])
+        return permutation_anova(per_seed, rng, permutations, paired=False, unit="seeds")
+    per_demo = np.stack([np.nanmean(gap.cell_means, axis=0) for gap in gaps])
+    return permutation_anova(per_demo, rng, permutations, paired=True, unit="demonstrations")
+
+
+def _put(row: dict[str, Any], key: str, value: Interval) -> None:
+    row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}

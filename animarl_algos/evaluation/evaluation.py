@@ -1,0 +1,146 @@
+"""A whole evaluation: rollouts of several methods against the recordings they started from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from animarl_algos.evaluation.comparison import BASELINE, comparison_table, contrast_table
+from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
+from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
+from animarl_algos.evaluation.metrics import measure, measure_recordings
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import RESAMPLES
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TABLES = ("metrics", "comparison", "contrasts", "counterfactual")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation:
+    """The tables of an evaluation, each a tidy data frame.
+
+    ``metrics`` has one row per rollout and recording, ``comparison`` one per method, metric and
+    counting rule, ``contrasts`` one per planned contrast (may be empty), ``counterfactual`` one per
+    quantity (empty if no cue was flipped). ``fingerprint`` is that of the evaluated demonstrations.
+    """
+
+    metrics: pd.DataFrame
+    comparison: pd.DataFrame
+    contrasts: pd.DataFrame
+    counterfactual: pd.DataFrame
+    fingerprint: str
+    seed: int
+    resamples: int
+    distance_resamples: int
+
+    def save(self, folder: str | Path) -> Path:
+        """Write one CSV per table and ``evaluation.json``, each whole or not at all."""
+        folder = Path(folder)
+        for name in TABLES:
+            with write_then_rename(folder / f"{name}.csv") as part:
+                getattr(self, name).to_csv(part, index=False)
+        with write_then_rename(folder / "evaluation.json") as part:
+            part.write_text(json.dumps(self._numbers(), indent=2) + "\n")
+        return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Evaluation:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            If a file is missing or damaged.
+        """
+        import pandas as pd
+
+        folder = Path(folder)
+        tables: dict[str, Any] = {}
+        try:
+            numbers = json.loads((folder / "evaluation.json").read_text())
+            for name in TABLES:
+                try:
+                    tables[name] = pd.read_csv(folder / f"{name}.csv")
+                except pd.errors.EmptyDataError:
+                    tables[name] = pd.DataFrame()
+            return cls(**tables, **numbers)
+        except FileNotFoundError as error:
+            raise InputError(
+                f"{folder}: {Path(error.filename).name} is missing: evaluate the run again"
+            ) from None
+        except (ValueError, TypeError) as error:
+            raise InputError(
+                f"{folder}: the evaluation is damaged ({error}): evaluate the run again"
+            ) from error
+
+    def _numbers(self) -> dict[str, Any]:
+        keys = ("fingerprint", "seed", "resamples", "distance_resamples")
+        return {key: getattr(self, key) for key in keys}
+
+
+def evaluate(
+    rollouts: Mapping[str, Rollouts],
+    demos: Demonstrations,
+    *,
+    seed: int,
+    baseline: str = BASELINE,
+    planned_flip: tuple[int, int] | None = None,
+    resamples: int = RESAMPLES,
+    distance_resamples: int = DISTANCE_RESAMPLES,
+) -> Evaluation:
+    """Measure and compare the rollouts of several methods.
+
+    Parameters
+    ----------
+    rollouts
+        By method name, all its seeds and cues joined
+        (:meth:`~animarl_algos.evaluation.rollouts.Rollouts.concatenate`).
+    demos
+        The evaluated demonstrations, which the rollouts started from.
+    seed
+        Of the resampling.
+    baseline, planned_flip
+        See :func:`~animarl_algos.evaluation.comparison.comparison_table` and
+        :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
+    """
+    import pandas as pd
+
+    if not rollouts:
+        raise InputError("there are no rollouts to evaluate: collect those of one method at least")
+    tables = [measure_recordings(demos)]
+    tables += [measure(r, demos).assign(method=name) for name, r in rollouts.items()]
+    metrics = pd.concat(tables, ignore_index=True)
+    streams = np.random.default_rng(seed).spawn(3)
+    flipped = has_flips(metrics)
+    return Evaluation(
+        metrics=metrics,
+        comparison=comparison_table(
+            metrics,
+            demos.num_episodes,
+            streams[0],
+            baseline=baseline,
+            resamples=resamples,
+            distance_resamples=distance_resamples,
+        ),
+        contrasts=contrast_table(metrics, demos.num_episodes, streams[1], resamples=resamples),
+        counterfactual=counterfactual_table(
+            metrics, demos.condition, streams[2], planned=planned_flip, resamples=resamples
+        )
+        if flipped
+        else pd.DataFrame(),
+        fingerprint=demos.fingerprint(),
+        seed=seed,
+        resamples=resamples,
+        distance_resamples=distance_resamples,
+    )

@@ -1,0 +1,263 @@
+"""Collecting rollouts, and the container that holds them."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation import collect
+from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import TARGET_OUT, TIME_OUT, Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds.chase import ChaseWorld
+
+STARTS = [
+    [(-0.5, 0.0), (0.5, 0.0), (0.0, 0.5)],
+    [(-0.2, 0.0), (0.5, 0.5), (0.0, 0.0)],
+    [(-0.5, -0.5), (0.5, -0.5), (0.9, 0.9)],
+]
+
+
+def make_demos(condition: tuple[int, ...] = (0, 1, 1)) -> Demonstrations:
+    drift = np.arange(4)[:, None, None] * 0.01
+    return Demonstrations(
+        species="agent",
+        individuals=("predator_0", "predator_1", "prey"),
+        roles=("pursuer", "pursuer", "target"),
+        dt=0.1,
+        arena=Arena(),
+        positions=np.concatenate([np.array(start) + drift for start in STARTS]),
+        lengths=np.full(3, 4),
+        initial_velocity=np.zeros((3, 3, 2)),
+        condition=np.array(condition),
+        outcome=np.array([1, 0, 0]),
+        split=np.array(["test"] * 3),
+        recording=np.array(["a", "b", "c"]),
+        provenance={"source": "drawn by hand", "licence": "MIT", "synthetic": True},
+    )
+
+
+def world_maker(**options: Any) -> Any:
+    scenario = make_scenario("agent", demos=make_demos(), split=None, time_limit=12, **options)
+    return partial(ChaseWorld, scenario)
+
+
+class Recorder:
+    """Straight at the focus, always; remembers what it was shown."""
+
+    def __init__(self, actions: tuple[int, int, int] = (0, 0, 12)) -> None:
+        self.actions = actions
+        self.seen: list[NDArray[Any]] = []
+        self.states: list[Any] = []
+        self.starts: list[NDArray[Any]] = []
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:
+        self.seen.append(np.array(observation))
+        self.states.append(state)
+        self.starts.append(np.array(episode_start))
+        return np.tile(self.actions, len(observation) // 3), len(self.seen)
+
+
+def test_every_demonstration_is_started_from_as_often_as_asked() -> None:
+    made = collect_rollouts(world_maker(), RandomPolicy(0), method="random", seed=3, repetitions=2)
+    assert made.demo.tolist() == [0, 0, 1, 1, 2, 2]
+    assert made.repetition.tolist() == [0, 1, 0, 1, 0, 1]
+    assert (made.seed == 3).all() and (made.cue == NO_CUE).all()
+    assert made.condition.tolist() == [0, 0, 1, 1, 1, 1]
+    for i, demo in enumerate(made.demo):
+        assert made.path(i)[0].tolist() == [list(p) for p in STARTS[demo]]
+    assert made.lengths.max() <= 13
+
+
+def test_paths_end_with_their_own_episode() -> None:
+    """Copies end at different steps; each path has the frames up to its own end and no more."""
+    made = collect_rollouts(world_maker(), Recorder(), method="chaser", seed=0, repetitions=1)
+    assert made.outcome[1] == 1  # predator_0 starts 0.2 away from a prey at rest
+    assert made.lengths[1] < made.lengths[0]
+    for i in range(3):
+        path = made.path(i)
+        touching = np.linalg.norm(path[:, :2] - path[:, 2:], axis=-1).min(axis=1) < 0.1
+        assert touching.tolist() == [False] * (len(path) - 1) + [bool(made.captured[i])]
+    names = made.component_names
+    touched = made.components[:, :, names.index("touch")]
+    assert touched[1].tolist() == [1.0, 1.0, 0.0]  # shared reward: condition 1
+    elapsed = made.components[:, 2, names.index("elapsed")]
+    lasted = made.lengths - 1 - made.captured
+    assert elapsed == pytest.approx(0.1 * lasted)
+
+
+def test_leaving_is_told_from_timing_out() -> None:
+    fleeing = collect_rollouts(
+        world_maker(), Recorder((12, 12, 6)), method="x", seed=0, repetitions=1
+    )
+    assert fleeing.outcome[2] == TARGET_OUT  # starts in a corner and flees outwards
+    resting = collect_rollouts(
+        world_maker(), Recorder((12, 12, 12)), method="x", seed=0, repetitions=1
+    )
+    assert (resting.outcome == TIME_OUT).all() and (resting.lengths == 13).all()
+    assert not resting.captured.any()
+
+
+def test_policies_see_slots_and_keep_their_state() -> None:
+    policy = Recorder((12, 12, 12))
+    make_world = world_maker()
+    collect_rollouts(make_world, policy, method="x", seed=0, repetitions=2)
+    world = make_world(1)
+    assert policy.seen[0].shape == (6 * 3, world.observation.shape[-1])
+    world.reset(demo=np.array([1]))
+    # Rollout 2 is the first from demonstration 1; its slots are 6, 7 and 8.
+    assert np.array_equal(policy.seen[0][6:9], world.observation[0])
+    assert policy.states == [None, *range(1, 12)]
+    assert policy.starts[0].all() and not np.any(policy.starts[1:])
+
+
+@pytest.mark.parametrize(
+    ("cue", "told"),
+    [("actual", [0, 1, 1]), ("flipped", [1, 0, 0]), (0, [0, 0, 0]), (1, [1, 1, 1])],
+)
+def test_the_cue_is_told_and_leaves_the_world_alone(cue: Any, told: list[int]) -> None:
+    policy = Recorder()
+    made = collect_rollouts(world_maker(), policy, method="x", seed=0, repetitions=1, cue=cue)
+    plain = collect_rollouts(world_maker(), Recorder(), method="x", seed=0, repetitions=1)
+    assert made.cue.tolist() == told and made.condition.tolist() == [0, 1, 1]
+    assert policy.seen[0][:, -1].tolist() == np.repeat(told, 3).tolist()
+    assert np.array_equal(made.positions, plain.positions)
+
+
+def test_same_seeds_same_bytes() -> None:
+    made = [
+        collect_rollouts(
+            world_maker(observation_noise=0.1), RandomPolicy(5), method="random", seed=1
+        )
+        for _ in range(2)
+    ]
+    assert made[0].positions.tobytes() == made[1].positions.tobytes()
+    other = collect_rollouts(world_maker(), RandomPolicy(6), method="random", seed=1)
+    assert other.positions.tobytes() != made[0].positions.tobytes()
+
+
+def test_batches_do_not_change_what_a_policy_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = collect_rollouts(world_maker(), Recorder(), method="x", seed=0, repetitions=3)
+    monkeypatch.setattr(collect, "MAX_COPIES", 4)
+    parts = collect_rollouts(world_maker(), Recorder(), method="x", seed=0, repetitions=3)
+    assert np.array_equal(whole.positions, parts.positions)
+    assert np.array_equal(whole.demo, parts.demo)
+
+
+def test_random_policy_is_uniform() -> None:
+    actions, _ = RandomPolicy(0).predict(np.zeros((13_000, 4)))
+    counts = np.bincount(actions, minlength=13)
+    assert len(counts) == 13 and abs(counts - 1000).max() < 150
+
+
+def test_refuses_what_cannot_be_collected() -> None:
+    with pytest.raises(InputError, match="at least one rollout"):
+        collect_rollouts(world_maker(), Recorder(), method="x", seed=0, repetitions=0)
+    with pytest.raises(InputError, match="start from demonstrations"):
+        collect_rollouts(world_maker(start="uniform"), Recorder(), method="x", seed=0)
+    with pytest.raises(InputError, match="cue is 'other'"):
+        collect_rollouts(world_maker(), Recorder(), method="x", seed=0, cue="other")  # type: ignore[arg-type]
+
+
+# -- the container ------------------------------------------------------------
+
+
+@pytest.fixture
+def made() -> Rollouts:
+    return collect_rollouts(world_maker(), RandomPolicy(0), method="random", seed=3, repetitions=2)
+
+
+def test_save_and_load(made: Rollouts, tmp_path: Path) -> None:
+    read = Rollouts.load(made.save(tmp_path / "some" / "rollouts.npz"))
+    assert read.method == made.method and read.component_names == made.component_names
+    assert read.individuals == made.individuals and read.dt == made.dt
+    for key in (
+        "positions",
+        "lengths",
+        "outcome",
+        "condition",
+        "cue",
+        "demo",
+        "seed",
+        "components",
+    ):
+        assert np.array_equal(getattr(read, key), getattr(made, key))
+    assert [p.name for p in (tmp_path / "some").iterdir()] == ["rollouts.npz"]
+
+
+def test_a_foreign_or_damaged_file_is_refused(made: Rollouts, tmp_path: Path) -> None:
+    path = tmp_path / "other.npz"
+    np.savez(path, positions=np.zeros((3, 1, 2)))
+    with pytest.raises(InputError, match="no rollouts of this project"):
+        Rollouts.load(path)
+    whole = made.save(tmp_path / "whole.npz").read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InputError, match=r"other\.npz"):
+        Rollouts.load(path)
+    with pytest.raises(InputError, match="no such file"):
+        Rollouts.load(tmp_path / "missing.npz")
+
+
+def test_arrays_are_read_only(made: Rollouts) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        made.positions[0] = 0.0
+
+
+def test_misshapen_rollouts_are_refused(made: Rollouts) -> None:
+    keys = ("positions", "lengths", "outcome", "condition", "cue", "demo", "seed", "repetition")
+    good: dict[str, Any] = {key: getattr(made, key) for key in keys}
+    good |= {"method": "x", "individuals": made.individuals, "roles": made.roles, "dt": 0.1}
+    assert len(Rollouts(**good)) == 6
+    for change, message in [
+        ({"demo": made.demo[:-1]}, "demo has shape"),
+        ({"positions": made.positions[:-1]}, "one row per frame"),
+        ({"positions": np.where(made.positions > 0, np.nan, 0.0)}, "not a finite number"),
+        ({"lengths": np.zeros(0), **{k: np.zeros(0) for k in keys[2:]}}, "there is none"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            Rollouts(**(good | change))
+
+
+def test_selecting_and_joining(made: Rollouts) -> None:
+    chosen = made.select(made.demo == 1)
+    assert len(chosen) == 2 and np.array_equal(chosen.path(1), made.path(3))
+    joined = Rollouts.concatenate([made, chosen], method="both")
+    assert len(joined) == 8 and joined.method == "both"
+    assert np.array_equal(joined.path(7), made.path(3))
+    with pytest.raises(InputError, match="selection is empty"):
+        made.select(made.demo == 99)
+
+
+def test_speeds_do_not_jump_from_one_rollout_to_the_next() -> None:
+    made = collect_rollouts(
+        world_maker(), Recorder((12, 12, 12)), method="x", seed=0, repetitions=1
+    )
+    speeds = made.speeds()
+    assert speeds.shape == ((made.lengths - 1).sum(), 3)
+    assert (speeds == 0.0).all()  # all coast from rest, though their starts lie far apart
+
+
+def test_recordings_as_rollouts() -> None:
+    demos = make_demos()
+    recorded = Rollouts.from_demonstrations(demos)
+    assert np.array_equal(recorded.positions, demos.positions)
+    assert recorded.demo.tolist() == [0, 1, 2] and recorded.captured.tolist() == [
+        True,
+        False,
+        False,
+    ]
+    assert recorded.movers.tolist() == [0, 1]
