@@ -1,0 +1,1 @@
+"""AnimaRL environments: recorded animals as a Gymnasium environment suite."""

@@ -1,0 +1,329 @@
+"""A scenario: a species with the user's options applied, its demonstrations and its condition.
+
+All views build their world from a scenario, so an option means the same everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.species import ChaseSpecies, SearchSpecies, Species, get_species
+
+Condition = Literal[0, 1, "demo"]
+Demos = Demonstrations | str | Path | None
+
+ACTION, REPLAY, SCRIPTED, COASTING = 0, 1, 2, 3
+DRIVERS: dict[str, int] = {
+    "action": ACTION,
+    "replay": REPLAY,
+    "scripted": SCRIPTED,
+    "coast": COASTING,
+}
+"""Who moves an individual: the caller's action, its demonstration, a rule, or nobody."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scenario:
+    """Everything a world is built from.
+
+    Parameters
+    ----------
+    species
+        The spec, options applied.
+    demos
+        Recorded episodes that episodes start from and are paired with; ``None`` for none.
+    condition
+        0, 1, or ``"demo"``: that of the paired demonstration (0 without one).
+    start
+        ``"demo"``: from the first frame of the paired demonstration; ``"uniform"``: as the species
+        starts without one; or positions ``(individuals, 2)`` in the arena frame, at rest.
+    drivers
+        One of ``action``, ``replay``, ``scripted``, ``coast`` per individual.
+    observation_noise
+        Standard deviation of Gaussian noise on every observation component [its unit].
+    observation_delay
+        Age of the observation that is handed out [steps].
+    """
+
+    species: Species
+    demos: Demonstrations | None = None
+    condition: Condition = "demo"
+    start: str | NDArray[np.float64] = "demo"
+    drivers: tuple[str, ...]
+    observation_noise: float = 0.0
+    observation_delay: int = 0
+
+    def __post_init__(self) -> None:
+        names = self.species.individuals
+        if self.condition not in (0, 1, "demo"):
+            raise InputError(f"condition is {self.condition!r}: choose 0, 1 or 'demo'")
+        if self.condition == 1 and not self.species.conditions:
+            raise InputError(
+                f"condition 1 is not defined for {self.species.name}, which has no conditions: "
+                "leave the option out"
+            )
+        if not 0.0 <= self.observation_noise < np.inf:
+            raise InputError(
+                f"observation_noise is {self.observation_noise}: it must be zero or positive"
+            )
+        if not (isinstance(self.observation_delay, int) and self.observation_delay >= 0):
+            raise InputError(
+                f"observation_delay is {self.observation_delay!r}: it must be a whole number "
+                "of steps, zero or more"
+            )
+        for name, driver in zip(names, self.drivers, strict=True):
+            if driver not in DRIVERS:
+                raise InputError(
+                    f"{name} is driven by {driver!r}: choose one of {', '.join(DRIVERS)}"
+                )
+        if isinstance(self.start, str):
+            if self.start not in ("demo", "uniform"):
+                raise InputError(
+                    f"start is {self.start!r}: choose 'demo', 'uniform' or an array of positions"
+                )
+            if self.start == "demo" and self.demos is None:
+                raise InputError("start is 'demo' but there are no demonstrations: give demos=")
+        else:
+            start = np.array(self.start, dtype=np.float64)
+            if start.shape != (len(names), 2) or not np.isfinite(start).all():
+                raise InputError(
+                    f"start has shape {start.shape}: give x and y of {len(names)} individuals"
+                )
+            if not self.species.arena.contains(start).all():
+                raise InputError(
+                    "start lies out of bounds: place every individual within "
+                    f"{self.species.arena.boundary:g} of the centre"
+                )
+            object.__setattr__(self, "start", start)
+        if self.demos is not None:
+            if self.demos.individuals != names:
+                raise InputError(
+                    f"{self.demos.name}: it holds {', '.join(self.demos.individuals)} but the "
+                    f"scenario needs {', '.join(names)}: give matching demonstrations"
+                )
+            if not np.isclose(self.demos.dt, self.species.dt):
+                raise InputError(
+                    f"{self.demos.name}: its dt is {self.demos.dt} s, that of "
+                    f"{self.species.name} {self.species.dt} s: resample it or pass dt="
+                )
+        replaying = [n for n, d in zip(names, self.drivers, strict=True) if d == "replay"]
+        if replaying and not self.paired:
+            raise InputError(
+                f"{replaying[0]} cannot replay a demonstration, since episodes start without one: "
+                "use others='scripted' or start='demo'"
+            )
+
+    @property
+    def paired(self) -> bool:
+        """Whether every episode starts from a demonstration."""
+        return isinstance(self.start, str) and self.start == "demo"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.species.individuals
+
+
+def make_scenario(
+    species: Species | str,
+    *,
+    demos: Demos = "packaged",
+    split: str | None = "train",
+    condition: Condition = "demo",
+    start: str | Any = None,
+    drivers: Mapping[str, str] | None = None,
+    observation_noise: float = 0.0,
+    observation_delay: int = 0,
+    **options: Any,
+) -> Scenario:
+    """Build a scenario from a species and options, each checked.
+
+    Parameters
+    ----------
+    species
+        A spec or its name.
+    demos
+        ``"packaged"``, a file, a :class:`Demonstrations` or ``None``.
+    split
+        Which split of the demonstrations is used; ``None`` for all (evaluation does that).
+    drivers
+        Who moves an individual, by name; ``"action"`` for those not named.
+    options
+        What :func:`with_options` takes: ``num_pursuers``, ``arena``, ``contact_radius``,
+        ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
+    """
+    spec = get_species(species) if isinstance(species, str) else species
+    loaded = _load_demos(demos, spec, changed=bool(options.get("num_pursuers")))
+    if loaded is not None and split is not None:
+        loaded = loaded.select(split=split)
+    if loaded is not None and isinstance(demos, str | Path) and demos != "packaged":
+        options.setdefault("dt", loaded.dt)
+        options.setdefault("individuals", loaded.individuals)
+    elif isinstance(demos, Demonstrations):
+        options.setdefault("dt", demos.dt)
+        options.setdefault("individuals", demos.individuals)
+    spec = with_options(spec, **options)
+    if start is None:
+        start = "uniform" if loaded is None else "demo"
+    drivers = dict(drivers or {})
+    unknown = set(drivers) - set(spec.individuals)
+    if unknown:
+        raise InputError(
+            f"individual {sorted(unknown)[0]!r} is unknown: choose among "
+            f"{', '.join(spec.individuals)}"
+        )
+    return Scenario(
+        species=spec,
+        demos=loaded,
+        condition=condition,
+        start=start,
+        drivers=tuple(drivers.get(name, "action") for name in spec.individuals),
+        observation_noise=observation_noise,
+        observation_delay=observation_delay,
+    )
+
+
+def with_options(species: Species, **options: Any) -> Species:
+    """The species with options applied, each checked and refused by name.
+
+    Parameters
+    ----------
+    num_pursuers
+        Number of pursuers of a chase; they are renamed ``<kind>_0, <kind>_1, ...``.
+    arena
+        An :class:`Arena`, a shape name, or a size; ``rebound`` and ``boundary`` apply to it.
+    locomotion
+        One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
+        ``{"female": {"thrust": 0.19}}`` or ``{"female": 1.2}`` (a factor on the thrust).
+    others
+        Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
+    """
+    if "individuals" in options:
+        species = _with_individuals(species, tuple(options.pop("individuals")))
+    if (count := options.pop("num_pursuers", None)) is not None:
+        species = _with_pursuers(species, count)
+    arena = _arena(species.arena, options)
+    locomotion = _locomotion(species, options.pop("locomotion", None))
+    known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
+    for key in options:
+        if key not in known:
+            raise InputError(
+                f"option {key!r} is unknown for {species.name}: choose one of "
+                f"{', '.join(sorted(known | {'num_pursuers', 'locomotion', 'rebound', 'boundary'}))}"
+            )
+    try:
+        return replace(species, arena=arena, locomotion=locomotion, **options)
+    except TypeError as error:
+        raise InputError(f"an option of {species.name} has the wrong type ({error})") from error
+
+
+def species_for(demos: Demonstrations, base: Species | None = None) -> Species:
+    """A species spec whose individuals, dt, arena and roles are those of the demonstrations."""
+    if base is None:
+        from animarl_envs.species.custom import custom_species
+
+        return custom_species(demos)
+    return with_options(base, individuals=demos.individuals, dt=demos.dt, arena=demos.arena)
+
+
+def _load_demos(demos: Demos, species: Species, changed: bool) -> Demonstrations | None:
+    if isinstance(demos, Demonstrations) or demos is None:
+        return demos
+    if demos == "packaged":
+        from animarl_envs.demos.packaged import load_packaged
+
+        return None if changed else load_packaged(species.name)
+    from animarl_envs.demos.readers import read
+
+    return read(demos)
+
+
+def _with_individuals(species: Species, names: tuple[str, ...]) -> Species:
+    if names == species.individuals:
+        return species
+    resized = species
+    if len(names) != species.num_individuals:
+        if not isinstance(species, ChaseSpecies):
+            raise InputError(
+                f"{species.name} has one individual but {len(names)} were given: {names}"
+            )
+        resized = _with_pursuers(species, len(names) - 1)
+    return replace(resized, individuals=names)
+
+
+def _with_pursuers(species: Species, count: Any) -> ChaseSpecies:
+    if not isinstance(species, ChaseSpecies):
+        raise InputError(f"num_pursuers does not apply to {species.name}, which has none: drop it")
+    if not isinstance(count, int) or count < 1:
+        raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
+    kind = species.individuals[0].rpartition("_")[0] or "pursuer"
+    pursuers, target = species.locomotion[:-1], species.locomotion[-1]
+    return replace(
+        species,
+        individuals=(*(f"{kind}_{i}" for i in range(count)), species.individuals[-1]),
+        locomotion=(*(pursuers[i % len(pursuers)] for i in range(count)), target),
+    )
+
+
+def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
+    given = options.pop("arena", None)
+    changes = {key: options.pop(key) for key in ("rebound", "boundary") if key in options}
+    if isinstance(given, Arena):
+        arena = given
+    elif isinstance(given, str):
+        arena = replace(arena, shape=given)  # type: ignore[arg-type]
+    elif isinstance(given, int | float) and not isinstance(given, bool):
+        margin = arena.boundary / arena.size
+        arena = replace(arena, size=float(given), boundary=float(given) * margin)
+    elif given is not None:
+        raise InputError(f"arena is {given!r}: give an Arena, a shape or a size")
+    return replace(arena, **changes) if changes else arena
+
+
+def _locomotion(species: Species, given: Any) -> tuple[Locomotion, ...]:
+    if given is None:
+        return species.locomotion
+    if isinstance(given, Locomotion):
+        return (given,) * species.num_individuals
+    if isinstance(given, Mapping):
+        unknown = set(given) - set(species.individuals)
+        if unknown:
+            raise InputError(
+                f"locomotion names {sorted(unknown)[0]!r}: choose among "
+                f"{', '.join(species.individuals)}"
+            )
+        return tuple(
+            _one_locomotion(old, given.get(name), name)
+            for name, old in zip(species.individuals, species.locomotion, strict=True)
+        )
+    if isinstance(given, Sequence) and len(given) == species.num_individuals:
+        return tuple(
+            _one_locomotion(old, new, name)
+            for name, old, new in zip(species.individuals, species.locomotion, given, strict=True)
+        )
+    raise InputError(
+        f"locomotion is {given!r}: give one Locomotion, one per individual, or a mapping by name"
+    )
+
+
+def _one_locomotion(old: Locomotion, new: Any, name: str) -> Locomotion:
+    if new is None:
+        return old
+    if isinstance(new, Locomotion):
+        return new
+    if isinstance(new, Mapping) and set(new) <= {"damping", "thrust"}:
+        return replace(old, **new)
+    if isinstance(new, int | float) and not isinstance(new, bool):
+        return replace(old, thrust=old.thrust * new)
+    raise InputError(
+        f"locomotion of {name} is {new!r}: give a Locomotion, damping and thrust, or a factor"
+    )

@@ -1,0 +1,244 @@
+"""What both worlds share: buffers, seeding, episode bookkeeping, noisy and late senses.
+
+A world simulates ``copies`` episodes side by side. It knows nothing of Gymnasium: it is reset and
+stepped, and its arrays, which it owns and overwrites in place, are read.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.scenario import DRIVERS, REPLAY, Scenario
+from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
+
+
+class ObservationComponent(NamedTuple):
+    """One entry of an observation vector, for spaces and documentation."""
+
+    name: str
+    frame: str
+    unit: str
+    low: float
+    high: float
+
+
+class World(ABC):
+    """Batched simulator. Shapes: B copies, K individuals, n observation components.
+
+    Attributes
+    ----------
+    position, velocity
+        ``(B, K, 2)`` float64, arena frame [arena unit; arena unit / s].
+    observation
+        ``(B, K, n)`` float32, as ``observation_components`` documents.
+    components, reward
+        ``(B, K, C)`` and ``(B, K)`` float64: reward components (``reward_components`` names them)
+        of the last step, and their sum.
+    terminated, truncated
+        ``(B,)`` bool. A time limit truncates and never terminates.
+    outcome
+        ``(B,)`` int8, codes of :mod:`animarl_envs.demos.demonstrations`.
+    step_count, demo, condition
+        ``(B,)``: steps since the start, paired demonstration (-1 without), experimental condition.
+    warming
+        ``(B,)`` bool: the next step is a warm-up step, replayed from the demonstration.
+    """
+
+    reward_components: tuple[str, ...]
+    observation_components: tuple[ObservationComponent, ...]
+    _state_names: tuple[str, ...] = (
+        "position", "velocity", "sensed", "components", "reward", "terminated", "truncated",
+        "outcome", "step_count", "demo", "condition", "warming", "random_state",
+    )  # fmt: skip
+
+    def __init__(self, scenario: Scenario, num_copies: int) -> None:
+        if num_copies < 1:
+            raise InputError(f"num_copies is {num_copies}: it must be at least 1")
+        self.scenario = scenario
+        self.num_copies = num_copies
+        B, K = num_copies, scenario.species.num_individuals
+        C, n = len(self.reward_components), len(self.observation_components)
+        # Kernels see the copy as the last, contiguous axis, so that their loops over copies
+        # compile to vector instructions; everybody else sees it first.
+        self._position = np.zeros((K, 2, B))
+        self._velocity = np.zeros((K, 2, B))
+        self._sensed = np.zeros((K, n, B), dtype=np.float32)
+        self._components = np.zeros((K, C, B))
+        self._reward = np.zeros((K, B))
+        self.position = self._position.transpose(2, 0, 1)
+        self.velocity = self._velocity.transpose(2, 0, 1)
+        self.sensed = self._sensed.transpose(2, 0, 1)
+        self.components = self._components.transpose(2, 0, 1)
+        self.reward = self._reward.T
+        self.terminated = np.zeros(B, dtype=bool)
+        self.truncated = np.zeros(B, dtype=bool)
+        self.outcome = np.zeros(B, dtype=np.int8)
+        self.step_count = np.zeros(B, dtype=np.int64)
+        self.demo = np.full(B, -1, dtype=np.int64)
+        self.condition = np.zeros(B, dtype=np.int8)
+        self.warming = np.zeros(B, dtype=bool)
+        self.random_state = np.zeros(B, dtype=np.uint64)
+
+        delay = scenario.observation_delay
+        self._history = np.zeros((delay + 1 if delay else 0, B, K, n), dtype=np.float32)
+        self._disturbed = delay > 0 or scenario.observation_noise > 0
+        self.observation = np.zeros_like(self.sensed) if self._disturbed else self.sensed
+
+        self._demos = _flat_demonstrations(scenario)
+        self._drivers = np.array([DRIVERS[d] for d in scenario.drivers], dtype=np.int8)
+        self._replays = bool((self._drivers == REPLAY).any())
+        self._warmup = scenario.species.warmup if scenario.paired else 0
+        self._everywhere = np.ones(B, dtype=bool)
+        self._any_demo = np.full(B, -1, dtype=np.int64)
+        self.seed(np.arange(B))
+
+    @property
+    def num_individuals(self) -> int:
+        return self.scenario.species.num_individuals
+
+    @property
+    def num_actions(self) -> int:
+        return NUM_ACTIONS
+
+    @property
+    def demos(self) -> Demonstrations | None:
+        return self.scenario.demos
+
+    def seed(self, seeds: ArrayLike) -> None:
+        """Start the random stream of copy ``b`` from ``seeds[b]``."""
+        seed_streams(seeds, self.random_state)
+
+    def reset(
+        self, mask: NDArray[np.bool_] | None = None, demo: NDArray[np.int64] | None = None
+    ) -> None:
+        """Start new episodes in the copies where ``mask`` is true (in all, by default).
+
+        ``demo`` ``(B,)`` names the demonstration to pair each with; -1 draws one at random.
+        """
+        mask = self._everywhere if mask is None else mask
+        _draw_demonstrations(
+            mask,
+            self._any_demo if demo is None else demo,
+            len(self._demos.start) - 1 if self.scenario.paired else 0,
+            self._demos.condition,
+            -1 if self.scenario.condition == "demo" else self.scenario.condition,
+            self.random_state,
+            self.demo,
+            self.condition,
+        )
+        self.step_count[mask] = 0
+        self.terminated[mask] = False
+        self.truncated[mask] = False
+        self.outcome[mask] = TIME_OUT
+        self.components[mask] = 0.0
+        self.reward[mask] = 0.0
+        self.warming[mask] = self._warmup > 0
+        self._start(mask)
+        if self._disturbed:
+            self._history[:, mask] = self.sensed[mask]
+            self._disturb(mask)
+
+    def step(self, actions: NDArray[np.integer]) -> None:
+        """Advance every copy by one decision step; ``actions`` is ``(B, K)``, 0 to 12.
+
+        A copy whose episode has ended is advanced as well: reset it first.
+        """
+        self._advance(actions)
+        if self._disturbed:
+            self._disturb(self._everywhere)
+
+    @abstractmethod
+    def _start(self, mask: NDArray[np.bool_]) -> None:
+        """Set the first state of new episodes and sense it."""
+
+    @abstractmethod
+    def _advance(self, actions: NDArray[np.integer]) -> None:
+        """One step of all copies: move, decide the episode's end, reward, sense."""
+
+    def _disturb(self, mask: NDArray[np.bool_]) -> None:
+        """From what is sensed now to what is handed out: late and noisy."""
+        seen = self.sensed
+        if len(self._history):
+            self._history[:-1, mask] = self._history[1:, mask]
+            self._history[-1, mask] = self.sensed[mask]
+            seen = self._history[0]
+        _add_noise(mask, seen, self.scenario.observation_noise, self.random_state, self.observation)
+
+    # -- state ------------------------------------------------------------------------------------
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Copies of all arrays that decide the future; with :meth:`set_state` it goes on alike."""
+        state = {name: getattr(self, name).copy() for name in self._state_names}
+        state["history"] = self._history.copy()
+        state["observation"] = self.observation.copy()
+        return state
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from what :meth:`get_state` gave, in a world of the same scenario."""
+        for name in self._state_names:
+            current = getattr(self, name)
+            if name not in state or state[name].shape != current.shape:
+                raise InputError(f"the saved world has another shape ({name}): use the same settings")
+            current[...] = state[name]
+        self._history[...] = state["history"]
+        self.observation[...] = state["observation"]
+
+
+class FlatDemos(NamedTuple):
+    """Demonstrations as kernels read them; empty arrays where there are none."""
+
+    position: NDArray[np.float64]  # (frames, K, 2)
+    velocity: NDArray[np.float64]  # (frames, K, 2)
+    start: NDArray[np.int64]  # (episodes + 1,)
+    condition: NDArray[np.int8]  # (episodes,)
+
+
+def _flat_demonstrations(scenario: Scenario) -> FlatDemos:
+    demos = scenario.demos
+    if demos is None:
+        empty = np.zeros((0, scenario.species.num_individuals, 2))
+        return FlatDemos(empty, empty, np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int8))
+    return FlatDemos(
+        np.ascontiguousarray(demos.positions),
+        demos.velocities(),
+        demos.offsets.astype(np.int64),
+        np.ascontiguousarray(demos.condition),
+    )
+
+
+@nb.njit(cache=True)
+def _draw_demonstrations(mask, wanted, count, demo_condition, fixed, random, demo, condition):  # type: ignore[no-untyped-def]
+    for b in range(len(mask)):
+        if not mask[b]:
+            continue
+        demo[b] = -1
+        if count > 0:
+            demo[b] = next_below(random, b, count)  # drawn even if not wanted: equal streams
+            if wanted[b] >= 0:
+                demo[b] = wanted[b]
+        condition[b] = 0
+        if fixed >= 0:
+            condition[b] = fixed
+        elif demo[b] >= 0:
+            condition[b] = demo_condition[demo[b]]
+
+
+@nb.njit(cache=True)
+def _add_noise(mask, seen, deviation, random, observation):  # type: ignore[no-untyped-def]
+    B, K, n = seen.shape
+    for b in range(B):
+        if mask[b]:
+            for i in range(K):
+                for c in range(n):
+                    observation[b, i, c] = seen[b, i, c]
+                    if deviation > 0.0:
+                        observation[b, i, c] += deviation * next_normal(random, b)

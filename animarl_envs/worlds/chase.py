@@ -1,0 +1,150 @@
+"""The chase world: pursuers and a target in an arena (agents, flies, newts and your own).
+
+State per copy and individual: position, velocity, focus, and the unit vector towards the focus.
+The focus of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at
+each step (ties: the lower index).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.demos.demonstrations import TIME_OUT
+from animarl_envs.scenario import Scenario
+from animarl_envs.species import ChaseSpecies
+from animarl_envs.worlds import chase_kernels as kernels
+from animarl_envs.worlds.base import ObservationComponent, World
+
+
+class ChaseWorld(World):
+    """Batched chase; see :class:`animarl_envs.worlds.base.World` for the arrays.
+
+    Rewards: ``touch`` +1 to a pursuer that touches the target (with shared reward, condition 1, to
+    every pursuer); ``elapsed`` dt to the target for every step it lasts; ``boundary`` -10 to each
+    individual that leaves the boundary. Contact is judged before the boundary.
+    """
+
+    reward_components = ("touch", "elapsed", "boundary")
+    _state_names = (*World._state_names, "towards")
+
+    def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
+        species = scenario.species
+        assert isinstance(species, ChaseSpecies)
+        self.observation_components = observation_components(species)
+        super().__init__(scenario, num_copies)
+        B, K = num_copies, species.num_individuals
+        self._towards = np.zeros((K, 2, B))
+        self._towards[:, 0] = 1.0
+        self.towards = self._towards.transpose(2, 0, 1)
+        self._actions = np.zeros((K, B), dtype=np.int64)
+        self._others = np.zeros((K - 1, kernels.RELATIVE, B))
+        self._nearest = np.zeros(B)
+        self._damping = np.array([m.damping for m in species.locomotion])
+        self._thrust = np.array([m.thrust for m in species.locomotion])
+        self._fixed_start = (
+            np.zeros((0, 2)) if isinstance(scenario.start, str) else np.asarray(scenario.start)
+        )
+        self._field = (SHAPE_CODES[species.arena.shape], species.arena.size, species.arena.boundary)
+
+    @property
+    def _species(self) -> ChaseSpecies:
+        return cast(ChaseSpecies, self.scenario.species)
+
+    def _start(self, mask: NDArray[np.bool_]) -> None:
+        species = self._species
+        kernels.start(
+            mask, self._demos, self.demo, self._fixed_start, species.start_half_side,
+            species.contact_radius, self.random_state, self._position, self._velocity,
+        )  # fmt: skip
+        self._observe()
+
+    def _advance(self, actions: NDArray[np.integer]) -> None:
+        species = self._species
+        dt = species.dt
+        self._actions[...] = actions.T
+        self.step_count += 1
+        kernels.drive(
+            self._drivers, self._actions, self._position, self._velocity, self._towards,
+            self._damping, self._thrust, dt, self._field,
+        )  # fmt: skip
+        kernels.move(
+            self._actions, self._towards, self._damping, self._thrust, dt,
+            self._position, self._velocity,
+        )  # fmt: skip
+        if self._replays or self._warmup:
+            kernels.replay(
+                self._drivers, self._warmup, self._demos, self.demo, self.step_count,
+                self._position, self._velocity, self.warming,
+            )  # fmt: skip
+        if species.arena.rebound:
+            kernels.rebound(self._field, self._position, self._velocity)
+        kernels.judge(
+            self._position, self.condition, self._field, species.contact_radius, dt,
+            species.boundary_penalty, self._nearest, self._components, self._reward, self.outcome,
+        )  # fmt: skip
+        np.not_equal(self.outcome, TIME_OUT, out=self.terminated)
+        np.greater_equal(self.step_count, species.time_limit, out=self.truncated)
+        self.truncated &= ~self.terminated
+        self._observe()
+
+    def _observe(self) -> None:
+        kernels.observe(
+            self._position, self._velocity, self._towards, self._others,
+            self._species.senses_centre, self._sensed,
+        )  # fmt: skip
+
+
+def observe(
+    species: ChaseSpecies, position: NDArray[np.float64], velocity: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of given states.
+
+    The same kernel as in simulation, for recorded states ``(frames, K, 2)``.
+    """
+    frames, K, _ = position.shape
+    observation = np.zeros((K, len(observation_components(species)), frames), dtype=np.float32)
+    towards = np.zeros((K, 2, frames))
+    towards[:, 0] = 1.0
+    kernels.observe(
+        np.ascontiguousarray(position.transpose(1, 2, 0), dtype=np.float64),
+        np.ascontiguousarray(velocity.transpose(1, 2, 0), dtype=np.float64),
+        towards, np.zeros((K - 1, kernels.RELATIVE, frames)), species.senses_centre, observation,
+    )  # fmt: skip
+    return (
+        np.ascontiguousarray(observation.transpose(2, 0, 1)),
+        np.ascontiguousarray(towards.transpose(2, 0, 1)),
+    )
+
+
+def observation_components(species: ChaseSpecies) -> tuple[ObservationComponent, ...]:
+    """What each entry of an observation means, in order."""
+    ego = "egocentric, x towards the focus, y to the left"
+    free = (-math.inf, math.inf)
+    entries = [
+        ObservationComponent("own position x", "arena", "arena unit", *free),
+        ObservationComponent("own position y", "arena", "arena unit", *free),
+        ObservationComponent("own velocity ahead", ego, "arena unit / s", *free),
+        ObservationComponent("own velocity left", ego, "arena unit / s", *free),
+        ObservationComponent("focus direction cosine", "arena", "1", -1.0, 1.0),
+        ObservationComponent("focus direction sine", "arena", "1", -1.0, 1.0),
+    ]
+    for rank in range(1, species.num_individuals):
+        who = f"other {rank}"
+        entries += [
+            ObservationComponent(f"{who} relative position ahead", ego, "arena unit", *free),
+            ObservationComponent(f"{who} relative position left", ego, "arena unit", *free),
+            ObservationComponent(f"{who} relative velocity ahead", ego, "arena unit / s", *free),
+            ObservationComponent(f"{who} relative velocity left", ego, "arena unit / s", *free),
+            ObservationComponent(f"{who} distance", "any", "arena unit", 0.0, math.inf),
+            ObservationComponent(f"{who} bearing", ego, "rad", -math.pi, math.pi),
+        ]
+    if species.senses_centre:
+        entries.append(
+            ObservationComponent("distance from the centre", "arena", "arena unit", 0.0, math.inf)
+        )
+    return tuple(entries)
