@@ -1,0 +1,16 @@
+"""Fitting damping d and thrust u of v' = (1 - d) v + u a dt to recorded episodes."""
+
+from animarl_envs.fitting.joint import fit_joint
+from animarl_envs.fitting.onset import fit_onset
+from animarl_envs.fitting.result import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.fitting.transitions import (
+    Transitions,
+    demonstrated_actions,
+    transitions,
+    velocity_rmse,
+)
+
+__all__ = [
+    "IndividualFit", "LocomotionFit", "Transitions", "demonstrated_actions", "fit_joint",
+    "fit_locomotion", "fit_onset", "transitions", "velocity_rmse",
+]  # fmt: skip

@@ -1,0 +1,261 @@
+"""Fitting all individuals of a set of demonstrations, with bootstrap intervals and the RMSE."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.joint import bootstrap_joint, fit_joint
+from animarl_envs.fitting.onset import bootstrap_onset, fit_onset, onset_data, top_speed
+from animarl_envs.fitting.transitions import transitions, velocity_rmse
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.species import SPECIES
+
+Method = Literal["joint", "onset"]
+Interval = tuple[float, float]
+BOOTSTRAP = 1000
+CONFIDENCE = 0.95
+SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species counts as resting
+
+
+@dataclass(frozen=True)
+class IndividualFit:
+    """Fitted locomotion of one individual.
+
+    Intervals are 95 % percentile intervals over resampled episodes, ``None`` with one episode.
+    ``onsets`` is the number of rest-to-motion transitions (onset fit only);
+    ``resamples_without_onset`` were left out of the intervals.
+    """
+
+    name: str
+    damping: float
+    thrust: float  # [arena unit / s^2]
+    damping_interval: Interval | None
+    thrust_interval: Interval | None
+    velocity_rmse: float  # on the validation episodes [arena unit / s]
+    steps: int  # transitions the parameters come from
+    top_speed: float  # median of the recorded speeds above their 99th percentile [arena unit / s]
+    terminal_speed: float  # u dt / d: what constant thrust would lead to [arena unit / s]
+    braking_time: float  # until coasting has lost all but 1/e of the speed [s]
+    onsets: int | None = None
+    resamples_without_onset: int = 0
+
+    @property
+    def locomotion(self) -> Locomotion:
+        return Locomotion(self.damping, self.thrust)
+
+
+@dataclass(frozen=True)
+class LocomotionFit:
+    """Fitted locomotion of all individuals, in their order."""
+
+    method: Method
+    species: str
+    dt: float  # [s]
+    individuals: tuple[IndividualFit, ...]
+    fitted_on: str  # split, or "all"
+    validated_on: str
+    episodes: int
+    validation_episodes: int
+    onset_threshold: float | None
+    bootstrap: int
+    seed: int
+    fingerprint: str  # of the demonstrations
+
+    @property
+    def locomotion(self) -> tuple[Locomotion, ...]:
+        """Parameters for a species spec, one per individual."""
+        return tuple(fit.locomotion for fit in self.individuals)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers and strings, as :meth:`from_dict` reads them."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> LocomotionFit:
+        """The inverse of :meth:`to_dict`, also after a passage through JSON."""
+        individuals = []
+        for fit in record["individuals"]:
+            pairs = {
+                key: None if fit[key] is None else (fit[key][0], fit[key][1])
+                for key in ("damping_interval", "thrust_interval")
+            }
+            individuals.append(IndividualFit(**{**fit, **pairs}))
+        return cls(**{**record, "individuals": tuple(individuals)})
+
+    def save(self, path: str | Path) -> Path:
+        """Write JSON."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(self.to_dict(), indent=2) + "\n")
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> LocomotionFit:
+        """Read JSON written by :meth:`save`."""
+        try:
+            return cls.from_dict(json.loads(Path(path).read_text()))
+        except FileNotFoundError:
+            raise InputError(f"{path}: there is no such file: check the path") from None
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            raise InputError(
+                f"{path}: it is not a locomotion fit ({error}): make it with 'animarl fit'"
+            ) from None
+
+
+def fit_locomotion(
+    demos: Demonstrations,
+    method: Method = "joint",
+    *,
+    onset_threshold: float | None = None,
+    split: str | None = "train",
+    bootstrap: int = BOOTSTRAP,
+    seed: int = 0,
+) -> LocomotionFit:
+    """Fit damping and thrust of every individual.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes, with their splits.
+    method
+        ``"joint"`` (see :mod:`animarl_envs.fitting.joint`) or ``"onset"``, the paper's rule.
+    onset_threshold
+        th_acc of the onset fit [arena unit / s^2]; by default that of the species.
+    split
+        Episodes the parameters come from; ``None`` takes all. The RMSE is measured on ``"val"``
+        (on all of them if ``split`` is ``None`` and there is no validation episode).
+    bootstrap
+        Resamples of episodes for the intervals; 0 leaves them out.
+    seed
+        Of the resampling.
+
+    Raises
+    ------
+    InputError
+        If a split is empty, an individual never moves, or the onset fit finds no onset.
+    """
+    if method not in get_args(Method):
+        raise InputError(f"method {method!r} is unknown: choose joint or onset")
+    training = demos if split is None else demos.select(split=split)
+    without_validation = split is None and not (demos.split == "val").any()
+    validation = demos if without_validation else demos.select(split="val")
+    if onset_threshold is not None and not 0 < onset_threshold < math.inf:
+        raise InputError(f"onset_threshold is {onset_threshold}: it must be a positive number")
+    if method == "joint":
+        onset_threshold = None
+    elif onset_threshold is None:
+        onset_threshold = default_onset_threshold(demos)
+    weights = _resampling_weights(training.num_episodes, bootstrap, seed)
+    fits = []
+    for i in range(demos.num_individuals):
+        locomotion, samples, onsets = _fit_one(training, i, method, onset_threshold, weights)
+        fits.append(_summary(training, validation, i, locomotion, samples, onsets))
+    return LocomotionFit(
+        method=method,
+        species=demos.species,
+        dt=demos.dt,
+        individuals=tuple(fits),
+        fitted_on=split or "all",
+        validated_on="all" if without_validation else "val",
+        episodes=training.num_episodes,
+        validation_episodes=validation.num_episodes,
+        onset_threshold=onset_threshold,
+        bootstrap=bootstrap,
+        seed=seed,
+        fingerprint=demos.fingerprint(),
+    )
+
+
+def default_onset_threshold(demos: Demonstrations) -> float:
+    """th_acc [arena unit / s^2] of the species, or for a user's own species from the tracks.
+
+    The agents' published threshold calls 0.03 unit / s "at rest", about 3 % of their top speed.
+    That share of the 99th percentile of all speeds is taken here.
+    """
+    if demos.species in SPECIES:
+        return SPECIES[demos.species].recording.onset_threshold
+    top = float(np.quantile(np.linalg.norm(demos.velocities(), axis=2), 0.99))
+    if top == 0:
+        raise InputError(f"{demos.name}: no individual ever moves: check the tracks")
+    return SLOW_SHARE * top / demos.dt
+
+
+def _resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.float64] | None:
+    """How often each resample draws each episode, ``(resamples, episodes)``."""
+    if resamples < 0:
+        raise InputError(f"bootstrap is {resamples}: it must be 0 or a number of resamples")
+    if resamples == 0 or episodes < 2:
+        return None
+    drawn = np.random.default_rng(seed).integers(episodes, size=(resamples, episodes))
+    flat = drawn + episodes * np.arange(resamples)[:, None]
+    counts = np.bincount(flat.ravel(), minlength=resamples * episodes)
+    return counts.reshape(resamples, episodes).astype(np.float64)
+
+
+def _fit_one(
+    demos: Demonstrations,
+    individual: int,
+    method: Method,
+    onset_threshold: float | None,
+    weights: NDArray[np.float64] | None,
+) -> tuple[Locomotion, NDArray[np.float64] | None, int | None]:
+    """Parameters, their resamples ``(resamples, 2)`` and the number of onsets of one individual."""
+    if onset_threshold is None:
+        data = transitions(demos, individual)
+        locomotion = fit_joint(data, f"{demos.name}: {demos.individuals[individual]}")
+        samples = None if weights is None else bootstrap_joint(data, locomotion, weights)
+        return locomotion, samples, None
+    starts = onset_data(demos, individual, onset_threshold)
+    locomotion = fit_onset(demos, individual, onset_threshold)
+    samples = None if weights is None else bootstrap_onset(starts, weights)
+    return locomotion, samples, len(starts.onset_speed)
+
+
+def _summary(
+    training: Demonstrations,
+    validation: Demonstrations,
+    individual: int,
+    locomotion: Locomotion,
+    samples: NDArray[np.float64] | None,
+    onsets: int | None,
+) -> IndividualFit:
+    intervals: list[Interval | None] = [None, None]
+    lost = 0
+    if samples is not None:
+        usable = samples[np.isfinite(samples).all(axis=1)]
+        lost = len(samples) - len(usable)
+        tail = (1 - CONFIDENCE) / 2
+        if len(usable):
+            low, high = np.quantile(usable, [tail, 1 - tail], axis=0)
+            intervals = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
+    return IndividualFit(
+        name=training.individuals[individual],
+        damping=locomotion.damping,
+        thrust=locomotion.thrust,
+        damping_interval=intervals[0],
+        thrust_interval=intervals[1],
+        velocity_rmse=velocity_rmse(validation, individual, locomotion),
+        steps=int((training.lengths - 1).sum()),
+        top_speed=top_speed(training, individual),
+        terminal_speed=locomotion.terminal_speed(training.dt),
+        braking_time=braking_time(locomotion.damping, training.dt),
+        onsets=onsets,
+        resamples_without_onset=lost,
+    )
+
+
+def braking_time(damping: float, dt: float) -> float:
+    """Time in which coasting loses all but 1/e of the speed, ``-dt / ln(1 - d)`` [s]."""
+    if damping == 0:
+        return math.inf
+    return 0.0 if damping == 1 else -dt / math.log1p(-damping)

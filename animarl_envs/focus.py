@@ -1,0 +1,72 @@
+"""What each recorded individual is heading for: the x axis of its egocentric frame.
+
+The focus of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at
+each frame (ties: the lower index). A searcher must not be told where the source is: its focus is
+the fixed upwind direction. Individuals of a group without a target face their nearest companion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.demonstrations import Demonstrations
+
+UPWIND = (-1.0, 0.0)
+"""Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
+
+FALLBACK = (1.0, 0.0)
+"""Focus direction at zero distance, and of an individual that is alone."""
+
+
+def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> NDArray[np.float64]:
+    """Unit vectors towards the focus of each individual.
+
+    Parameters
+    ----------
+    positions
+        ``(..., individuals, 2)``, arena frame [arena unit].
+    roles
+        ``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual; the target comes last.
+
+    Returns
+    -------
+    ``(..., individuals, 2)``, arena frame; ``FALLBACK`` where the distance is zero.
+    """
+    points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
+    out = np.empty_like(points)
+    pursuers = [i for i, role in enumerate(roles) if role == "pursuer"]
+    has_target = "target" in roles
+    for i, role in enumerate(roles):
+        if role == "searcher":
+            out[..., i, :] = UPWIND
+        elif role == "pursuer" and has_target:
+            out[..., i, :] = _unit(points[..., -1, :] - points[..., i, :])
+        else:
+            others = [j for j in pursuers if j != i]
+            out[..., i, :] = _towards_nearest(points, i, others)
+    return out
+
+
+def demonstration_focus(demos: Demonstrations) -> NDArray[np.float64]:
+    """Focus directions at all frames of the demonstrations, ``(frames, individuals, 2)``."""
+    return focus_directions(demos.positions, demos.roles)
+
+
+def _towards_nearest(
+    positions: NDArray[np.float64], individual: int, others: Sequence[int]
+) -> NDArray[np.float64]:
+    if not others:
+        return np.broadcast_to(np.array(FALLBACK), positions[..., individual, :].shape)
+    offset = positions[..., list(others), :] - positions[..., individual, None, :]
+    distance = np.hypot(offset[..., 0], offset[..., 1])
+    nearest = np.argmin(distance, axis=-1)  # the first of equals
+    return _unit(np.take_along_axis(offset, nearest[..., None, None], axis=-2)[..., 0, :])
+
+
+def _unit(offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    distance = np.hypot(offset[..., 0], offset[..., 1])[..., None]
+    apart = distance > 0
+    return np.where(apart, offset / np.where(apart, distance, 1.0), np.array(FALLBACK))
