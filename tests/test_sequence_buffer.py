@@ -387,6 +387,19 @@ def test_errors_of_evicted_sequences_change_nothing() -> None:
     assert buffer.max_priority.tolist() == [1.0]
 
 
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_batches_reach_the_gpu_unchanged() -> None:
+    stream = Stream(2, 2, 2, 8, seed=2)
+    there, here = (fill(make(stream, 200, device=d), stream) for d in ("cuda", "cpu"))
+    for _ in range(3):
+        sent, kept = there.sample(6), here.sample(6)
+        assert sent.observations.is_cuda and sent.weights.is_cuda
+        np.testing.assert_array_equal(sent.indices, kept.indices)
+        assert torch.equal(sent.observations.cpu(), kept.observations)
+        assert torch.equal(sent.mask.cpu(), kept.mask)
+
+
 # -- resume ---------------------------------------------------------------------------------------
 
 

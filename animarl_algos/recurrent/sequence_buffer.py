@@ -6,32 +6,25 @@ al. 2019, "Recurrent experience replay in distributed reinforcement learning".
 
 from __future__ import annotations
 
-import enum
 import math
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.recurrent import buffer_state
 from animarl_algos.recurrent import sequence_kernels as kernels
 from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.recurrent.gather import NO_LABEL, BatchBuffers, Frames, Sequences
+from animarl_algos.recurrent.gather import BatchBuffers, Frames, Sequences
 from animarl_algos.recurrent.memory_limit import refuse_too_large
+from animarl_algos.recurrent.state_mode import StateMode, check_state_mode
+from animarl_algos.recurrent.step_arrays import NotGiven, fit
 from animarl_algos.recurrent.sum_tree import SumTrees
 from animarl_envs.errors import InputError
-
-
-class StateMode(enum.StrEnum):
-    """What a piece's recurrent state starts from."""
-
-    RECOMPUTE = "recompute"  # zeros before the burn-in prefix, which then rebuilds it
-    STORED = "stored"  # the acting network's state before the prefix
-    ZERO = "zero"  # zeros at the first trained step; no prefix
 
 
 class SequenceReplayBuffer:
@@ -109,7 +102,7 @@ class SequenceReplayBuffer:
                 f"buffer_size {buffer_size} cannot hold an episode of {max_episode_steps} steps "
                 f"and its last observation: set it to {max(max_episode_steps, 1) + 1} or more"
             )
-        self.state_mode = _state_mode(state_mode, sequence_length, burn_in, state_size)
+        self.state_mode = check_state_mode(state_mode, sequence_length, burn_in, state_size)
         self.stride = max_episode_steps if sequence_length is None else sequence_length - burn_in
         self.buffer_size = buffer_size
         self.observation_dim = observation_dim
@@ -242,10 +235,10 @@ class SequenceReplayBuffer:
         labels = none.labels if labels is None else labels
         warmup = none.warmup if warmup is None else warmup
         condition = none.condition if condition is None else condition
-        actions = _fit("actions", actions, np.int64, pair)
-        terminated = _fit("terminated", terminated, np.bool_, each)
-        truncated = _fit("truncated", truncated, np.bool_, each)
-        condition = _fit("condition", condition, np.float32, each)
+        actions = fit("actions", actions, np.int64, pair)
+        terminated = fit("terminated", terminated, np.bool_, each)
+        truncated = fit("truncated", truncated, np.bool_, each)
+        condition = fit("condition", condition, np.float32, each)
         ended = kernels.stage_steps(
             self.staging,
             self.step_count,
@@ -253,16 +246,16 @@ class SequenceReplayBuffer:
             self.stride,
             self.burn_in,
             self.num_actions,
-            _fit("observations", observations, np.float32, observed),
+            fit("observations", observations, np.float32, observed),
             actions,
-            _fit("rewards", rewards, np.float32, pair),
-            _fit("next_observations", next_observations, np.float32, observed),
+            fit("rewards", rewards, np.float32, pair),
+            fit("next_observations", next_observations, np.float32, observed),
             terminated,
             truncated,
-            _fit("penalties", penalties, np.float32, pair),
-            _fit("labels", labels, np.int64, pair),
-            _fit("warmup", warmup, np.bool_, each),
-            _fit("hidden", hidden, np.float32, (*pair, self.state_size)),
+            fit("penalties", penalties, np.float32, pair),
+            fit("labels", labels, np.int64, pair),
+            fit("warmup", warmup, np.bool_, each),
+            fit("hidden", hidden, np.float32, (*pair, self.state_size)),
         )
         if ended == kernels.BAD_ACTION:
             raise InputError(
@@ -402,61 +395,4 @@ class SequenceReplayBuffer:
         self.staging = Frames.allocate(rows, k, self.observation_dim)
         self.staged_state = np.zeros((copies, pieces, k, self.state_size), dtype=np.float32)
         self.step_count = np.zeros(copies, dtype=np.int64)
-        self._none = _NotGiven(
-            penalties=np.zeros((copies, k), dtype=np.float32),
-            labels=np.full((copies, k), NO_LABEL, dtype=np.int64),
-            warmup=np.zeros(copies, dtype=np.bool_),
-            hidden=np.zeros((copies, k, 0), dtype=np.float32),
-            condition=np.zeros(copies, dtype=np.float32),
-        )
-
-
-class _NotGiven(NamedTuple):
-    """What stands in for the optional parts of a step."""
-
-    penalties: NDArray[np.float32]
-    labels: NDArray[np.int64]
-    warmup: NDArray[np.bool_]
-    hidden: NDArray[np.float32]
-    condition: NDArray[np.float32]
-
-
-def _fit(name: str, value: Any, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
-    """``value`` as the kernels want it: contiguous, writeable, of this type and shape."""
-    array = np.ascontiguousarray(value, dtype=dtype)
-    if array.shape != shape:
-        raise InputError(
-            f"{name} of a step have shape {array.shape}, this memory wants {shape}: "
-            "make the memory for this environment"
-        )
-    return array if array.flags.writeable else array.copy()
-
-
-def _state_mode(
-    mode: StateMode | str, sequence_length: int | None, burn_in: int, state_size: int
-) -> StateMode:
-    """The mode, if it fits the other settings of a piece."""
-    try:
-        mode = StateMode(mode)
-    except ValueError:
-        raise InputError(
-            f"state_mode {mode!r} is unknown: choose one of {', '.join(StateMode)}"
-        ) from None
-    if sequence_length is None:
-        if burn_in or mode is not StateMode.RECOMPUTE:
-            raise InputError(
-                f"burn_in {burn_in} and state_mode {mode.value!r} are for pieces: "
-                "set sequence_length, or leave them out for whole episodes"
-            )
-    elif not 0 <= burn_in < sequence_length:
-        raise InputError(
-            f"burn_in {burn_in} does not fit sequence_length {sequence_length}: "
-            "it must be at least 0 and smaller"
-        )
-    if mode is StateMode.ZERO and burn_in:
-        raise InputError(
-            f"state_mode 'zero' starts without a prefix but burn_in is {burn_in}: set it to 0"
-        )
-    if mode is StateMode.STORED and state_size < 1:
-        raise InputError("state_mode 'stored' needs state_size, the size of the recurrent state")
-    return mode
+        self._none = NotGiven.allocate(copies, k)
