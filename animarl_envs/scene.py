@@ -18,6 +18,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.species import SearchSpecies, Species
 
 AT_REST = 1e-9  # a slower individual keeps its heading [arena unit / s]
+GLOW_TIME = 1.0  # an odour fades from the picture over this time [s]
+GLOW_RATE = 20.0  # instants of the plume per second that the picture unites [Hz]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,6 +137,7 @@ class SceneRecorder:
     _trail: list[NDArray[np.float64]] = field(default_factory=list, init=False)
     _headings: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), init=False)
     _returns: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), init=False)
+    _glow: Afterglow | None = field(default=None, init=False)
 
     def start(self) -> None:
         """Begin with the state after a reset; individuals at rest face their target."""
@@ -143,6 +146,8 @@ class SceneRecorder:
         self._headings = np.arctan2(towards[:, 1], towards[:, 0])
         self._trail = []
         self._returns = np.zeros(len(position))
+        search = isinstance(self.world.scenario.species, SearchSpecies)
+        self._glow = Afterglow(self.world, self.copy) if search else None
         self._look()
 
     def follow(self) -> None:
@@ -170,13 +175,16 @@ class SceneRecorder:
         if demonstration and world.demos is not None and world.demo[b] >= 0:
             recorded = world.demos.episode(int(world.demo[b])).positions
         step = int(world.step_count[b])
+        plain: dict[str, Any] = {"headings": self._headings.copy()}
+        senses = {}
+        if self._glow is not None:
+            senses = world.scene_details(b) | {"plume": self._glow.plume()}
         return Scene(
             arena=species.arena,
             contact_radius=species.contact_radius,
             names=species.individuals,
             roles=roles_of(species),
             positions=position,
-            headings=self._headings.copy(),
             trails=np.stack(self._trail),
             touched=_touched(position, species.contact_radius),
             rewards=self._returns.copy(),
@@ -186,6 +194,7 @@ class SceneRecorder:
             step=step,
             time=step * species.dt,
             demonstration=recorded,
+            **(plain | senses),
         )
 
     def _ending(self) -> str:
@@ -200,6 +209,39 @@ class SceneRecorder:
             aim = "the source" if isinstance(species, SearchSpecies) else names[-1]
             return f"{names[outcome - 1]} reached {aim}"
         return f"{names[-1] if outcome == TARGET_OUT else 'a pursuer'} left the arena"
+
+
+class Afterglow:
+    """The plume of the last moments, fading with age.
+
+    Puffs cross the field faster than pictures follow each other, so an instant alone would flicker;
+    what is drawn is the greatest of the recent fields, each faded over :data:`GLOW_TIME`.
+    """
+
+    def __init__(self, world: Any, copy: int) -> None:
+        self.world = world
+        self.copy = copy
+        self._drawn: float = -np.inf  # time of the last field in ``_values`` [s]
+        self._values: NDArray[np.float32] | None = None
+        self._extent: tuple[float, ...] = ()
+
+    def plume(self) -> PlumeField:
+        """The field at the end of the step that led to the world's present state."""
+        world, b = self.world, self.copy
+        dt = world.scenario.species.dt
+        now = (int(world.phase[b] + world.step_count[b]) + 1) * dt
+        pattern, wait = world.patterns[world.pattern[b]], 1.0 / GLOW_RATE
+        # Only what is new since the last picture, and nothing that has faded already.
+        time = max(self._drawn + wait, now - 3.0 * GLOW_TIME)
+        while time <= now + 1e-9 or self._values is None:
+            fresh, self._extent = world.plume.field(pattern, time)
+            if self._values is None:
+                self._values = fresh
+            self._values = np.maximum(self._values * np.exp(-wait / GLOW_TIME), fresh)
+            self._drawn, time = time, time + wait
+        scale = world.scenario.species.metres_per_unit
+        left, right, low, high = (edge / scale for edge in self._extent)
+        return PlumeField(values=self._values, extent=(left, right, low, high))
 
 
 def roles_of(species: Species) -> tuple[str, ...]:

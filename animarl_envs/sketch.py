@@ -21,6 +21,7 @@ MARGIN = 1.07  # how much wider the view is than what it must show
 ZOOM_STEP = 1.25  # the view widens in such steps when somebody leaves it
 WIDEST_BOUNDARY = 1.5  # a boundary is in view up to this many arena sizes
 BODY_LENGTH = (0.042, 0.060)  # a body is as long as the contact radius, within these bounds
+LEAST_BODY = 0.03  # of a searcher with antennae
 TRAIL_WIDTH = 0.0055
 RECORDED_WIDTH = 0.0035
 OUTLINE_WIDTH = 0.0032
@@ -183,8 +184,10 @@ def draw_bodies(canvas: Canvas, scene: Scene) -> None:
     length = min(max(reach, low * canvas.pixels), high * canvas.pixels)
     if scene.antennae is not None:
         to_tip = float(np.hypot(*(scene.antennae[0] - scene.positions[-1]))) * canvas.scale
-        length = min(length, 1.3 * to_tip)  # the antennae stand out
-        _draw_antennae(canvas, scene, length)
+        length = min(
+            length, max(1.3 * to_tip, LEAST_BODY * canvas.pixels)
+        )  # the antennae stand out
+        _draw_antennae(canvas, scene, max(to_tip, 0.75 * length))
     for i in range(len(scene.names)):
         _draw_body(canvas, scene, i, length)
 
@@ -202,13 +205,17 @@ def _draw_body(canvas: Canvas, scene: Scene, i: int, length: float) -> None:
         canvas.pygame.draw.circle(canvas.surface, light, eye, 0.055 * length)
 
 
-def _draw_antennae(canvas: Canvas, scene: Scene, length: float) -> None:
+def _draw_antennae(canvas: Canvas, scene: Scene, reach: float) -> None:
+    """Both antennae in their directions, lit by what they smell; ``reach`` in px."""
     assert scene.antennae is not None
-    root = canvas.at(scene.positions[-1]).tolist()
+    root = canvas.at(scene.positions[-1])
     for tip, smell in zip(scene.antennae, scene.odour, strict=True):
         width = canvas.width(0.8 * OUTLINE_WIDTH)
-        end = canvas.at(tip).tolist()
-        _thick_line(canvas.pygame.draw, canvas.surface, _colour(scene, 0), root, end, width)
+        ahead = canvas.at(tip) - root
+        end = (root + ahead * reach / max(float(np.hypot(*ahead)), 1e-9)).tolist()
+        _thick_line(
+            canvas.pygame.draw, canvas.surface, _colour(scene, 0), root.tolist(), end, width
+        )
         lit = palette.mix(palette.BACKGROUND, palette.TOUCH, min(max(float(smell), 0.0), 1.0))
         canvas.pygame.draw.circle(canvas.surface, _colour(scene, 0), end, 0.0085 * canvas.pixels)
         canvas.pygame.draw.circle(canvas.surface, lit, end, 0.006 * canvas.pixels)
