@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 from animarl_algos.offline_data import OfflineDataset, dynamics_scored_penalties
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
+from animarl_envs.focus import demonstration_focus
 from animarl_envs.locomotion import (
     COAST,
     NUM_ACTIONS,
@@ -231,6 +234,18 @@ def test_the_inferred_action_has_the_smallest_penalty() -> None:
         )
         np.testing.assert_array_equal(penalties[steps, k].argmin(axis=1), inferred)
         assert penalties[steps, k].min(axis=1).max() > 1e-4  # the noise is felt
+
+
+@pytest.mark.realdata
+def test_recorded_actions_have_the_smallest_penalty(data_dir: Path) -> None:
+    demos = read(data_dir / "agents_collab_hunting" / "episodes_c2ae_share_slow2.4.npz")
+    demos = demos.select(episodes=np.arange(60))
+    fitted = [Locomotion(0.25, u) for u in (2.4, 2.4, 3.0)]
+    focus = demonstration_focus(demos)
+    penalties = dynamics_scored_penalties(demos, demos.velocities(), fitted, focus, demos.dt)
+    recorded = demos.signals["actions"]
+    taken = recorded >= 0
+    assert (penalties.argmin(axis=2)[taken] == recorded[taken]).all()
 
 
 def test_penalties_of_unrelated_arrays_are_refused() -> None:
