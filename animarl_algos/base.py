@@ -1,0 +1,410 @@
+"""Recurrent double Q-learning on sequences, as an extension of stable-baselines3.
+
+:class:`SequenceQLearning` turns an SB3 off-policy algorithm (DQN, or QRDQN of sb3-contrib) into a
+learner with a memory: K individuals, each with its own network, acting in the slots of a VecEnv and
+learning from whole episodes or pieces of them. What the loss is made of is the recipe's business
+(:mod:`animarl_algos.terms`); how values are represented is the value distribution's.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import GymEnv, Schedule
+from stable_baselines3.common.utils import configure_logger
+
+from animarl_algos.exploration import fit_boltzmann_temperature
+from animarl_algos.loop import OnlineLoop
+from animarl_algos.offline import (
+    DemonstrationData,
+    OfflineDataset,
+    OfflineProgress,
+    demonstrated_values,
+    run_offline_phase,
+)
+from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy
+from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.settings import as_frequency, longest_episode
+from animarl_algos.slots import SlotLayout
+from animarl_algos.terms import Phase
+from animarl_envs.errors import InputError
+
+
+class SequenceQLearning(OnlineLoop):
+    """Sequence Q-learning for K independent individuals; see the recipes for what is minimised.
+
+    Steps are steps of the world: one step of all slots of a copy counts once.
+
+    Parameters
+    ----------
+    policy
+        ``"GruPolicy"`` (with a memory) or ``"MlpPolicy"``.
+    env
+        Any Gymnasium environment with Discrete actions, or a VecEnv; one with the attributes
+        ``individuals`` and ``num_copies`` trains all individuals.
+    demonstrations
+        Object with ``train`` and ``val`` datasets; by default the environment's own, if it has any.
+    learning_rate, offline_learning_rate
+        Of Adam, a number or (online) a schedule of the remaining progress.
+    buffer_size
+        Replay memory [world steps]; whole episodes are evicted, oldest first.
+    batch_size, offline_batch_size
+        Sequences per individual and update.
+    gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
+        Of the online phase; see :class:`animarl_algos.terms.Phase`. Those with ``offline_`` in
+        front are the same of the offline phase.
+    tau
+        Share of the online weights that a target update takes over.
+    target_update_interval
+        ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
+    train_freq, gradient_steps
+        ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
+        finished. ``(n, "step")`` or a number: ``gradient_steps`` updates after n steps of each.
+    updates_per_episode
+        May be fractional.
+    learning_starts
+        Steps acted at random before the first update.
+    exploration_initial_eps, exploration_final_eps, exploration_steps
+        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
+        steps as a share of ``total_timesteps`` instead.
+    sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
+        See :class:`animarl_algos.recurrent.sequence_buffer.SequenceReplayBuffer`.
+    max_episode_steps
+        Longest episode; by default what the environment declares.
+    offline_epochs
+        Epochs on the demonstrations before the first step in the environment; the best by
+        validation is kept. ``offline_patience`` stops after so many epochs without a better one.
+
+    Raises
+    ------
+    InputError
+        If a setting, the environment or the demonstrations do not suit the recipe.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
+        "GruPolicy": GruPolicy,
+        "MlpPolicy": MlpPolicy,
+    }
+    default_quantiles: ClassVar[int | None]
+
+    def __init__(
+        self,
+        policy: str | type[GruPolicy] = "GruPolicy",
+        env: GymEnv | str | None = None,
+        *,
+        demonstrations: DemonstrationData | None = None,
+        learning_rate: float | Schedule = 1e-4,
+        buffer_size: int = 500_000,
+        batch_size: int = 32,
+        gamma: float = 0.9,
+        tau: float = 1.0,
+        target_update_interval: int | tuple[int, str] = (2000, "episode"),
+        train_freq: int | tuple[int, str] = (1, "episode"),
+        gradient_steps: int = 1,
+        updates_per_episode: float = 1.0,
+        learning_starts: int = 0,
+        exploration_initial_eps: float = 0.5,
+        exploration_final_eps: float = 0.3,
+        exploration_steps: int = 50_000,
+        exploration_fraction: float | None = None,
+        alpha: float = 1.0,
+        lambda1: float = 1e-5,
+        lambda2: float = 1.0,
+        lambda3: float = 10.0,
+        max_grad_norm: float | None = 10.0,
+        sequence_length: int | None = None,
+        burn_in: int = 0,
+        state_mode: str = "recompute",
+        prioritized: bool = True,
+        replay_buffer_kwargs: dict[str, Any] | None = None,
+        max_episode_steps: int | None = None,
+        offline_epochs: int = 0,
+        offline_learning_rate: float = 1e-4,
+        offline_batch_size: int = 16,
+        offline_gamma: float = 0.99,
+        offline_alpha: float = 10.0,
+        offline_lambda2: float = 10.0,
+        offline_lambda3: float = 50.0,
+        offline_max_grad_norm: float | None = 20.0,
+        offline_patience: int | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: torch.device | str = "auto",
+        _init_setup_model: bool = True,
+    ) -> None:
+        if policy not in self.policy_aliases and isinstance(policy, str):
+            raise InputError(
+                f"policy {policy!r} is unknown: choose {' or '.join(self.policy_aliases)}"
+            )
+        arguments: dict[str, Any] = {
+            "learning_rate": learning_rate,
+            "buffer_size": buffer_size,
+            "learning_starts": learning_starts,
+            "batch_size": batch_size,
+            "tau": tau,
+            "gamma": gamma,
+            "train_freq": train_freq,
+            "gradient_steps": gradient_steps,
+            "replay_buffer_kwargs": replay_buffer_kwargs,
+            "stats_window_size": stats_window_size,
+            "tensorboard_log": tensorboard_log,
+            "policy_kwargs": dict(policy_kwargs or {}),
+            "verbose": verbose,
+            "seed": seed,
+            "device": device,
+            "_init_setup_model": False,
+        }
+        try:
+            super().__init__(policy, env, **arguments)  # type: ignore[arg-type]
+        except AssertionError as error:
+            raise InputError(f"the environment does not suit these learners: {error}") from error
+        self.policy_kwargs = dict(policy_kwargs or {})  # sb3-contrib adds an optimiser of its own
+        self.demonstrations = demonstrations
+        self.target_update_interval = target_update_interval
+        self.updates_per_episode = updates_per_episode
+        self.exploration_initial_eps = exploration_initial_eps
+        self.exploration_final_eps = exploration_final_eps
+        self.exploration_steps = exploration_steps
+        self.exploration_fraction = exploration_fraction
+        self.exploration_rate = exploration_initial_eps
+        self.alpha = alpha
+        self.lambda1, self.lambda2, self.lambda3 = lambda1, lambda2, lambda3
+        self.max_grad_norm = max_grad_norm
+        self.sequence_length, self.burn_in, self.state_mode = sequence_length, burn_in, state_mode
+        self.prioritized = prioritized
+        self.max_episode_steps = max_episode_steps
+        self.offline_epochs = offline_epochs
+        self.offline_learning_rate = offline_learning_rate
+        self.offline_batch_size = offline_batch_size
+        self.offline_gamma, self.offline_alpha = offline_gamma, offline_alpha
+        self.offline_lambda2, self.offline_lambda3 = offline_lambda2, offline_lambda3
+        self.offline_max_grad_norm = offline_max_grad_norm
+        self.offline_patience = offline_patience
+        self.offline_progress = OfflineProgress()
+        self.layout = SlotLayout(1, ("agent",), condition_flag=False)
+        self._updates_due = 0.0
+        self._target_count = 0
+        if _init_setup_model:
+            self._setup_model()
+
+    # -- set up -----------------------------------------------------------------------------------
+
+    def _setup_model(self) -> None:
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        if self.env is not None:
+            self.layout = SlotLayout.of(self.env)
+            self.max_episode_steps = longest_episode(self.env, self.max_episode_steps)
+        self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
+        self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
+        self._refuse_bad_settings()
+        self.root_seed = self._root_seed()
+        self.observation_size = int(np.prod(self.observation_space.shape or ()))
+        policy_kwargs = {"n_quantiles": self.default_quantiles} | self.policy_kwargs
+        self.policy = self.policy_class(  # type: ignore[assignment]
+            self.observation_space,
+            self.action_space,
+            self.lr_schedule,
+            individuals=self.layout.individuals,
+            condition_flag=self.layout.condition_flag,
+            treatment_head=self.recipe.needs_condition and self.layout.condition_flag,
+            seed=self.root_seed,
+            **policy_kwargs,
+        ).to(self.device)
+        self.policy.epsilon = self.exploration_rate
+        if self.env is not None:
+            self.replay_buffer = self._make_replay_buffer()
+        self.boundary_hooks = []
+        self.best_weights: dict[str, torch.Tensor] | None = None
+
+    def reset_optimizer(self, learning_rate: float) -> None:
+        """A new optimiser for the online network, with nothing accumulated."""
+        policy = self.policy
+        policy.optimizer = policy.optimizer_class(
+            policy.q_net.parameters(),
+            lr=learning_rate,  # type: ignore[call-arg]
+            **policy.optimizer_kwargs,
+        )
+
+    def _root_seed(self) -> int:
+        """The seed of this learner's own random streams; without ``seed``, from the system."""
+        if self.seed is not None:
+            return int(self.seed)
+        return int(np.random.SeedSequence().generate_state(1)[0])
+
+    def _make_replay_buffer(self) -> SequenceReplayBuffer:
+        assert self.max_episode_steps is not None
+        return SequenceReplayBuffer(
+            self.buffer_size,
+            self.observation_size,
+            self.layout.num_individuals,
+            self.policy.num_actions,
+            self.max_episode_steps,
+            sequence_length=self.sequence_length,
+            burn_in=self.burn_in,
+            state_mode=self.state_mode,
+            state_size=self.policy.q_net.units,
+            prioritized=self.prioritized,
+            seed=self.root_seed,
+            names=self.layout.individuals,
+            device=self.device,
+            num_copies=self.layout.num_copies,
+            **self.replay_buffer_kwargs,
+        )
+
+    def _refuse_bad_settings(self) -> None:
+        for name in ("batch_size", "offline_batch_size", "buffer_size"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
+        for name in ("offline_epochs", "learning_starts", "updates_per_episode"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name} is {getattr(self, name)}: it must not be negative")
+        if self.offline_epochs and not self.recipe.offline:
+            raise InputError(
+                f"recipe {self.recipe.name} learns without demonstrations: set offline_epochs to 0"
+            )
+        self.phase("online")
+        self.phase("offline")
+
+    def phase(self, name: str) -> Phase:
+        """The numbers of the ``"online"`` or ``"offline"`` phase."""
+        prefix = "" if name == "online" else "offline_"
+        own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
+        settings = {key: getattr(self, prefix + key) for key in own}
+        return Phase(name=name, lambda1=self.lambda1, **settings)
+
+    # -- before the first step --------------------------------------------------------------------
+
+    def prepare(self, callback: BaseCallback, *, progress_bar: bool) -> None:
+        """Run the offline phase if it is due, and set the exploration for the steps to come."""
+        if self.offline_progress.epoch < self.offline_epochs and not self.offline_progress.done:
+            self.pretrain(progress_bar=progress_bar)
+
+    def pretrain(self, *, progress_bar: bool = False) -> OfflineProgress:
+        """Run the offline phase (or what is left of it); returns its learning curves."""
+        if not hasattr(self, "_logger"):
+            self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
+        run_offline_phase(self, self._demonstrations(), progress_bar=progress_bar)
+        return self.offline_progress
+
+    def _demonstrations(self) -> DemonstrationData:
+        """Those that were given, or else the environment's own."""
+        if self.demonstrations is not None:
+            return self.demonstrations
+        own = getattr(self.env, "offline_data", None)
+        if own is None:
+            raise InputError(
+                f"recipe {self.recipe.name} has an offline phase and neither it nor its "
+                "environment was given demonstrations: pass demonstrations="
+            )
+        data: DemonstrationData = own() if callable(own) else own
+        return data
+
+    # -- act --------------------------------------------------------------------------------------
+
+    def predict(
+        self,
+        observation: NDArray[Any] | dict[str, NDArray[Any]],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+        """Actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
+        return self.policy.predict(observation, state, episode_start, deterministic)
+
+    def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
+        """Boltzmann temperatures ``(K,)`` of maximum likelihood for the demonstrated actions.
+
+        To act by them: ``model.policy.temperature = model.fit_temperature(data.val)``.
+        """
+        shown = demonstrated_values(self, dataset)
+        fitted = [fit_boltzmann_temperature(v, a) for v, a in zip(shown.values, shown.actions)]
+        self.temperature = np.array(fitted)
+        return self.temperature
+
+    # -- store ------------------------------------------------------------------------------------
+
+    def _excluded_save_params(self) -> list[str]:
+        return [
+            *super()._excluded_save_params(),
+            *("demonstrations", "boundary_hooks", "memory", "best_weights", "_recorder"),
+            *("_last_obs", "_last_episode_starts", "_last_original_obs"),
+        ]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []
+
+    def identity(self) -> dict[str, Any]:
+        """What a checkpoint must agree with, JSON-like."""
+        return {
+            "algorithm": type(self).__name__,
+            "policy": self.policy_class.__name__,
+            "individuals": list(self.layout.individuals),
+            "num_copies": self.layout.num_copies,
+            "observation_size": self.observation_size,
+            "num_actions": self.policy.num_actions,
+            "parameters": sum(p.numel() for p in self.policy.q_net.parameters()),
+            "buffer_size": self.buffer_size,
+        }
+
+    COUNTERS = (
+        "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates", "_updates_due",
+        "_target_count", "_current_progress_remaining", "exploration_rate", "root_seed",
+    )  # fmt: skip
+
+    def training_state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
+        """All that is needed to go on exactly, but the replay: JSON-like, arrays, tensors."""
+        counters = {name: getattr(self, name) for name in self.COUNTERS}
+        counters["offline_progress"] = self.offline_progress.as_json()
+        counters["policy_random_state"] = self.policy.random_state
+        counters["late_episodes"] = [
+            {key: float(value) for key, value in info.items()} for info in self.ep_info_buffer or ()
+        ]
+        arrays: dict[str, NDArray[Any]] = {}
+        if self.env is not None and hasattr(self.env, "get_state") and self._last_obs is not None:
+            arrays = {f"env/{key}": value for key, value in self.env.get_state().items()}
+            arrays["last_observation"] = np.asarray(self._last_obs)
+            arrays["episode_starts"] = np.asarray(self._last_episode_starts)
+            arrays["hidden"], arrays["previous_action"] = self.memory
+        tensors = {
+            "q_net": self.policy.q_net.state_dict(),
+            "q_net_target": self.policy.q_net_target.state_dict(),
+            "optimizer": self.policy.optimizer.state_dict(),
+            "best_weights": self.best_weights,
+        }
+        return counters, arrays, tensors
+
+    def restore_training_state(
+        self, counters: dict[str, Any], arrays: dict[str, NDArray[Any]], tensors: dict[str, Any]
+    ) -> None:
+        """Inverse of :meth:`training_state`.
+
+        An environment without ``get_state`` and ``set_state`` starts new episodes instead of
+        continuing those that were running.
+        """
+        for name in self.COUNTERS:
+            setattr(self, name, counters[name])
+        self.offline_progress = OfflineProgress.from_json(counters["offline_progress"])
+        self.policy.random_state = counters["policy_random_state"]
+        self.ep_info_buffer = deque(counters["late_episodes"], maxlen=self._stats_window_size)
+        self.ep_success_buffer = deque(maxlen=self._stats_window_size)
+        self.policy.q_net.load_state_dict(tensors["q_net"])
+        self.policy.q_net_target.load_state_dict(tensors["q_net_target"])
+        self.policy.optimizer.load_state_dict(tensors["optimizer"])
+        self.best_weights = tensors["best_weights"]
+        self._last_obs = None
+        if "last_observation" in arrays:
+            env_state = {key[4:]: value for key, value in arrays.items() if key[:4] == "env/"}
+            self.env.set_state(env_state)  # type: ignore[union-attr]
+            self._last_obs = arrays["last_observation"]
+            self._last_episode_starts = arrays["episode_starts"]
+            self.memory = (arrays["hidden"], arrays["previous_action"])

@@ -1,0 +1,242 @@
+"""Checkpoints from which a run goes on exactly: same weights as if it had never been stopped (CPU).
+
+A checkpoint is a folder ``checkpoint_000012`` with
+
+- ``model.pt``: online and target networks, optimiser, best weights of the offline phase, torch's
+  random state (tensors only, read with ``weights_only=True``);
+- ``replay.npz``: the replay memory with its open episodes;
+- ``run.npz``: last observations, recurrent states, the running worlds;
+- ``state.json``: counters, schedules, NumPy's and Python's random states, and what it belongs to.
+
+It is written under a temporary name, flushed to disk, then renamed; only then is the previous one
+removed. A kill at any moment, a full disk or an unwritable folder leaves the last one whole.
+Checkpoints are taken between updates only (``algorithm.boundary_hooks``), never within a step.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import zipfile
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.callbacks import BaseCallback
+
+from animarl_envs.errors import InputError
+
+if TYPE_CHECKING:
+    from animarl_algos.base import SequenceQLearning
+
+FORMAT = 1
+PREFIX = "checkpoint_"
+
+
+def latest_checkpoint(folder: str | Path) -> Path | None:
+    """The newest whole checkpoint in ``folder``, or None."""
+    found = sorted(Path(folder).glob(PREFIX + "[0-9]*"))
+    return next((p for p in reversed(found) if p.suffix != ".part"), None)
+
+
+def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
+    """Write a checkpoint of ``model`` into ``folder`` and remove the one before.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written; what was there before is untouched.
+    """
+    folder = Path(folder)
+    previous = latest_checkpoint(folder)
+    number = 0 if previous is None else int(previous.name.removeprefix(PREFIX)) + 1
+    target = folder / f"{PREFIX}{number:06d}"
+    part = target.with_suffix(".part")
+    try:
+        if part.exists():
+            shutil.rmtree(part)
+        part.mkdir(parents=True)
+        counters, arrays, tensors = model.training_state()
+        run: dict[str, Any] = dict(arrays)
+        tensors["torch_random_state"] = torch.get_rng_state()
+        _write(part / "model.pt", lambda file: torch.save(tensors, file))
+        if model.replay_buffer is not None:
+            replay = model.replay_buffer.get_state()
+            _write(part / "replay.npz", lambda file: np.savez(file, **replay))
+        _write(part / "run.npz", lambda file: np.savez(file, **run))
+        state = {
+            "format": FORMAT,
+            "identity": model.identity(),
+            "counters": counters,
+            "numpy_random_state": _json_random_state(np.random.get_state()),  # noqa: NPY002
+            "python_random_state": random.getstate(),
+        }
+        _write(part / "state.json", lambda file: file.write(json.dumps(state).encode()))
+        _sync_folder(part)
+        part.rename(target)
+        _sync_folder(folder)
+    except OSError as error:
+        shutil.rmtree(part, ignore_errors=True)
+        raise InputError(
+            f"{target}: the checkpoint cannot be written ({error.strerror or error}): make room or "
+            "choose a writable folder; the last checkpoint is untouched"
+        ) from error
+    if previous is not None:
+        shutil.rmtree(previous)
+    return target
+
+
+def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
+    """Put ``model`` into the state of the newest checkpoint in ``folder`` (or of ``folder``
+    itself).
+
+    Then ``model.learn(total - model.num_timesteps, reset_num_timesteps=False)`` goes on.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is damaged, or belongs to another recipe, policy or environment.
+    """
+    folder = Path(folder)
+    path = folder if folder.name.startswith(PREFIX) else latest_checkpoint(folder)
+    if path is None or not path.is_dir():
+        raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
+    try:
+        state = json.loads((path / "state.json").read_text())
+        if state["format"] > FORMAT:
+            raise InputError(
+                f"{path}: its format {state['format']} is newer than this animarl: upgrade it"
+            )
+        stored, mine = state["identity"], json.loads(json.dumps(model.identity()))
+        for key in mine:
+            if stored.get(key) != mine[key]:
+                raise InputError(
+                    f"{path}: it belongs to another run ({key} is {stored.get(key)!r} there, "
+                    f"{mine[key]!r} here): resume with the settings it was made with"
+                )
+        tensors = torch.load(path / "model.pt", map_location="cpu", weights_only=True)
+        with np.load(path / "run.npz", allow_pickle=False) as file:
+            arrays = dict(file)
+        replay: dict[str, NDArray[Any]] | None = None
+        if (path / "replay.npz").exists():
+            with np.load(path / "replay.npz", allow_pickle=False) as file:
+                replay = dict(file)
+        if replay is not None and model.replay_buffer is not None:
+            model.replay_buffer.set_state(replay)
+        torch_random_state = tensors.pop("torch_random_state")
+        model.restore_training_state(state["counters"], arrays, tensors)
+        torch.set_rng_state(torch_random_state)
+        name, keys, *rest = state["numpy_random_state"]
+        np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002
+        version, words, gauss = state["python_random_state"]
+        random.setstate((version, tuple(words), gauss))
+    except InputError:
+        raise
+    except (OSError, KeyError, TypeError, ValueError, EOFError, RuntimeError) as error:
+        raise _damaged(path, error) from error
+    except (zipfile.BadZipFile, AttributeError, ImportError) as error:
+        raise _damaged(path, error) from error
+    except Exception as error:  # torch.load raises pickle.UnpicklingError, a plain Exception
+        if type(error).__name__ != "UnpicklingError":
+            raise
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    first_line = str(error).splitlines()[0] if str(error) else ""
+    return InputError(
+        f"{path}: the checkpoint is damaged ({type(error).__name__}: {first_line[:120]}): "
+        "remove this folder and resume from an earlier one, or start the run anew"
+    )
+
+
+def _json_random_state(state: Any) -> list[Any]:
+    name, keys, *rest = state
+    return [name, keys.tolist(), *rest]
+
+
+def _write(path: Path, write: Any) -> None:
+    with path.open("wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+class CheckpointCallback(BaseCallback):
+    """Writes a checkpoint every ``every`` world steps, after each offline epoch, and on Ctrl-C.
+
+    On Ctrl-C (SIGINT) the update under way is finished, the checkpoint written, and
+    ``KeyboardInterrupt`` raised; a second Ctrl-C interrupts at once.
+
+    Parameters
+    ----------
+    folder
+        Where the checkpoints go; one is kept.
+    every
+        World steps between checkpoints.
+    """
+
+    def __init__(self, folder: str | Path, every: int, verbose: int = 0) -> None:
+        super().__init__(verbose)
+        if every < 1:
+            raise InputError(f"a checkpoint every {every} steps is not possible: give at least 1")
+        self.folder = Path(folder)
+        self.every = every
+        self.interrupted = False
+        self._previous_handler: Any = None
+
+    def _init_callback(self) -> None:
+        self.model.boundary_hooks.append(self.at_boundary)  # type: ignore[attr-defined]
+        self.due = self.every * (self.model.num_timesteps // self.every + 1)
+        self.epochs = 0
+        self._catch_interrupt()
+
+    def _catch_interrupt(self) -> None:
+        try:
+            self._previous_handler = signal.signal(signal.SIGINT, self._on_interrupt)
+        except ValueError:  # not in the main thread: Ctrl-C goes to the main thread as it is
+            self._previous_handler = None
+
+    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self.interrupted:
+            raise KeyboardInterrupt
+        self.interrupted = True
+
+    def _on_step(self) -> bool:
+        return True
+
+    def at_boundary(self) -> None:
+        """Called by the algorithm between updates and after each offline epoch."""
+        model: SequenceQLearning = self.model  # type: ignore[assignment]
+        due = model.num_timesteps >= self.due or model.offline_progress.epoch > self.epochs
+        if due or self.interrupted:
+            save_checkpoint(model, self.folder)
+            self.due = self.every * (model.num_timesteps // self.every + 1)
+            self.epochs = model.offline_progress.epoch
+        if self.interrupted:
+            self.release()
+            raise KeyboardInterrupt
+
+    def _on_training_end(self) -> None:
+        save_checkpoint(self.model, self.folder)  # type: ignore[arg-type]
+        self.release()
+
+    def release(self) -> None:
+        """Give SIGINT back to whoever had it."""
+        if self._previous_handler is not None:
+            signal.signal(signal.SIGINT, self._previous_handler)
+            self._previous_handler = None

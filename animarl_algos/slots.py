@@ -1,0 +1,107 @@
+"""What a VecEnv tells a learner: who sits in which slot, and what came with each step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize, is_vecenv_wrapped
+
+from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class SlotLayout:
+    """Slot ``s`` of a VecEnv is individual ``s % K`` of copy ``s // K`` of the world.
+
+    A VecEnv without the attributes ``num_copies`` and ``individuals`` (any ordinary Gymnasium
+    environment) has one individual per copy, called ``agent``. All slots of a copy end together.
+
+    Attributes
+    ----------
+    num_copies
+        Copies of the world.
+    individuals
+        The K names.
+    condition_flag
+        Whether the last observation component is the experimental condition.
+    """
+
+    num_copies: int
+    individuals: tuple[str, ...]
+    condition_flag: bool
+
+    @property
+    def num_individuals(self) -> int:
+        return len(self.individuals)
+
+    @classmethod
+    def of(cls, env: VecEnv) -> SlotLayout:
+        if is_vecenv_wrapped(env, VecNormalize):
+            raise InputError(
+                "VecNormalize is not supported by sequence replay (its statistics would change "
+                "under stored sequences): scale the observations in the environment instead"
+            )
+        individuals = tuple(getattr(env, "individuals", ("agent",)))
+        num_copies = int(getattr(env, "num_copies", env.num_envs))
+        if num_copies * len(individuals) != env.num_envs:
+            raise InputError(
+                f"the environment has {env.num_envs} slots, not {num_copies} copies of "
+                f"{len(individuals)} individuals: make num_copies and individuals agree"
+            )
+        return cls(num_copies, individuals, _condition_flag(env))
+
+
+def _condition_flag(env: VecEnv) -> bool:
+    if hasattr(env, "condition_flag"):
+        return bool(env.condition_flag)
+    try:
+        return bool(env.get_attr("condition_flag", indices=0)[0])
+    except AttributeError:
+        return False
+
+
+class Feedback:
+    """Per-slot values that accompany a step, as arrays ``(slots,)``.
+
+    Read from the array attribute ``extras`` of the VecEnv where it has one (fast), otherwise from
+    the per-slot ``infos``.
+    """
+
+    def __init__(self, env: VecEnv) -> None:
+        self._env = env
+        self._has_extras = hasattr(env, "extras")
+        self._infos: list[dict[str, Any]] = []
+
+    def update(self, infos: list[dict[str, Any]]) -> None:
+        """Take in the ``infos`` of the step just done."""
+        self._infos = infos
+
+    def get(self, name: str) -> NDArray[Any] | None:
+        """The values called ``name`` of the last step, or None if the environment gives none."""
+        if self._has_extras:
+            found = self._env.extras.get(name)  # type: ignore[attr-defined]
+            return None if found is None else np.asarray(found).reshape(-1)
+        if name not in self._infos[0]:
+            return None
+        return np.array([info[name] for info in self._infos])
+
+    def truncated(self, dones: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which slots ended by a time-out rather than by termination."""
+        out = np.zeros(len(dones), dtype=bool)
+        for s in np.flatnonzero(dones):
+            out[s] = self._infos[s].get("TimeLimit.truncated", False)
+        return out
+
+    def successors(
+        self, observation: NDArray[np.floating], dones: NDArray[np.bool_]
+    ) -> NDArray[np.floating]:
+        """True successors: ``observation``, with the terminal one where an episode ended."""
+        if not dones.any():
+            return observation
+        out = observation.copy()
+        for s in np.flatnonzero(dones):
+            out[s] = self._infos[s]["terminal_observation"]
+        return out

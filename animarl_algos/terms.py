@@ -1,0 +1,248 @@
+"""The loss terms that recipes are made of (paper, "Offline and online policy learning").
+
+A term looks at an :class:`Evaluation`, the networks' view of one minibatch of sequences, and
+returns one number per individual, averaged over that individual's valid steps. A recipe's loss is
+the sum of its terms, each with its weight of the phase (offline or online).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import torch
+
+from animarl_algos.losses import (
+    action_cross_entropy,
+    masked_mean,
+    squared_l2,
+    treatment_cross_entropy,
+)
+from animarl_algos.recurrent.batch import SequenceBatch
+from animarl_algos.values import ValueDistribution, double_q_target
+from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The numbers of one phase of training.
+
+    Attributes
+    ----------
+    name
+        ``"offline"`` or ``"online"``, for messages and logs.
+    gamma
+        Discount per step.
+    alpha
+        Weight of the distance penalty in the reward, ``R - alpha * penalty``.
+    lambda1, lambda2, lambda3
+        Weights of squared l2 norm, treatment cross-entropy and action supervision.
+    max_grad_norm
+        Largest gradient norm of one individual; ``None`` does not clip.
+    """
+
+    name: str
+    gamma: float
+    alpha: float
+    lambda1: float
+    lambda2: float
+    lambda3: float
+    max_grad_norm: float | None
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.gamma <= 1.0:
+            raise InputError(f"{self.name} gamma is {self.gamma}: it must lie between 0 and 1")
+        for key in ("alpha", "lambda1", "lambda2", "lambda3"):
+            if not 0.0 <= getattr(self, key) < float("inf"):
+                raise InputError(
+                    f"{self.name} {key} is {getattr(self, key)}: give a number of at least 0"
+                )
+
+
+@dataclass
+class Evaluation:
+    """What the networks say about a batch, from its first trained step on.
+
+    Axes (individual K, time T, batch B, action A, quantile Q).
+
+    Attributes
+    ----------
+    batch
+        Its leading ``burn_in`` steps already cut off.
+    valid
+        ``(K, T, B)`` bool, the steps that enter a loss.
+    values, next_values
+        ``(K, T, B, A, Q)``, online network before and after each step.
+    next_target_values
+        ``(K, T, B, A, Q)``, target network after each step; ``None`` if no term asks for it.
+    treatment_logits
+        ``(K, T, B)``, or ``None`` without a treatment head.
+    parameters
+        The online network's, each ``(K, ...)``.
+    errors
+        ``(K, T, B)``, set by the temporal-difference terms: absolute errors, for priorities.
+    """
+
+    batch: SequenceBatch
+    phase: Phase
+    distribution: ValueDistribution
+    valid: torch.Tensor
+    values: torch.Tensor
+    next_values: torch.Tensor
+    next_target_values: torch.Tensor | None
+    treatment_logits: torch.Tensor | None
+    parameters: list[torch.Tensor]
+    errors: torch.Tensor | None = field(default=None)
+
+    def double_q_target(self, rewards: torch.Tensor) -> torch.Tensor:
+        """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``."""
+        assert self.next_target_values is not None
+        return double_q_target(
+            self.distribution,
+            rewards,
+            self.batch.terminated > 0,
+            self.next_values,
+            self.next_target_values,
+            self.phase.gamma,
+        )
+
+
+class LossTerm(Protocol):
+    """One summand of a recipe's loss."""
+
+    @property
+    def name(self) -> str:
+        """Under which it is logged."""
+        ...
+
+    @property
+    def needs_target(self) -> bool:
+        """Whether it bootstraps from the target network."""
+        ...
+
+    def weight(self, phase: Phase) -> float:
+        """Its factor in the sum."""
+        ...
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        """``(K,)``, one number per individual."""
+        ...
+
+
+@dataclass(frozen=True)
+class TemporalDifference:
+    """``J_DQ``: one-step double-Q loss of the action taken, with reward ``R - alpha * penalty``.
+
+    ``shaped=False`` leaves the distance penalty out (DQN, DQAAS).
+    """
+
+    shaped: bool = False
+    name: str = "td"
+    needs_target: bool = True
+
+    def weight(self, phase: Phase) -> float:
+        return 1.0
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        batch, rewards = evaluation.batch, evaluation.batch.rewards
+        if self.shaped:
+            rewards = rewards - evaluation.phase.alpha * batch.penalties
+        target = evaluation.double_q_target(rewards)
+        td = evaluation.distribution.td_loss(evaluation.values, batch.actions, target)
+        evaluation.errors = td.error
+        return masked_mean(td.loss, evaluation.valid, batch.weights)
+
+
+@dataclass(frozen=True)
+class ScoredActionsTemporalDifference:
+    """Offline ``J_DQ`` of DQDIL: all actions of a demonstrated state, each with its own penalty.
+
+    From state s_t the fitted dynamics predicts where each action would lead; its distance to the
+    next demonstrated position is that action's penalty p(t, a). Every action value is regressed
+    towards::
+
+        Q(s_t, a) -> R_t - alpha p(t, a) + gamma Q_target(s_{t+1}, argmax_a' Q(s_{t+1}, a'))
+
+    with s_{t+1} the demonstrated successor: the penalty says by how much an action misses it, and
+    after one step nothing else is known about where it would have led. The targets of a state then
+    differ by -alpha p(t, a) alone, so the values rank the actions as the distances do and the
+    demonstrated action, being closest, comes first. (Scoring the demonstrated action only would
+    lower it against the twelve others, which nothing else touches.)
+    """
+
+    name: str = "td"
+    needs_target: bool = True
+
+    def weight(self, phase: Phase) -> float:
+        return 1.0
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        batch = evaluation.batch
+        if batch.action_penalties is None:
+            raise InputError(
+                "the demonstrations carry no penalties of all actions: "
+                "make the dataset with the fitted dynamics of their species"
+            )
+        common = evaluation.double_q_target(batch.rewards)
+        penalty = evaluation.phase.alpha * batch.action_penalties
+        target = common.unsqueeze(-2) - penalty.unsqueeze(-1)
+        # One problem with a single action for each of the actions.
+        single = evaluation.values.unsqueeze(-2)
+        only = torch.zeros(single.shape[:-2], dtype=torch.int64, device=single.device)
+        td = evaluation.distribution.td_loss(single, only, target)
+        evaluation.errors = td.error.mean(-1)
+        return masked_mean(td.loss.mean(-1), evaluation.valid, batch.weights)
+
+
+@dataclass(frozen=True)
+class ActionSupervision:
+    """``J_AS``: cross-entropy with the demonstrated action, action values as logits.
+
+    Online the label is the demonstrated action that dynamic time warping aligns with the rollout's
+    step (DQAAS); offline it is the demonstrated action of the step itself. ``weighted=False`` takes
+    it as it is (BC, whose only data term it is), otherwise times lambda3.
+    """
+
+    weighted: bool = True
+    name: str = "supervision"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return phase.lambda3 if self.weighted else 1.0
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        logits = evaluation.distribution.q_values(evaluation.values)
+        batch = evaluation.batch
+        return action_cross_entropy(logits, batch.labels, evaluation.valid, batch.weights)
+
+
+@dataclass(frozen=True)
+class TreatmentAdversary:
+    """``J_tr``: cross-entropy of the condition, predicted from h_t through gradient reversal."""
+
+    name: str = "treatment"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return phase.lambda2
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        assert evaluation.treatment_logits is not None
+        batch = evaluation.batch
+        return treatment_cross_entropy(
+            evaluation.treatment_logits, batch.condition, evaluation.valid, batch.weights
+        )
+
+
+@dataclass(frozen=True)
+class WeightDecay:
+    """``J_l2``: squared norm of all weights of the individual's network."""
+
+    name: str = "l2"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return phase.lambda1
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        return squared_l2(evaluation.parameters)
