@@ -9,8 +9,8 @@ Wind and vision modulate the sequence (Yamada et al. 2021): with the wind from a
 fast, with the wind from elsewhere carefully, and turns into it; visual flow tells how far the body
 really turned, and the next step makes good the difference.
 
-``python -m animarl_envs.demos.programmed_moth [DATA_DIR]`` prints how often, how fast and on how long
-a path it finds the source, and the same of recorded moths.
+``python -m animarl_envs.demos.programmed_moth [DATA_DIR]`` prints how often, how fast and on how
+long a path it finds the source, and the same of recorded moths.
 
 The policy sees observations only. It plans in its body's frame, and uses the body angle only to
 say its plan in the world's 13 actions, never as a compass: with wind blocked it does not know where
@@ -229,12 +229,10 @@ def search_rates(
 
 
 def recorded_searches(folder: Path, species: SearchSpecies = SILKMOTH) -> Searches:
-    """The recorded runs in ``folder/raw`` (``Time, X, Y [mm]`` at 30 Hz), sampled like the world."""
+    """The recorded runs in ``folder/raw`` (time, x, y [mm] at 30 Hz), sampled like the world."""
     files = sorted((folder / "raw").glob("*.csv"))
     if not files:
-        raise InputError(
-            f"{folder}: there is no raw/*.csv in it: name the folder of recorded moths"
-        )
+        raise InputError(f"{folder}: it holds no raw/*.csv: name the folder of recorded moths")
     reached, duration, path = [], [], []
     for file in files:
         track = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 1, 2))
@@ -276,8 +274,8 @@ def _report(name: str, found: Searches) -> None:
     path = np.percentile(found.path[found.reached], (25, 50, 75)).round(2)
     print(
         f"{name}: reached {found.reached.sum()} of {len(found.reached)} "
-        f"= {found.rate:.3f} [{low:.3f}, {high:.3f}]; of those, quartiles of duration {duration} s, "
-        f"path {path} m"
+        f"= {found.rate:.3f} [{low:.3f}, {high:.3f}]; "
+        f"of those, quartiles of duration {duration} s, path {path} m"
     )
 
 

@@ -148,8 +148,8 @@ def compare(folder: Path, *, draws: int = 10, seed: int = 0) -> dict[str, Any]:
             (DISTANCES[k - 1], recorded[away == k].mean(), hits[away == k].mean())
             for k in range(1, len(DISTANCES))
         ],
-        "whiff [frames]": {k: np.percentile(v[0], PERCENTILES) for k, v in lengths.items()},
-        "blank [frames]": {k: np.percentile(v[1], PERCENTILES) for k, v in lengths.items()},
+        "whiff lengths": {name: whiffs for name, (whiffs, _) in lengths.items()},
+        "blank lengths": {name: blanks for name, (_, blanks) in lengths.items()},
     }
 
 
@@ -187,9 +187,15 @@ def main() -> None:
                 print(f"  from {start:.3f} m: recorded {recorded:.4f}, model {modelled:.4f}")
         elif isinstance(value, dict):
             for kind, numbers in value.items():
-                print(f"  {kind}: {np.round(numbers, 4)}")
+                shown = f"{numbers:.4f}" if np.size(numbers) == 1 else _percentiles(numbers)
+                print(f"  {kind}: {shown}")
         else:
             print(f"  {value[0]:.3f} over {value[1]} cells")
+
+
+def _percentiles(lengths: NDArray[np.int64]) -> str:
+    shown = ", ".join(f"{v:g}" for v in np.percentile(lengths, PERCENTILES))
+    return f"{shown} frames (percentiles {', '.join(map(str, PERCENTILES))})"
 
 
 if __name__ == "__main__":
