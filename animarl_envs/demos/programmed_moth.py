@@ -47,9 +47,7 @@ _NEVER = 1_000_000  # steps since the last contact, before the first
 class MothProgramme:
     """Numbers of the sequence.
 
-    The yaw rate is that of the programmed searcher that probed the recorded plumes. The others
-    were chosen by random search for the success, duration and path of recorded moths
-    (``docs/plume.md``).
+    Chosen by random search for the success, duration and path of recorded moths (``docs/plume.md``).
     """
 
     surge: float = 1.0  # duration [s]
