@@ -47,7 +47,7 @@ _NEVER = 1_000_000  # steps since the last contact, before the first
 class MothProgramme:
     """Numbers of the sequence.
 
-    Chosen by random search for the success, duration and path of recorded moths (``docs/plume.md``).
+    Chosen by random search for success, duration and path of recorded moths (``docs/plume.md``).
     """
 
     surge: float = 1.0  # duration [s]
