@@ -1,1 +1,46 @@
-"""AnimaRL environments: recorded animals as a Gymnasium environment suite."""
+"""AnimaRL environments: recorded animals as a Gymnasium environment suite.
+
+Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0`` and
+``AnimaRL/Silkmoth-v0`` with Gymnasium; ``parallel_env("agent")`` is the same world with all
+individuals acting, as a PettingZoo environment.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.species import SPECIES
+
+if TYPE_CHECKING:
+    from animarl_envs.views import AnimalParallelEnv
+
+__version__ = "0.1.0"
+__all__ = ["SPECIES", "InputError", "MissingExtraError", "environment_id", "parallel_env"]
+
+
+def environment_id(species: str) -> str:
+    """The id under which a species is registered, such as ``AnimaRL/Agent-v0``."""
+    return f"AnimaRL/{species.capitalize()}-v0"
+
+
+def parallel_env(species: str, **options: Any) -> AnimalParallelEnv:
+    """All individuals of a species as a PettingZoo ``ParallelEnv``."""
+    from animarl_envs.views import AnimalParallelEnv
+
+    return AnimalParallelEnv(species, **options)
+
+
+def _register() -> None:
+    for name in SPECIES:
+        gym.register(
+            id=environment_id(name),
+            entry_point="animarl_envs.views.single:AnimalEnv",
+            vector_entry_point="animarl_envs.views.vector:AnimalVectorEnv",
+            kwargs={"species": name},
+        )
+
+
+_register()

@@ -226,22 +226,14 @@ def with_options(species: Species, **options: Any) -> Species:
         raise InputError(f"an option of {species.name} has the wrong type ({error})") from error
 
 
-def species_for(demos: Demonstrations, base: Species | None = None) -> Species:
-    """A species spec whose individuals, dt, arena and roles are those of the demonstrations."""
-    if base is None:
-        from animarl_envs.species.custom import custom_species
-
-        return custom_species(demos)
-    return with_options(base, individuals=demos.individuals, dt=demos.dt, arena=demos.arena)
-
-
 def _load_demos(demos: Demos, species: Species, changed: bool) -> Demonstrations | None:
     if isinstance(demos, Demonstrations) or demos is None:
         return demos
     if demos == "packaged":
-        from animarl_envs.demos.packaged import load_packaged
+        from animarl_envs.demos.packaged import load_packaged, packaged_names
 
-        return None if changed else load_packaged(species.name)
+        shipped = species.name in packaged_names() and not changed
+        return load_packaged(species.name) if shipped else None
     from animarl_envs.demos.readers import read
 
     return read(demos)

@@ -128,6 +128,15 @@ class Demonstrations:
         object.__setattr__(self, "roles", tuple(self.roles))
         self._validate()
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> Demonstrations:
+        return self  # immutable
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"signals": dict(self.signals), "provenance": dict(self.provenance)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
+
     # -- shape ------------------------------------------------------------------------------------
 
     @property

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numba as nb
 import numpy as np
@@ -31,6 +31,18 @@ class ObservationComponent(NamedTuple):
     high: float
 
 
+class Tracker(Protocol):
+    """Something that follows a world's episodes, such as a DTW distance."""
+
+    def started(self, world: Any, mask: NDArray[np.bool_]) -> None: ...
+
+    def stepped(self, world: Any) -> None: ...
+
+    def get_state(self) -> dict[str, NDArray[Any]]: ...
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None: ...
+
+
 class World(ABC):
     """Batched simulator. Shapes: B copies, K individuals, n observation components.
 
@@ -51,6 +63,8 @@ class World(ABC):
         ``(B,)``: steps since the start, paired demonstration (-1 without), experimental condition.
     warming
         ``(B,)`` bool: the next step is a warm-up step, replayed from the demonstration.
+    trackers
+        Are told of every start and step.
     """
 
     reward_components: tuple[str, ...]
@@ -97,6 +111,7 @@ class World(ABC):
         self._drivers = np.array([DRIVERS[d] for d in scenario.drivers], dtype=np.int8)
         self._replays = bool((self._drivers == REPLAY).any())
         self._warmup = scenario.species.warmup if scenario.paired else 0
+        self.trackers: list[Tracker] = []
         self._everywhere = np.ones(B, dtype=bool)
         self._any_demo = np.full(B, -1, dtype=np.int64)
         self.seed(np.arange(B))
@@ -146,6 +161,8 @@ class World(ABC):
         if self._disturbed:
             self._history[:, mask] = self.sensed[mask]
             self._disturb(mask)
+        for tracker in self.trackers:
+            tracker.started(self, mask)
 
     def step(self, actions: NDArray[np.integer]) -> None:
         """Advance every copy by one decision step; ``actions`` is ``(B, K)``, 0 to 12.
@@ -155,6 +172,8 @@ class World(ABC):
         self._advance(actions)
         if self._disturbed:
             self._disturb(self._everywhere)
+        for tracker in self.trackers:
+            tracker.stepped(self)
 
     @abstractmethod
     def _start(self, mask: NDArray[np.bool_]) -> None:
@@ -175,11 +194,18 @@ class World(ABC):
 
     # -- state ------------------------------------------------------------------------------------
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy by value: made anew from the scenario, then brought to the same state."""
+        arguments = (type(self), self.scenario, self.num_copies, self.trackers, self.get_state())
+        return _restored, arguments
+
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copies of all arrays that decide the future; with :meth:`set_state` it goes on alike."""
         state = {name: getattr(self, name).copy() for name in self._state_names}
         state["history"] = self._history.copy()
         state["observation"] = self.observation.copy()
+        for tracker in self.trackers:
+            state |= tracker.get_state()
         return state
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -187,10 +213,27 @@ class World(ABC):
         for name in self._state_names:
             current = getattr(self, name)
             if name not in state or state[name].shape != current.shape:
-                raise InputError(f"the saved world has another shape ({name}): use the same settings")
+                raise InputError(
+                    f"the saved world has another shape ({name}): use the same settings"
+                )
             current[...] = state[name]
         self._history[...] = state["history"]
         self.observation[...] = state["observation"]
+        for tracker in self.trackers:
+            tracker.set_state(dict(state))
+
+
+def _restored(
+    kind: type[World],
+    scenario: Scenario,
+    num_copies: int,
+    trackers: list[Tracker],
+    state: dict[str, NDArray[Any]],
+) -> World:
+    world = kind(scenario, num_copies)
+    world.trackers = trackers
+    world.set_state(state)
+    return world
 
 
 class FlatDemos(NamedTuple):
@@ -200,6 +243,13 @@ class FlatDemos(NamedTuple):
     velocity: NDArray[np.float64]  # (frames, K, 2)
     start: NDArray[np.int64]  # (episodes + 1,)
     condition: NDArray[np.int8]  # (episodes,)
+
+
+def recorded_speed(scenario: Scenario) -> float:
+    """The highest speed in the scenario's demonstrations [arena unit / s], 0 without any."""
+    if scenario.demos is None:
+        return 0.0
+    return float(np.linalg.norm(scenario.demos.velocities(), axis=-1).max())
 
 
 def _flat_demonstrations(scenario: Scenario) -> FlatDemos:

@@ -18,7 +18,7 @@ from animarl_envs.demos.demonstrations import TIME_OUT
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds import chase_kernels as kernels
-from animarl_envs.worlds.base import ObservationComponent, World
+from animarl_envs.worlds.base import ObservationComponent, World, recorded_speed
 
 
 class ChaseWorld(World):
@@ -35,7 +35,7 @@ class ChaseWorld(World):
     def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
         species = scenario.species
         assert isinstance(species, ChaseSpecies)
-        self.observation_components = observation_components(species)
+        self.observation_components = observation_components(species, recorded_speed(scenario))
         super().__init__(scenario, num_copies)
         B, K = num_copies, species.num_individuals
         self._towards = np.zeros((K, 2, B))
@@ -121,30 +121,46 @@ def observe(
     )
 
 
-def observation_components(species: ChaseSpecies) -> tuple[ObservationComponent, ...]:
-    """What each entry of an observation means, in order."""
+def observation_components(
+    species: ChaseSpecies, fastest: float = 0.0
+) -> tuple[ObservationComponent, ...]:
+    """What each entry of an observation means, in order.
+
+    Its range follows from the boundary and from the top speed: the terminal speed of the fastest
+    individual, or ``fastest`` [arena unit / s] if demonstrations are faster.
+    """
+    top = max(fastest, *(m.terminal_speed(species.dt) for m in species.locomotion))
+    edge = species.arena.boundary + top * species.dt  # one step beyond, at the end
+    if species.arena.shape == "open":
+        edge = species.arena.size + top * species.dt * (species.time_limit + 1)
+    apart = 2.0 * math.sqrt(2.0) * edge
     ego = "egocentric, x towards the focus, y to the left"
-    free = (-math.inf, math.inf)
+    place, speed = (-edge, edge), (-top, top)
+    offset, difference = (-apart, apart), (-2.0 * top, 2.0 * top)
     entries = [
-        ObservationComponent("own position x", "arena", "arena unit", *free),
-        ObservationComponent("own position y", "arena", "arena unit", *free),
-        ObservationComponent("own velocity ahead", ego, "arena unit / s", *free),
-        ObservationComponent("own velocity left", ego, "arena unit / s", *free),
+        ObservationComponent("own position x", "arena", "arena unit", *place),
+        ObservationComponent("own position y", "arena", "arena unit", *place),
+        ObservationComponent("own velocity ahead", ego, "arena unit / s", *speed),
+        ObservationComponent("own velocity left", ego, "arena unit / s", *speed),
         ObservationComponent("focus direction cosine", "arena", "1", -1.0, 1.0),
         ObservationComponent("focus direction sine", "arena", "1", -1.0, 1.0),
     ]
     for rank in range(1, species.num_individuals):
         who = f"other {rank}"
         entries += [
-            ObservationComponent(f"{who} relative position ahead", ego, "arena unit", *free),
-            ObservationComponent(f"{who} relative position left", ego, "arena unit", *free),
-            ObservationComponent(f"{who} relative velocity ahead", ego, "arena unit / s", *free),
-            ObservationComponent(f"{who} relative velocity left", ego, "arena unit / s", *free),
-            ObservationComponent(f"{who} distance", "any", "arena unit", 0.0, math.inf),
+            ObservationComponent(f"{who} relative position ahead", ego, "arena unit", *offset),
+            ObservationComponent(f"{who} relative position left", ego, "arena unit", *offset),
+            ObservationComponent(
+                f"{who} relative velocity ahead", ego, "arena unit / s", *difference
+            ),
+            ObservationComponent(
+                f"{who} relative velocity left", ego, "arena unit / s", *difference
+            ),
+            ObservationComponent(f"{who} distance", "any", "arena unit", 0.0, apart),
             ObservationComponent(f"{who} bearing", ego, "rad", -math.pi, math.pi),
         ]
     if species.senses_centre:
         entries.append(
-            ObservationComponent("distance from the centre", "arena", "arena unit", 0.0, math.inf)
+            ObservationComponent("distance from the centre", "arena", "arena unit", 0.0, apart / 2)
         )
     return tuple(entries)

@@ -7,8 +7,11 @@ each of its 13 actions and takes the one that leaves it farthest from pursuers a
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba as nb
+import numpy as np
+from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
@@ -65,3 +68,25 @@ def scripted_action(b, i, position, velocity, towards, damping, thrust, dt, shap
             lowest = cost
             best = k
     return best
+
+
+@nb.njit(cache=True)
+def _decide_all(position, velocity, towards, damping, thrust, dt, shape, size, actions):  # type: ignore[no-untyped-def]
+    for b in range(actions.shape[0]):
+        for i in range(actions.shape[1]):
+            actions[b, i] = scripted_action(
+                b, i, position, velocity, towards, damping[i], thrust[i], dt, shape, size
+            )
+
+
+def scripted_actions(world: Any) -> NDArray[np.int64]:
+    """What the rules would do in every copy of a chase world, ``(B, K)``."""
+    actions = np.zeros((world.num_copies, world.num_individuals), dtype=np.int64)
+    species = world.scenario.species
+    _decide_all(
+        world._position, world._velocity, world._towards,
+        np.array([m.damping for m in species.locomotion]),
+        np.array([m.thrust for m in species.locomotion]),
+        species.dt, SHAPE_CODES[species.arena.shape], species.arena.size, actions,
+    )  # fmt: skip
+    return actions

@@ -1,0 +1,33 @@
+"""The demonstrations that come with the package. Each file names the command that made it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+
+FOLDER = Path(__file__).parent / "data"
+
+
+@lru_cache(maxsize=None)
+def load_packaged(name: str) -> Demonstrations:
+    """The packaged demonstrations of a species.
+
+    Raises
+    ------
+    InputError
+        If none are packaged for it.
+    """
+    if name not in packaged_names():
+        raise InputError(
+            f"no demonstrations are packaged for {name!r}: there are {', '.join(packaged_names())}"
+        )
+    return Demonstrations.load(FOLDER / f"{name}.npz")
+
+
+@lru_cache(maxsize=1)
+def packaged_names() -> tuple[str, ...]:
+    """Species that come with demonstrations."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.npz")))

@@ -1,0 +1,125 @@
+"""What the three views of a world share: options, spaces, infos, checks of actions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
+from animarl_envs.species import Species
+from animarl_envs.worlds.base import World
+
+PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
+"""From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
+
+Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
+
+
+def focal_scenario(
+    species: Species | str, focal: str | None, others: Others, options: dict[str, Any]
+) -> tuple[Scenario, int, dict[int, PolicyFunction]]:
+    """The scenario of a view with one focal individual.
+
+    Returns the scenario, the index of the focal individual, and the policies of those others that
+    follow one, by index.
+    """
+    scenario = make_scenario(species, **options)
+    names = scenario.names
+    focal = names[0] if focal is None else focal
+    if focal not in names:
+        raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
+    if others is None:
+        others = "replay" if scenario.paired else "scripted"
+    rules: dict[str, Any] = dict(others) if isinstance(others, Mapping) else {}
+    if isinstance(others, Mapping):
+        unknown = set(rules) - set(names) | set(rules) & {focal}
+        if unknown:
+            raise InputError(
+                f"others names {sorted(unknown)[0]!r}: choose among "
+                f"{', '.join(n for n in names if n != focal)}"
+            )
+        default: Any = "replay" if scenario.paired else "scripted"
+    else:
+        default = others
+    drivers, policies = list(scenario.drivers), {}
+    for i, name in enumerate(names):
+        rule = rules.get(name, default)
+        if name == focal:
+            continue
+        if callable(rule):
+            policies[i] = rule
+        elif rule in DRIVERS and rule != "action":
+            drivers[i] = rule
+        else:
+            raise InputError(
+                f"others gives {name} the rule {rule!r}: choose 'replay', 'scripted', 'coast' "
+                "or a function from observations to actions"
+            )
+    return replace(scenario, drivers=tuple(drivers)), names.index(focal), policies
+
+
+def observation_space(world: World) -> spaces.Box:
+    """One vector per individual; bounds as the components are documented, none if noisy."""
+    if world.scenario.observation_noise > 0:
+        return spaces.Box(-np.inf, np.inf, (len(world.observation_components),), dtype=np.float32)
+    low = np.array([c.low for c in world.observation_components], dtype=np.float32)
+    high = np.array([c.high for c in world.observation_components], dtype=np.float32)
+    rounding = 1e-5 * np.maximum(1.0, np.abs(high))
+    return spaces.Box(low - rounding, high + rounding, dtype=np.float32)
+
+
+def action_space(world: World) -> spaces.Discrete:
+    """The 13 actions of :mod:`animarl_envs.locomotion`."""
+    return spaces.Discrete(world.num_actions)
+
+
+def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDArray[np.int64]:
+    """Actions as an integer array of that shape, or one sentence.
+
+    Raises
+    ------
+    InputError
+        If the shape is wrong, a number is not whole, or an action is out of range.
+    """
+    array = np.asarray(actions)
+    if array.shape != shape:
+        raise InputError(f"actions have shape {array.shape}: give {shape}, one per copy")
+    if array.dtype.kind not in "iu":
+        raise InputError(f"actions are {array.dtype}: give whole numbers")
+    if array.min() < 0 or array.max() >= num_actions:
+        worst = array.max() if array.max() >= num_actions else array.min()
+        raise InputError(f"action {worst} is out of range: choose 0 to {num_actions - 1}")
+    return array.astype(np.int64, copy=False)
+
+
+def describe(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as plain values, for ``info["scenario"]`` at reset."""
+    species = scenario.species
+    return {
+        "species": species.name,
+        "individuals": list(species.individuals),
+        "drivers": list(scenario.drivers),
+        "condition": scenario.condition,
+        "start": scenario.start if isinstance(scenario.start, str) else scenario.start.tolist(),
+        "demonstrations": None if scenario.demos is None else scenario.demos.name,
+        "arena": dict(vars(species.arena)),
+        "contact_radius": species.contact_radius,
+        "time_limit": species.time_limit,
+        "dt": species.dt,
+        "locomotion": [vars(m) for m in species.locomotion],
+        "observation_noise": scenario.observation_noise,
+        "observation_delay": scenario.observation_delay,
+    }
+
+
+def copy_seeds(seed: int | None, num_copies: int) -> NDArray[np.uint64] | None:
+    """Copy ``b`` gets ``seed + b``, so that it equals a single environment with that seed."""
+    if seed is None:
+        return None
+    return np.arange(num_copies, dtype=np.uint64) + np.uint64(seed)

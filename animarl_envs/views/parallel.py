@@ -1,0 +1,181 @@
+"""All individuals at once as a PettingZoo ``ParallelEnv``."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import Species
+from animarl_envs.views.common import action_space, describe, observation_space
+from animarl_envs.worlds import make_world
+
+Observations = dict[str, NDArray[np.float32]]
+
+
+class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
+    """Every individual of a species acts; all end together.
+
+    Parameters
+    ----------
+    species
+        A species or its name.
+    render_mode
+        ``"rgb_array"``, ``"human"`` or ``None``.
+    options
+        Of :func:`animarl_envs.scenario.make_scenario`.
+
+    Notes
+    -----
+    ``infos[agent]`` is as in :class:`~animarl_envs.views.single.AnimalEnv`, and holds
+    ``TimeLimit.truncated`` at the end, for libraries that do not look at truncations.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "animarl",
+        "render_modes": ["human", "rgb_array"],
+        "is_parallelizable": True,
+        "render_fps": 10,
+    }
+
+    def __init__(
+        self, species: Species | str, *, render_mode: str | None = None, **options: Any
+    ) -> None:
+        self.scenario = make_scenario(species, **options)
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
+        self.world = make_world(self.scenario, 1)
+        self.render_mode = render_mode
+        name = f"animarl_{self.scenario.species.name}_v0"
+        fps = round(1.0 / self.scenario.species.dt)
+        self.metadata = {**self.metadata, "name": name, "render_fps": fps}
+        self.possible_agents = list(self.scenario.names)
+        self.agents: list[str] = []
+        self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
+        self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
+        self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
+        self._started = False
+        self._recorder: Any = None
+        self._renderer: Any = None
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The space of one individual, the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Discrete:
+        """The 13 actions, the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+        """Start a new episode of all individuals."""
+        if seed is not None:
+            self.world.seed([seed])
+        elif not self._started:
+            self.world.seed(np.random.SeedSequence().generate_state(1, np.uint64))
+        self._started = True
+        self.world.reset()
+        self.agents = list(self.possible_agents)
+        if self.render_mode is not None:
+            self._record().start()
+        infos = self._infos(warming=False)
+        for info in infos.values():
+            info["scenario"] = describe(self.scenario)
+        return self._observations(), infos
+
+    def step(
+        self, actions: dict[str, int]
+    ) -> tuple[
+        Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]
+    ]:
+        """One decision step of all individuals."""
+        if not self.agents:
+            raise InputError("step was called before reset or after the end: call reset first")
+        world = self.world
+        for i, agent in enumerate(self.possible_agents):
+            try:
+                action = int(actions[agent])
+            except KeyError:
+                raise InputError(f"there is no action for {agent}: give one to each") from None
+            if not 0 <= action < world.num_actions:
+                raise InputError(
+                    f"action {action} of {agent} is out of range: choose 0 to "
+                    f"{world.num_actions - 1}"
+                )
+            self._actions[0, i] = action
+        warming = bool(world.warming[0])
+        world.step(self._actions)
+        if self.render_mode is not None:
+            self._record().follow()
+        reward = world.reward[0].tolist()
+        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        agents = self.agents
+        observations, infos = self._observations(), self._infos(warming=warming)
+        if terminated or truncated:
+            for info in infos.values():
+                info["TimeLimit.truncated"] = truncated
+            self.agents = []
+        return (
+            observations,
+            dict(zip(agents, reward, strict=True)),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            infos,
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The present scene as ``(height, width, 3)`` uint8, or in a window."""
+        if self.render_mode is None:
+            raise InputError("nothing can be rendered: make the environment with render_mode=")
+        if self._renderer is None:
+            from animarl_envs.render import Renderer
+
+            self._renderer = Renderer(
+                self.render_mode,  # type: ignore[arg-type]
+                fps=self.metadata["render_fps"],
+            )
+        frame: NDArray[np.uint8] | None = self._renderer.draw(self._record().scene())
+        return frame
+
+    def state(self) -> NDArray[np.float32]:
+        """Positions and velocities of all, flat, arena frame: ``(4 K,)``."""
+        both = np.concatenate([self.world.position[0], self.world.velocity[0]], axis=1)
+        return both.astype(np.float32).ravel()
+
+    def close(self) -> None:
+        """Close the window, if any."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _record(self) -> Any:
+        if self._recorder is None:
+            from animarl_envs.scene import SceneRecorder
+
+            self._recorder = SceneRecorder(self.world)
+        return self._recorder
+
+    def _observations(self) -> Observations:
+        rows = np.array(self.world.observation[0], order="C")
+        return {agent: row.copy() for agent, row in zip(self.agents, rows, strict=True)}
+
+    def _infos(self, *, warming: bool) -> dict[str, dict[str, Any]]:
+        world = self.world
+        shared = {
+            "demo": int(world.demo[0]),
+            "condition": int(world.condition[0]),
+            "step": int(world.step_count[0]),
+            "warmup": warming,
+            "outcome": int(world.outcome[0]),
+        }
+        parts = world.components[0].tolist()
+        return {
+            agent: shared | dict(zip(world.reward_components, part, strict=True))
+            for agent, part in zip(self.agents, parts, strict=True)
+        }

@@ -1,0 +1,181 @@
+"""One focal individual as a ``gymnasium.Env``; the others replay, follow a policy or a rule."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError
+from animarl_envs.species import Species
+from animarl_envs.views.common import (
+    Others,
+    action_space,
+    describe,
+    focal_scenario,
+    observation_space,
+)
+from animarl_envs.worlds import make_world
+
+
+class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
+    """A recorded animal, in the world of its species.
+
+    Parameters
+    ----------
+    species
+        A species or its name.
+    focal
+        Name of the individual that acts; by default the first pursuer.
+    others
+        ``"replay"`` (their demonstration; they coast when it ends), ``"scripted"``, ``"coast"``, a
+        function from observations ``(B, n)`` to actions ``(B,)``, or a mapping from names to these.
+        By default they replay if episodes start from demonstrations, else follow their script.
+    render_mode
+        ``"rgb_array"``, ``"human"`` or ``None``.
+    options
+        Of :func:`animarl_envs.scenario.make_scenario`: ``demos``, ``split``, ``condition``,
+        ``start``, ``num_pursuers``, ``arena``, ``contact_radius``, ``locomotion``, ...
+
+    Notes
+    -----
+    ``info`` holds ``demo`` (index of the paired demonstration in the chosen split, -1 without),
+    ``condition``, ``step``, ``warmup`` (the step was replayed from the demonstration, so the action
+    had no effect), each reward component under its own name, ``outcome``, and at reset
+    ``scenario``. ``reset(options={"demo": 3})`` starts from demonstration 3.
+
+    Raises
+    ------
+    InputError
+        If an option or an action is not valid, in one sentence.
+
+    Examples
+    --------
+    >>> import gymnasium as gym, animarl_envs
+    >>> env = gym.make("AnimaRL/Agent-v0", focal="predator_1")
+    >>> observation, info = env.reset(seed=0)
+    >>> observation.shape
+    (18,)
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+
+    def __init__(
+        self,
+        species: Species | str,
+        *,
+        focal: str | None = None,
+        others: Others = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        self.scenario, self.focal_index, self._policies = focal_scenario(
+            species, focal, others, options
+        )
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
+        self.world = make_world(self.scenario, 1)
+        self.observation_space = observation_space(self.world)
+        self.action_space = action_space(self.world)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.scenario.species.dt)}
+        self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
+        self._running = False
+        self._recorder: Any = None
+        self._renderer: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start a new episode; ``options={"demo": i}`` chooses the demonstration."""
+        fresh = self._np_random is None
+        super().reset(seed=seed)
+        if seed is not None:
+            self.world.seed([seed])
+        elif fresh:
+            self.world.seed(self.np_random.integers(2**63, size=1))
+        demo = (options or {}).get("demo")
+        if demo is not None:
+            count = len(self.scenario.demos) if self.scenario.demos and self.scenario.paired else 0
+            if not 0 <= demo < count:
+                raise InputError(f"demo {demo} does not exist: choose 0 to {count - 1}")
+            self.world.reset(demo=np.array([demo]))
+        else:
+            self.world.reset()
+        self._running = True
+        if self.render_mode is not None:
+            self._record().start()
+            if self.render_mode == "human":
+                self.render()
+        return self._observation(), {**self._info(), "scenario": describe(self.scenario)}
+
+    def step(
+        self, action: np.int64 | int
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One decision step of the focal individual."""
+        if not self._running:
+            raise InputError("step was called before reset or after the end: call reset first")
+        if not self.action_space.contains(action):
+            raise InputError(
+                f"action {action!r} is out of range: choose 0 to {self.world.num_actions - 1}"
+            )
+        world, i = self.world, self.focal_index
+        warming = bool(world.warming[0])
+        self._actions[0, i] = action
+        for j, policy in self._policies.items():
+            self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
+        world.step(self._actions)
+        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        self._running = not (terminated or truncated)
+        if self.render_mode is not None:
+            self._record().follow()
+            if self.render_mode == "human":
+                self.render()
+        info = self._info()
+        info["warmup"] = warming
+        return self._observation(), float(world.reward[0, i]), terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The present scene as ``(height, width, 3)`` uint8, or in a window."""
+        if self.render_mode is None:
+            raise InputError("nothing can be rendered: make the environment with render_mode=")
+        if self._renderer is None:
+            from animarl_envs.render import Renderer
+
+            self._renderer = Renderer(
+                self.render_mode,  # type: ignore[arg-type]
+                fps=self.metadata["render_fps"],
+            )
+        frame: NDArray[np.uint8] | None = self._renderer.draw(self._record().scene())
+        return frame
+
+    def close(self) -> None:
+        """Close the window, if any."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _record(self) -> Any:
+        if self._recorder is None:
+            from animarl_envs.scene import SceneRecorder
+
+            self._recorder = SceneRecorder(self.world)
+        return self._recorder
+
+    def _observation(self) -> NDArray[np.float32]:
+        return self.world.observation[0, self.focal_index].copy()
+
+    def _info(self) -> dict[str, Any]:
+        world, i = self.world, self.focal_index
+        info: dict[str, Any] = {
+            "demo": int(world.demo[0]),
+            "condition": int(world.condition[0]),
+            "step": int(world.step_count[0]),
+            "warmup": False,
+            "outcome": int(world.outcome[0]),
+        }
+        for c, name in enumerate(world.reward_components):
+            info[name] = float(world.components[0, i, c])
+        return info

@@ -1,0 +1,180 @@
+"""Many copies at once as a native Gymnasium ``VectorEnv``, one focal individual each."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError
+from animarl_envs.species import Species
+from animarl_envs.views.common import (
+    Others,
+    action_space,
+    check_actions,
+    copy_seeds,
+    describe,
+    focal_scenario,
+    observation_space,
+)
+from animarl_envs.worlds import make_world
+
+
+class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]):
+    """``num_envs`` copies of an :class:`~animarl_envs.views.single.AnimalEnv` in one kernel call.
+
+    Copy ``b`` seeded with ``s`` gives the numbers of a single environment seeded with ``s + b``.
+
+    Parameters
+    ----------
+    num_envs
+        Number of copies.
+    autoreset_mode
+        ``NEXT_STEP`` (Gymnasium's default: the step after an end resets and ignores the action),
+        ``SAME_STEP`` (the last observation is in ``infos["final_obs"]``) or ``DISABLED``.
+    species, focal, others, options
+        As in :class:`~animarl_envs.views.single.AnimalEnv`.
+
+    Notes
+    -----
+    It truncates by itself at the time limit of the scenario. ``reset_by_step`` ``(num_envs,)`` tells
+    which copies the last ``step`` has reset instead of stepped (``NEXT_STEP``).
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        species: Species | str,
+        num_envs: int = 1,
+        *,
+        focal: str | None = None,
+        others: Others = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        if render_mode is not None:
+            raise InputError("a vector environment does not render: use gym.make for pictures")
+        options.pop("max_episode_steps", None)
+        self.scenario, self.focal_index, self._policies = focal_scenario(
+            species, focal, others, options
+        )
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.world = make_world(self.scenario, num_envs)
+        self.num_envs = num_envs
+        self.single_observation_space = observation_space(self.world)
+        self.single_action_space = action_space(self.world)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.reset_by_step = np.zeros(num_envs, dtype=bool)
+        self._ended = np.ones(num_envs, dtype=bool)
+        self._started = False
+        self._actions = np.zeros((num_envs, self.world.num_individuals), dtype=np.int64)
+        self._all = np.ones(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start new episodes; ``options={"reset_mask": mask}`` in those copies only."""
+        if isinstance(seed, list):
+            if len(seed) != self.num_envs or None in seed:
+                raise InputError(
+                    f"seed lists {len(seed)} seeds: give {self.num_envs} whole numbers"
+                )
+            super().reset(seed=seed[0])
+            self.world.seed(np.array(seed, dtype=np.uint64))
+        elif seed is not None or not self._started:
+            super().reset(seed=seed)
+            seeds = copy_seeds(seed, self.num_envs)
+            if seeds is None:
+                seeds = self.np_random.integers(2**63, size=self.num_envs).astype(np.uint64)
+            self.world.seed(seeds)
+        mask = np.array((options or {}).get("reset_mask", self._all), dtype=bool)
+        if mask.shape != (self.num_envs,):
+            raise InputError(f"reset_mask has shape {mask.shape}: give ({self.num_envs},)")
+        self.world.reset(mask)
+        self._started = True
+        self._ended[mask] = False
+        self.reset_by_step[:] = False
+        return self._observation(), {**self._infos(), "scenario": describe(self.scenario)}
+
+    def step(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """One decision step of every copy."""
+        if not self._started:
+            raise InputError("step was called before reset: call reset first")
+        world, i = self.world, self.focal_index
+        self._actions[:, i] = check_actions(actions, (self.num_envs,), world.num_actions)
+        for j, policy in self._policies.items():
+            self._actions[:, j] = np.asarray(policy(world.observation[:, j].copy()))
+        due = self._ended.copy()  # copies to reset instead of stepping them
+        if due.any():
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                raise InputError(
+                    f"copy {int(np.argmax(due))} has ended: reset it with "
+                    "reset(options={'reset_mask': ...}) before the next step"
+                )
+            streams = world.random_state[due]
+        warming = world.warming.copy()
+        world.step(self._actions)
+        self.reset_by_step = due
+        if due.any():
+            world.random_state[due] = streams  # as if the step had not been
+            world.reset(due)
+            warming[due] = False
+        ended = world.terminated | world.truncated
+        reward = world.reward[:, i].copy()
+        terminated, truncated = world.terminated.copy(), world.truncated.copy()
+        infos = self._infos()
+        infos["warmup"] = warming
+        self._ended = ended
+        if self.autoreset_mode is AutoresetMode.SAME_STEP:
+            if ended.any():
+                self._reset_same_step(ended, infos)
+            self._ended = np.zeros_like(ended)
+        return self._observation(), reward, terminated, truncated, infos
+
+    def _reset_same_step(self, ended: NDArray[np.bool_], infos: dict[str, Any]) -> None:
+        """Keep what ended under ``final_obs`` and ``final_info``, and start anew."""
+        last = self._observation()
+        final = np.full(self.num_envs, None, dtype=object)
+        for b in np.flatnonzero(ended):
+            final[b] = last[b]
+        final_info = {key: value.copy() for key, value in infos.items()}
+        final_info |= {f"_{key}": ended.copy() for key in infos if not key.startswith("_")}
+        self.world.reset(ended)
+        infos |= self._infos()
+        infos["final_obs"], infos["_final_obs"] = final, ended.copy()
+        infos["final_info"], infos["_final_info"] = final_info, ended.copy()
+
+    def _observation(self) -> NDArray[np.float32]:
+        return np.array(self.world.observation[:, self.focal_index], order="C")
+
+    def _infos(self) -> dict[str, Any]:
+        world, i = self.world, self.focal_index
+        infos: dict[str, Any] = {
+            "demo": world.demo.copy(),
+            "condition": world.condition.astype(np.int64),
+            "step": world.step_count.copy(),
+            "outcome": world.outcome.astype(np.int64),
+        }
+        for c, name in enumerate(world.reward_components):
+            infos[name] = world.components[:, i, c].copy()
+        return infos
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> AnimalVectorEnv:
+        twin = object.__new__(type(self))
+        memo[id(self)] = twin
+        for key, value in vars(self).items():
+            setattr(twin, key, deepcopy(value, memo))
+        return twin
