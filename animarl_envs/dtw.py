@@ -105,6 +105,8 @@ class DTWTracker:
         ``(B, F)``, ``min_j W(t, j)`` [arena unit].
     aligned
         ``(B, F)``, the recorded step aligned with the present one, its ``argmin``.
+    final_minimum, final_aligned
+        The two as they were after the last step, also where a copy has been reset since.
     """
 
     KINDS = ("increment", "cumulative")
@@ -132,6 +134,7 @@ class DTWTracker:
         self.penalty = np.zeros(shape)
         self.row_minimum = np.zeros(shape)
         self.aligned = np.zeros(shape, dtype=np.int64)
+        self.final_minimum, self.final_aligned = self.row_minimum, self.aligned
         self._all = np.ones(num_copies, dtype=bool)
 
     def started(self, world: _Followed, mask: NDArray[np.bool_]) -> None:
@@ -142,8 +145,10 @@ class DTWTracker:
         """Row t of all copies, and what it costs."""
         before = self.row_minimum.copy()
         self._extend(world, self._all, first=False)
+        self.final_minimum = self.row_minimum.copy()
+        self.final_aligned = self.aligned.copy()
         self.penalty = (
-            self.row_minimum - before if self.kind == "increment" else (self.row_minimum.copy())
+            self.final_minimum - before if self.kind == "increment" else (self.final_minimum.copy())
         )
 
     def _extend(self, world: _Followed, mask: NDArray[np.bool_], *, first: bool) -> None:

@@ -1,0 +1,142 @@
+"""The DTW reward: being near the recorded path is worth something, in all three views.
+
+    R_t = R_touch_t - alpha * penalty_t
+
+``penalty="increment"`` (default): the step's increase of ``min_j W(t, j)``, whose sum over the
+episode is the final row minimum. ``penalty="cumulative"``: the row minimum itself, the paper's
+equation, whose sum dwarfs the task reward. See :mod:`animarl_envs.dtw`.
+
+Infos: ``task_reward``, ``dtw_penalty`` (before weighting), ``dtw_distance`` (the row minimum) and
+``aligned_step`` (the recorded step aligned with the present one).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import VectorEnv, VectorWrapper
+from numpy.typing import NDArray
+from pettingzoo.utils.wrappers import BaseParallelWrapper
+
+from animarl_envs.dtw import DTWTracker
+from animarl_envs.errors import InputError
+from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
+
+
+def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DTWTracker:
+    """A tracker following the world of an unwrapped view."""
+    if not np.isfinite(alpha) or alpha < 0:
+        raise InputError(f"alpha is {alpha}: it must be zero or positive")
+    world = env.world
+    demos = world.demos if world.scenario.paired else None
+    tracker = DTWTracker(demos, world.num_copies, np.array(individuals), penalty)
+    world.trackers.append(tracker)
+    return tracker
+
+
+class DTWReward(gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], np.int64]):
+    """The DTW reward for a single :class:`~animarl_envs.views.single.AnimalEnv`.
+
+    Parameters
+    ----------
+    env
+        The environment; its episodes must start from demonstrations.
+    alpha
+        Weight of the penalty [1 / arena unit].
+    penalty
+        ``"increment"`` or ``"cumulative"``.
+
+    Raises
+    ------
+    InputError
+        If the environment is not one of this package or has no demonstrations.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], alpha: float = 1.0, penalty: str = "increment"
+    ) -> None:
+        super().__init__(env)
+        inner = env.unwrapped
+        if not isinstance(inner, AnimalEnv):
+            raise InputError(f"DTWReward wraps AnimaRL environments, not {type(inner).__name__}")
+        self.alpha = alpha
+        self._tracker = _tracker(inner, [inner.focal_index], alpha, penalty)
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        tracker = self._tracker
+        info["task_reward"] = float(reward)
+        info["dtw_penalty"] = float(tracker.penalty[0, 0])
+        info["dtw_distance"] = float(tracker.row_minimum[0, 0])
+        info["aligned_step"] = int(tracker.aligned[0, 0])
+        shaped = float(reward) - self.alpha * info["dtw_penalty"]
+        return observation, shaped, terminated, truncated, info
+
+
+class DTWRewardVector(VectorWrapper):
+    """The DTW reward for an :class:`~animarl_envs.views.vector.AnimalVectorEnv`.
+
+    Each copy's rows are reset with that copy; a step that only resets costs nothing. With
+    ``SAME_STEP``, ``dtw_distance`` and ``aligned_step`` of an ended copy are in ``final_info``.
+    Parameters as in :class:`DTWReward`.
+    """
+
+    def __init__(self, env: VectorEnv, alpha: float = 1.0, penalty: str = "increment") -> None:
+        super().__init__(env)
+        inner = env.unwrapped
+        if not isinstance(inner, AnimalVectorEnv):
+            raise InputError(f"DTWRewardVector wraps AnimaRL vectors, not {type(inner).__name__}")
+        self.alpha = alpha
+        self._inner = inner
+        self._tracker = _tracker(inner, [inner.focal_index], alpha, penalty)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        tracker = self._tracker
+        cost = np.where(self._inner.reset_by_step, 0.0, tracker.penalty[:, 0])
+        infos["task_reward"] = rewards
+        infos["dtw_penalty"] = cost
+        infos["dtw_distance"] = tracker.row_minimum[:, 0].copy()
+        infos["aligned_step"] = tracker.aligned[:, 0].copy()
+        if "final_info" in infos:
+            ended = infos["_final_info"]
+            final = {
+                "task_reward": rewards,
+                "dtw_penalty": cost,
+                "dtw_distance": tracker.final_minimum[:, 0].copy(),
+                "aligned_step": tracker.final_aligned[:, 0].copy(),
+            }
+            infos["final_info"] |= final | {f"_{key}": ended.copy() for key in final}
+        return observations, rewards - self.alpha * cost, terminated, truncated, infos
+
+
+class DTWRewardParallel(BaseParallelWrapper):  # type: ignore[type-arg]
+    """The DTW reward for an :class:`~animarl_envs.views.parallel.AnimalParallelEnv`.
+
+    Every individual has its own row. Parameters as in :class:`DTWReward`.
+    """
+
+    def __init__(self, env: Any, alpha: float = 1.0, penalty: str = "increment") -> None:
+        super().__init__(env)
+        inner = env.unwrapped
+        if not isinstance(inner, AnimalParallelEnv):
+            raise InputError(f"DTWRewardParallel wraps AnimaRL worlds, not {type(inner).__name__}")
+        self.alpha = alpha
+        everyone = list(range(inner.world.num_individuals))
+        self._tracker = _tracker(inner, everyone, alpha, penalty)
+
+    def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        tracker = self._tracker
+        for i, agent in enumerate(rewards):
+            cost = float(tracker.penalty[0, i])
+            infos[agent]["task_reward"] = rewards[agent]
+            infos[agent]["dtw_penalty"] = cost
+            infos[agent]["dtw_distance"] = float(tracker.row_minimum[0, i])
+            infos[agent]["aligned_step"] = int(tracker.aligned[0, i])
+            rewards[agent] -= self.alpha * cost
+        return observations, rewards, terminated, truncated, infos
