@@ -70,6 +70,10 @@ class Renderer:
         self._window: Surface | None = None
         self._clock: Any = None
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy or a pickle draws alike, and opens a window of its own."""
+        return type(self), (self.mode, self.size, self.fps)
+
     @property
     def height(self) -> int:
         """Height of the picture [px]."""

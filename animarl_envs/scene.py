@@ -164,6 +164,8 @@ class SceneRecorder:
 
     def scene(self, *, demonstration: bool = False) -> Scene:
         """The scene now; ``demonstration=True`` adds the paired recorded paths."""
+        if not self._trail:
+            raise InputError("there is nothing to see before the first episode: call reset first")
         world, b = self.world, self.copy
         species = world.scenario.species
         position = world.position[b].copy()

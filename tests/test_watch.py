@@ -1,0 +1,186 @@
+"""``animarl watch``: clips of recorded, scripted and trained animals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import gymnasium as gym
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from animarl_algos.commands.watch import Rule, play, prepare, trained_actor, watch_command
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.render import Renderer
+
+NEWT, MOTH = "AnimaRL/Newt-v0", "AnimaRL/Silkmoth-v0"
+
+
+def watch(*arguments: str):
+    app = typer.Typer()
+    app.command()(watch_command)
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.fixture
+def demos(tmp_path: Path) -> str:
+    """Two newt episodes of 6 steps along straight lines, in a file."""
+    frames = np.linspace(0.0, 1.0, 7)[:, None, None]
+    first = np.array([(-0.8, -0.5), (-0.8, 0.0), (-0.8, 0.5)])
+    path = first + frames * np.array([0.5, 0.1])
+    file = tmp_path / "newts.npz"
+    Demonstrations(
+        species="newt",
+        individuals=("male_0", "male_1", "female"),
+        roles=("pursuer", "pursuer", "target"),
+        dt=0.1,
+        arena=Arena("square"),
+        positions=np.concatenate([path, path * np.array([1.0, -1.0])]),
+        lengths=np.array([7, 7]),
+        initial_velocity=np.zeros((2, 3, 2)),
+        condition=np.zeros(2),
+        outcome=np.zeros(2),
+        split=np.array(["train", "test"]),
+        recording=np.array(["a", "b"]),
+        provenance={"source": "made by a test", "licence": "MIT", "synthetic": True},
+    ).save(file)
+    return str(file)
+
+
+def test_writes_a_clip_and_says_so(tmp_path):
+    clip = tmp_path / "moth.gif"
+    run = watch(
+        MOTH, "--demos", "none", "--steps", "5", "--out", str(clip), "--size", "100", "--fps", "5"
+    )
+    assert run.exit_code == 0, run.output
+    shown = [imageio.immeta(clip, index=k)["duration"] for k in range(6)]
+    assert shown == [200] * 5 + [1200]  # the start, five steps, and the last one held for a second
+    assert imageio.imread(clip).shape[-3:-1] == (112, 100)
+    assert "Wrote" in run.output
+    assert "2.5 x real time" in run.output
+    assert "stopped after 2.5 s" in run.output
+
+
+def test_the_same_seed_gives_the_same_clip_and_another_another(tmp_path):
+    clips = []
+    for number, seed in enumerate(("3", "3", "4")):
+        clip = tmp_path / f"{number}.gif"
+        run = watch(
+            NEWT, "--demos", "none", "--steps", "3", "--seed", seed, "--out", str(clip),
+            "--size", "100",
+        )  # fmt: skip
+        assert run.exit_code == 0, run.output
+        clips.append(clip.read_bytes())
+    assert clips[0] == clips[1] != clips[2]
+
+
+def positions_of(world, actor, steps):
+    world.seed([0])
+    pictures = play(world, actor, Renderer("rgb_array", size=100, fps=1.0), steps=steps)
+    return np.stack([world.position[0].copy() for _ in pictures])
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_without_a_model_the_recorded_paths_are_followed(demos, split):
+    world, actor = prepare(NEWT, demos=demos, split=split)
+    path = positions_of(world, actor, steps=6)
+    recorded = world.demos.episode(0).positions
+    np.testing.assert_allclose(path[:7], recorded, atol=1e-12)
+    assert np.sign(recorded[-1, 0, 1] - recorded[0, 0, 1]) == (1 if split == "train" else -1)
+
+
+def test_by_script_males_approach_the_female(demos):
+    world, actor = prepare(NEWT, by=Rule.script, demos=demos, start="uniform")
+    path = positions_of(world, actor, steps=1)
+    moved, towards = path[1, :2] - path[0, :2], path[0, 2] - path[0, :2]
+    cosine = (moved * towards).sum(-1) / np.linalg.norm(moved, axis=-1)
+    np.testing.assert_allclose(cosine, np.linalg.norm(towards, axis=-1))
+
+
+class Pusher:
+    """A policy that always accelerates straight ahead and counts its own calls."""
+
+    def __init__(self, observations: int) -> None:
+        self.observation_space = SimpleNamespace(shape=(observations,))
+        self.seen: list[tuple[np.ndarray, int | None, np.ndarray]] = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.seen.append((observation.copy(), state, episode_start.copy()))
+        return np.zeros(len(observation), dtype=np.int64), (state or 0) + 1
+
+
+def test_a_policy_drives_all_individuals_and_keeps_its_state():
+    world, _ = prepare("AnimaRL/Agent-v0", demos=None, condition=1)
+    world = type(world)(_all_acting(world.scenario), 1)
+    policy = Pusher(len(world.observation_components))
+    positions_of(world, trained_actor(policy), steps=3)
+    assert [state for _, state, _ in policy.seen] == [None, 1, 2]
+    assert [start.all() for _, _, start in policy.seen] == [True, False, False]
+    assert all(obs.shape == (3, 18) for obs, _, _ in policy.seen)
+
+
+def test_a_policy_trained_with_the_flag_is_told_the_condition():
+    world, _ = prepare("AnimaRL/Agent-v0", demos=None, condition=1)
+    world = type(world)(_all_acting(world.scenario), 1)
+    policy = Pusher(len(world.observation_components) + 1)
+    positions_of(world, trained_actor(policy), steps=1)
+    flagged = policy.seen[0][0]
+    assert flagged.shape == (3, 19)
+    assert (flagged[:, -1] == 1).all()
+
+
+def _all_acting(scenario):
+    from dataclasses import replace
+
+    return replace(scenario, drivers=("action",) * len(scenario.names))
+
+
+def test_a_closed_window_ends_the_show(monkeypatch):
+    import pygame
+
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    world, actor = prepare(NEWT, demos=None)
+    window = Renderer("human", size=100, fps=100.0)
+    for _ in play(world, actor, window, steps=2):
+        pytest.fail("a window yields no pictures")
+    steps: list[int] = []
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    list(play(world, actor, window, steps=50, on_step=lambda: steps.append(1)))
+    assert window.closed
+    assert not steps
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("AnimaRL/Bird-v0",), "Newt-v0"),
+        (("CartPole-v1",), "no species"),
+        ((NEWT, "--out", "clip.avi"), r"\.gif or \.mp4"),
+        ((NEWT, "--focal", "male_0"), "--model"),
+        ((NEWT, "--demos", "none", "--condition", "1", "--out", "a.gif"), "condition"),
+        ((NEWT, "--demos", "nowhere.npz", "--out", "a.gif"), "nowhere.npz"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_writes_nothing(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = watch(*arguments)
+    assert isinstance(run.exception, InputError)
+    assert "\n" not in str(run.exception)
+    with pytest.raises(InputError, match=message):
+        raise run.exception
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_variant_registered_by_the_user_is_watched_with_its_options():
+    gym.register("Test/Duel-v0", entry_point="animarl_envs.views.single:AnimalEnv",
+                 kwargs={"species": "agent", "num_pursuers": 1, "demos": None})  # fmt: skip
+    try:
+        world, actor = prepare("Test/Duel-v0")
+        assert positions_of(world, actor, steps=2).shape[1:] == (2, 2)
+    finally:
+        del gym.registry["Test/Duel-v0"]
