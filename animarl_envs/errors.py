@@ -11,6 +11,20 @@ class InputError(ValueError):
     """
 
 
+class UnknownOptionError(InputError, TypeError):
+    """A keyword that an environment does not take.
+
+    It is Python's :class:`TypeError` as well, with its phrase: TorchRL's ``GymEnv`` tries keywords
+    of its own and looks for that phrase to leave them out.
+    """
+
+    def __init__(self, option: str, owner: str, known: list[str]) -> None:
+        super().__init__(
+            f"option {option!r} is unknown for {owner} (unexpected keyword argument {option!r}): "
+            f"choose one of {', '.join(known)}"
+        )
+
+
 class MissingExtraError(ImportError):
     """An optional dependency is absent; the message names the extra that brings it."""
 

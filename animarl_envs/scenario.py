@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import ChaseSpecies, SearchSpecies, Species, get_species
 
@@ -216,10 +216,8 @@ def with_options(species: Species, **options: Any) -> Species:
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
     for key in options:
         if key not in known:
-            raise InputError(
-                f"option {key!r} is unknown for {species.name}: choose one of "
-                f"{', '.join(sorted(known | {'num_pursuers', 'locomotion', 'rebound', 'boundary'}))}"
-            )
+            more = {"num_pursuers", "locomotion", "rebound", "boundary"}
+            raise UnknownOptionError(key, species.name, sorted(known | more))
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
     except TypeError as error:
