@@ -96,7 +96,8 @@ def _view(arena: Arena, paths: Sequence[Floats]) -> tuple[tuple[float, float], t
     if arena.shape == "open":
         points = np.concatenate([points, [[0.0, 0.0]]])
     else:
-        points = np.concatenate([points, [[-arena.size] * 2, [arena.size] * 2]])
+        edge = min(1.08 * arena.boundary, 1.5 * arena.size)  # a step beyond stays in view
+        points = np.concatenate([points, [[-edge] * 2, [edge] * 2]])
     low, high = points.min(axis=0), points.max(axis=0)
     centre, half = (low + high) / 2, float((high - low).max()) / 2 * 1.04
     return (
@@ -113,7 +114,7 @@ def speed_histogram(simulated: ArrayLike, recorded: ArrayLike, title: str = "") 
     first, second = np.asarray(simulated, dtype=float), np.asarray(recorded, dtype=float)
     edges = shared_bins(first, second)
     with style.house_style():
-        figure, panel = style.new_figure(3.1, 2.3)
+        figure, panel = style.new_figure(4.0, 2.4)
         panel.hist(
             second, edges, density=True, color=style.RECORDED_FILL, label="recorded", alpha=0.85
         )
@@ -239,6 +240,8 @@ def interval_rows(
         panel.set(xlabel=label, title=title)
         if limits is not None:
             panel.set_xlim(limits)
+        panel.xaxis.set_major_locator(_locator(5))
+        panel.xaxis.set_major_formatter("{x:g}")
     return figure
 
 
@@ -327,7 +330,7 @@ def learning_curve(curves: pd.DataFrame, title: str, x_label: str, y_label: str 
                     mean.index, mean.to_numpy(), color=colour, linewidth=1.8,
                     label=style.method_label(str(name)),
                 )  # fmt: skip
-        panel.set(title=title, xlabel=x_label, ylabel=y_label)
+        panel.set(title=title[:1].upper() + title[1:], xlabel=x_label, ylabel=y_label)
         panel.margins(x=0.01)
         panel.xaxis.set_major_locator(_locator(5))
         panel.xaxis.set_major_formatter(_thousands())
@@ -375,7 +378,7 @@ def _spread(count: int) -> Floats:
 def _locator(bins: int) -> Any:
     from matplotlib.ticker import MaxNLocator
 
-    return MaxNLocator(bins)
+    return MaxNLocator(bins, steps=[1, 2, 2.5, 5, 10])
 
 
 def _thousands() -> Any:

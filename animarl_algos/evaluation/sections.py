@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
@@ -14,6 +15,7 @@ from animarl_algos.evaluation.report import ReportInputs
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.style import Image, method_label
 from animarl_algos.evaluation.wording import NOTHING, comparison_row, number, with_interval
+from animarl_envs.fitting import IndividualFit
 
 COUNTED = {"all": "All episodes", "captures": "Captures only"}
 
@@ -41,6 +43,7 @@ class Gallery:
     kind: ClassVar[str] = "gallery"
     images: Sequence[Image]
     caption: str
+    strip: bool = False  # small pictures that stay side by side on a narrow page
 
 
 class Row(NamedTuple):
@@ -61,6 +64,7 @@ class Table:
     columns: Sequence[str]
     groups: Sequence[Group]
     caption: str
+    left: int = 1  # so many leading columns hold words
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ def summary(inputs: ReportInputs) -> Summary:
     comparison = inputs.evaluation.comparison
     return Summary(
         wording.headline(comparison, inputs.focus),
-        wording.cautions(comparison, inputs.demos.synthetic),
+        wording.cautions(comparison, inputs.focus, inputs.demos.synthetic),
     )
 
 
@@ -138,6 +142,7 @@ def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
             "70th and 90th percentile of the DTW distance to the demonstration (arena units), so "
             "the first are among the best and the last among the worst. Open circles mark starts, "
             f"filled ones ends; {target}.",
+            strip=True,
         )
 
 
@@ -160,7 +165,8 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
         "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
         "interval; the dashed line is the recorded mean. Intervals are percentile bootstrap "
         f"intervals from {evaluation.resamples:,} paired resamples of demonstrations and of "
-        "training seeds; repetitions from one start are never counted as independent."
+        "training seeds; repetitions from one start are never counted as independent. Captures "
+        "are episodes in which the target was reached."
     )
     for metric in (RETURN, PATH_LENGTH, DURATION, DTW):
         yield Heading(metric.label)
@@ -216,7 +222,6 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
     columns += ["Minus recorded"] if with_recorded else []
     columns += ["Minus BC"] if with_baseline else []
     columns += ["Per step"] if metric is DTW else []
-    counts = "" if percent else " Captures are episodes in which the target was reached."
     step_note = (
         " Per step: the distance over the frames of the longer of the two paths."
         if metric is DTW
@@ -226,7 +231,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
         f"{metric.label} by method",
         columns,
         groups,
-        f"{metric.label}: mean [95 % interval], and paired differences.{counts}{step_note}",
+        f"Mean [95 % interval] and paired differences.{step_note}",
     )
 
 
@@ -367,6 +372,7 @@ def _counterfactual(inputs: ReportInputs) -> Iterator[Block]:
         groups,
         "Differences and errors of the mean path length [95 % interval]. An absolute error is "
         "never negative, so its interval cannot include zero.",
+        left=3,
     )
 
 
@@ -387,12 +393,13 @@ def _locomotion(inputs: ReportInputs) -> Iterator[Block]:
             number(one.velocity_rmse, 2),
             number(one.terminal_speed),
             number(one.top_speed),
-            number(one.braking_time, 2),
+            with_interval(_braking(one, fit.dt)),
         ]
         lines.append(Row(cells + ([str(one.onsets)] if onsets else [])))
-    columns = ["Individual", "Damping d\n(per step)", "Thrust u\n(arena units / s\u00b2)",
-               "Velocity RMSE\n(arena units / s)", "Terminal speed\n(arena units / s)",
-               "Recorded top speed\n(arena units / s)", "Braking time\n(s)"]  # fmt: skip
+    columns = [
+        "Individual", "Damping d", "Thrust u", "Velocity\nRMSE", "Terminal\nspeed",
+        "Recorded\ntop speed", "Braking\ntime (s)",
+    ]  # fmt: skip
     yield Table(
         "Fitted locomotion",
         columns + (["Onsets"] if onsets else []),
@@ -402,7 +409,8 @@ def _locomotion(inputs: ReportInputs) -> Iterator[Block]:
         f"resamples of episodes; velocity RMSE on {fit.validation_episodes} episodes "
         f"({fit.validated_on}). Terminal speed u \u0394t / d is where constant thrust leads; the "
         "recorded top speed is the median above the 99th percentile; after the braking time a "
-        "coasting animal has lost all but 1/e of its speed.",
+        "coasting animal has lost all but 1/e of its speed. Lengths in arena units, times in s, "
+        "d per step.",
     )
 
 
@@ -414,8 +422,7 @@ def _learning(inputs: ReportInputs) -> Iterator[Block]:
         yield Heading(f"{phase} phase".capitalize())
         yield Gallery(
             panels.learning_panels(rows, offline=phase == "offline"),
-            "One thin line per training seed, thick their mean; a single seed is drawn thick. "
-            "Training uses the train split, selection the val split; neither the test split.",
+            "One thin line per training seed, thick their mean; a single seed is drawn thick.",
         )
 
 
@@ -466,6 +473,13 @@ def flattened(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, 
             out.append((f"{prefix}{key}", {True: "yes", False: "no"}[value]
                         if isinstance(value, bool) else str(value)))  # fmt: skip
     return out
+
+
+def _braking(one: IndividualFit, dt: float) -> Interval:
+    """Braking time with the interval that follows from that of d, with which it only falls."""
+    low, high = (math.nan, math.nan) if one.damping_interval is None else one.damping_interval
+    ends = [dt / -math.log1p(-d) if 0 < d < 1 else math.nan for d in (high, low)]
+    return Interval(one.braking_time, *ends)
 
 
 def _interval(value: float, ends: tuple[float, float] | None) -> Interval:

@@ -26,8 +26,10 @@ def number(value: float, digits: int = 3) -> str:
         return NOTHING
     if value == 0:
         return "0"
+    if abs(value) < 1e-4:
+        return f"{value:.0e}".replace("-", MINUS)
     decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
-    return f"{value:.{min(decimals, 4)}f}".replace("-", MINUS)
+    return _fixed(value, min(decimals, 4 if digits > 2 else 5))
 
 
 def with_interval(value: Interval, percent: bool = False) -> str:
@@ -40,8 +42,14 @@ def with_interval(value: Interval, percent: bool = False) -> str:
         return number(parts[0])
     width = parts[2] - parts[1]
     decimals = 0 if percent else _decimals(width, parts[0])
-    mean, low, high = (f"{part:.{decimals}f}".replace("-", MINUS) for part in parts)
+    mean, low, high = (_fixed(part, decimals) for part in parts)
     return f"{mean} [{low}, {high}]"
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """So many decimals, a true minus sign, and no negative zero."""
+    text = f"{value:.{decimals}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
 
 
 def _decimals(width: float, value: float) -> int:
@@ -80,35 +88,49 @@ def _captures(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
         return
     gap = interval(simulated, "to_recorded")
     yield (
-        f"{method_label(focus)} reaches the target in "
-        f"{with_interval(interval(simulated, 'mean'), percent=True)} % of "
-        f"{int(simulated['rollouts'])} rollouts; the recordings do in "
-        f"{with_interval(interval(recorded, 'mean'), percent=True)} % of "
-        f"{int(recorded['rollouts'])}. {_verdict(gap, 'more often', 'less often')}"
+        f"{method_label(focus)} reaches the target in {_share(simulated)} of "
+        f"{int(simulated['rollouts'])} rollouts, the recordings in {_share(recorded)} of "
+        f"{int(recorded['rollouts'])}: "
+        + (
+            "the difference cannot be told from none."
+            if not gap.excludes_zero
+            else f"{'more' if gap.estimate > 0 else 'less'} often than recorded."
+        )
     )
 
 
+def _share(row: Any) -> str:
+    value = interval(row, "mean")
+    low, high = _fixed(100 * value.low, 0), _fixed(100 * value.high, 0)
+    return f"{_fixed(100 * value.estimate, 0)} % [{low}, {high}]"
+
+
 def _likeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
-    for metric, more, less in ((PATH_LENGTH, "longer", "shorter"), (DURATION, "longer", "shorter")):
+    for metric in (PATH_LENGTH, DURATION):
         row = comparison_row(comparison, focus, metric)
-        if row is None:
+        if row is None or not math.isfinite(row["to_recorded"]):
             continue
         gap = interval(row, "to_recorded")
-        kde, null = interval(row, "kde"), interval(row, "kde_null")
-        sentence = (
-            f"{metric.label}, all episodes: {with_interval(gap)} {metric.unit} from the "
-            f"recordings on average. {_verdict(gap, more, less)}"
-        )
-        if math.isfinite(kde.estimate) and math.isfinite(null.high):
-            place = "above" if kde.estimate > null.high else "within"
-            if kde.estimate < null.low:
-                place = "below"
-            sentence += (
-                f" The distributions differ by {number(kde.estimate, 2)} of 2, {place} the "
-                f"{number(null.low, 2)} to {number(null.high, 2)} that recordings against "
-                "recordings give at this sample size."
+        if gap.excludes_zero:
+            size = gap if gap.estimate > 0 else Interval(-gap.estimate, -gap.high, -gap.low)
+            longer = "longer" if gap.estimate > 0 else "shorter"
+            words = f"{with_interval(size)} {metric.unit} {longer} than recorded"
+        else:
+            words = (
+                f"not told apart from the recordings on average (difference "
+                f"{with_interval(gap)} {metric.unit})"
             )
-        yield sentence
+        sentence = f"{metric.label}, all episodes: {words}"
+        kde, null = interval(row, "kde"), interval(row, "kde_null")
+        if math.isfinite(kde.estimate) and math.isfinite(null.high):
+            place = "within" if kde.estimate <= null.high else "above"
+            place = "below" if kde.estimate < null.low else place
+            sentence += (
+                f"; kernel-density distance {number(kde.estimate, 2)} on a scale from 0 to 2, "
+                f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that recordings "
+                "against recordings give at this sample size"
+            )
+        yield f"{sentence}."
 
 
 def _closeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
@@ -145,10 +167,10 @@ def _closeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
     yield sentence + (f"; {'; '.join(parts)}." if parts else ".")
 
 
-def cautions(comparison: pd.DataFrame, synthetic: bool) -> list[str]:
+def cautions(comparison: pd.DataFrame, focus: str, synthetic: bool) -> list[str]:
     """What limits the conclusions: few seeds, synthetic demonstrations."""
-    learned = comparison[comparison["method"] != RECORDED]
-    seeds = int(learned["seeds"].min()) if len(learned) else 0
+    row = comparison_row(comparison, focus, DTW)
+    seeds = 0 if row is None else int(row["seeds"])
     sentences = []
     if synthetic:
         sentences.append(
@@ -164,14 +186,6 @@ def cautions(comparison: pd.DataFrame, synthetic: bool) -> list[str]:
             f"Only {seeds} training seeds: where seeds differ much, the intervals are too short."
         )
     return sentences
-
-
-def _verdict(gap: Interval, more: str, less: str) -> str:
-    if not math.isfinite(gap.low):
-        return "No interval can be given for the difference."
-    if not gap.excludes_zero:
-        return "The interval of the difference includes zero."
-    return f"That is {more if gap.estimate > 0 else less} than recorded."
 
 
 def _listed(names: list[str]) -> str:
