@@ -18,12 +18,6 @@ class UnknownOptionError(InputError, TypeError):
     of its own and looks for that phrase to leave them out.
     """
 
-    def __init__(self, option: str, owner: str, known: list[str]) -> None:
-        super().__init__(
-            f"option {option!r} is unknown for {owner} (unexpected keyword argument {option!r}): "
-            f"choose one of {', '.join(known)}"
-        )
-
 
 class MissingExtraError(ImportError):
     """An optional dependency is absent; the message names the extra that brings it."""

@@ -17,7 +17,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species import ChaseSpecies, SearchSpecies, Species, get_species
+from animarl_envs.species import ChaseSpecies, Species, get_species
 
 Condition = Literal[0, 1, "demo"]
 Demos = Demonstrations | str | Path | None
@@ -217,7 +217,10 @@ def with_options(species: Species, **options: Any) -> Species:
     for key in options:
         if key not in known:
             more = {"num_pursuers", "locomotion", "rebound", "boundary"}
-            raise UnknownOptionError(key, species.name, sorted(known | more))
+            raise UnknownOptionError(
+                f"option {key!r} is unknown for {species.name} (unexpected keyword argument "
+                f"{key!r}): choose one of {', '.join(sorted(known | more))}"
+            )
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
     except TypeError as error:
