@@ -206,7 +206,7 @@ def test_comparison_counts_what_it_says() -> None:
     assert len(table[(table["method"] == "recorded") & (table["metric"] == "dtw")]) == 0
 
 
-def test_flipped_cues_do_not_enter_the_comparison() -> None:
+def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:
     rng = np.random.default_rng(1)
     values, caught = rng.normal(size=10), np.ones(10, dtype=bool)
     metrics = pd.concat(
@@ -214,6 +214,7 @@ def test_flipped_cues_do_not_enter_the_comparison() -> None:
             metrics_rows("recorded", -1, values, caught),
             metrics_rows("DQCIL", 0, values, caught, cue=0),
             metrics_rows("DQCIL", 0, values + 100.0, caught, cue=1),
+            metrics_rows("DQCIL", 0, values + 200.0, caught, condition=1, cue=1),
         ]
     )
     table = comparison_table(metrics, 10, rng, resamples=50, distance_resamples=50)

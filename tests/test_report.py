@@ -1,4 +1,4 @@
-"""The report: one file that loads nothing, every section, hostile names harmless, no canned claim."""
+"""The report: one file that loads nothing, all sections, hostile names harmless, honest claims."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from animarl_algos.evaluation import (
     Rollouts,
     evaluate,
     evaluation_table,
+    measure,
+    panels,
     write_report,
 )
 from animarl_algos.evaluation.figures import shared_bins
@@ -316,6 +318,22 @@ def test_evaluation_is_repeatable(inputs: ReportInputs) -> None:
     pd.testing.assert_frame_equal(again.comparison, inputs.evaluation.comparison)
     with pytest.raises(InputError, match="no rollouts"):
         evaluate({}, inputs.demos, seed=0)
+
+
+def test_rollouts_in_another_condition_alone_are_refused() -> None:
+    demos = make_demos()
+    made = make_rollouts(demos, "bc")
+    changed = dataclasses.replace(made, condition=1 - made.condition)
+    with pytest.raises(InputError, match="condition of its recording"):
+        evaluate({"bc": changed}, demos, seed=0, resamples=50, distance_resamples=50)
+
+
+def test_examples_are_factual_and_in_order(inputs: ReportInputs) -> None:
+    """A flipped cue, or rollouts in another order, must not mix up paths and their distances."""
+    flipped = dataclasses.replace(inputs, focus="dqcil")
+    rollouts, dtw = panels._factual(flipped)
+    assert len(rollouts) == 24 and (rollouts.cue == rollouts.condition).all()
+    assert dtw == pytest.approx(measure(rollouts, inputs.demos)["dtw"].to_numpy())
 
 
 def test_the_terminal_table_names_every_method(inputs: ReportInputs) -> None:

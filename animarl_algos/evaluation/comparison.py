@@ -40,7 +40,7 @@ BASELINE = "BC"
 PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
 GATE_LEVEL = 0.05
 SEEDS_FOR_GATE = 3  # with fewer seeds, labels are exchanged within demonstrations instead
-COUNTING = ("all", "captures")
+COUNTING = {"all": "all episodes", "captures": "captures only"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,16 @@ def draw_resamples(
 
 
 def factual(metrics: pd.DataFrame) -> pd.DataFrame:
-    """The rows in which the policy was told the world's own condition, or none at all."""
-    return metrics[(metrics["cue"] == metrics["condition"]) | (metrics["cue"] == NO_CUE)]
+    """The rows that may be compared with the recordings.
+
+    In them the world is in the condition of the recording, and the policy was told so, or told
+    nothing.
+    """
+    recorded = metrics[metrics["method"] == RECORDED].set_index("demo")["condition"]
+    same_world = metrics["condition"].to_numpy() == recorded.loc[metrics["demo"]].to_numpy()
+    true_cue = (metrics["cue"] == metrics["condition"]) | (metrics["cue"] == NO_CUE)
+    kept: pd.DataFrame = metrics[same_world & true_cue]
+    return kept
 
 
 def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_algos.evaluation.comparison import COUNTING
 from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
 from animarl_algos.evaluation.statistics import (
@@ -29,7 +30,6 @@ from animarl_algos.evaluation.statistics import (
 if TYPE_CHECKING:
     import pandas as pd
 
-COUNTING = ("all", "captures")
 MEAN = "mean"
 ERROR = "absolute error"
 DIFFERENCE = "condition 0 - condition 1"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import BASELINE, comparison_table, contrast_table
+from animarl_algos.evaluation.comparison import BASELINE, comparison_table, contrast_table, factual
 from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.metrics import measure, measure_recordings
@@ -121,6 +121,13 @@ def evaluate(
     tables = [measure_recordings(demos)]
     tables += [measure(r, demos).assign(method=name) for name, r in rollouts.items()]
     metrics = pd.concat(tables, ignore_index=True)
+    compared = set(factual(metrics)["method"])
+    for name in rollouts:
+        if name not in compared:
+            raise InputError(
+                f"no rollout of {name!r} is in the condition of its recording: collect them with "
+                "condition='demo' and the actual cue"
+            )
     streams = np.random.default_rng(seed).spawn(3)
     flipped = has_flips(metrics)
     return Evaluation(

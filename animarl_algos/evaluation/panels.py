@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_algos.evaluation import figures
 from animarl_algos.evaluation.comparison import COUNTING, factual, interval
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
 from animarl_algos.evaluation.report import ReportInputs
-from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, Rollouts
+from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.style import Image, method_label, to_image
 from animarl_algos.evaluation.wording import comparison_row, number
@@ -20,15 +21,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the DTW distance, for the examples
-TITLES = {"all": "All episodes", "captures": "Captures only"}
 
 
 def trajectories(inputs: ReportInputs) -> Iterator[tuple[str, list[Image]]]:
     """Per condition present: its name and the examples, from the best to the worst."""
-    rollouts = _factual(inputs.rollouts[inputs.focus])
-    rows = inputs.evaluation.metrics
-    rows = factual(rows[rows["method"] == inputs.focus])
-    dtw = rows[DTW.key].to_numpy()
+    rollouts, dtw = _factual(inputs)
     present = np.unique(rollouts.condition).tolist()
     for condition in present:
         among = np.flatnonzero(rollouts.condition == condition)
@@ -53,7 +50,7 @@ def trajectories(inputs: ReportInputs) -> Iterator[tuple[str, list[Image]]]:
 
 def speeds(inputs: ReportInputs) -> tuple[list[Image], tuple[int, int]]:
     """A histogram for each role, and the numbers of simulated and recorded steps."""
-    simulated = _factual(inputs.rollouts[inputs.focus]).speeds()
+    simulated = _factual(inputs)[0].speeds()
     recorded = Rollouts.from_demonstrations(inputs.demos).speeds()
     roles = np.array(inputs.demos.roles)
     images = []
@@ -77,7 +74,7 @@ def metric_panels(inputs: ReportInputs, metric: Metric) -> list[Image]:
         figure = figures.interval_rows(
             percent,
             "Episodes in which the target was reached (%)",
-            title=TITLES["all"],
+            title=COUNTING["all"].capitalize(),
             reference=percent[RECORDED].estimate,
             limits=(-2.0, 102.0),
         )
@@ -94,9 +91,9 @@ def metric_panels(inputs: ReportInputs, metric: Metric) -> list[Image]:
             values,
             {name: _mean(comparison, name, metric, counting) for name in names},
             metric,
-            title=TITLES[counting],
+            title=COUNTING[counting].capitalize(),
         )
-        images.append(to_image(figure, f"{metric.label} by method, {TITLES[counting].lower()}"))
+        images.append(to_image(figure, f"{metric.label} by method, {COUNTING[counting]}"))
     return images
 
 
@@ -145,9 +142,15 @@ def learning_panels(curves: pd.DataFrame, *, offline: bool) -> list[Image]:
     ]
 
 
-def _factual(rollouts: Rollouts) -> Rollouts:
-    """Those told their own condition, or none: the rows that the tables compare."""
-    return rollouts.select((rollouts.cue == rollouts.condition) | (rollouts.cue == NO_CUE))
+def _factual(inputs: ReportInputs) -> tuple[Rollouts, NDArray[np.float64]]:
+    """The rollouts in focus that the tables compare, and their DTW distances."""
+    rollouts = inputs.rollouts[inputs.focus]
+    rows = inputs.evaluation.metrics
+    first = int(np.flatnonzero(rows["method"] == inputs.focus)[0])
+    compared = factual(rows)
+    compared = compared[compared["method"] == inputs.focus]
+    chosen = compared.index.to_numpy() - first  # rows stand in the order of the rollouts
+    return rollouts.select(chosen), compared[DTW.key].to_numpy(dtype=np.float64)
 
 
 def _mean(comparison: pd.DataFrame, name: str, metric: Metric, counting: str) -> Interval:

@@ -17,8 +17,6 @@ from animarl_algos.evaluation.style import Image, method_label
 from animarl_algos.evaluation.wording import NOTHING, comparison_row, number, with_interval
 from animarl_envs.fitting import IndividualFit
 
-COUNTED = {"all": "All episodes", "captures": "Captures only"}
-
 
 @dataclass(frozen=True)
 class Text:
@@ -217,7 +215,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
                 )
                 cells.append(NOTHING if step is None else with_interval(interval(step, "mean")))
             lines.append(Row(cells, strong=row["method"] == inputs.focus))
-        groups.append(Group(COUNTED[counting] if metric is not RETURN else "", lines))
+        groups.append(Group(COUNTING[counting].capitalize() if metric is not RETURN else "", lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
     columns += ["Minus recorded"] if with_recorded else []
     columns += ["Minus BC"] if with_baseline else []
@@ -264,7 +262,7 @@ def _distances(inputs: ReportInputs) -> Iterator[Block]:
                     with_interval(interval(row, "wasserstein_null")),
                 ]
                 lines.append(Row(cells, strong=name == inputs.focus))
-            title = f"{metric.label} ({metric.unit}), {COUNTED[counting].lower()}"
+            title = f"{metric.label} ({metric.unit}), {COUNTING[counting]}"
             groups.append(Group(title, lines))
     yield Table(
         "Distances to the recordings",
@@ -365,7 +363,7 @@ def _counterfactual(inputs: ReportInputs) -> Iterator[Block]:
                     strong=bool(row["planned"]),
                 )
             )
-        groups.append(Group(COUNTED[counting], lines))
+        groups.append(Group(COUNTING[counting].capitalize(), lines))
     yield Table(
         "Counterfactual path lengths",
         ["Method", "Quantity", "Condition", f"Path length\n({PATH_LENGTH.unit})", ""],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from animarl_algos.evaluation.comparison import interval
+from animarl_algos.evaluation.comparison import COUNTING, interval
 from animarl_algos.evaluation.evaluation import Evaluation
 from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN
 from animarl_algos.evaluation.style import method_label
@@ -13,8 +13,6 @@ from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-COUNTED = {"all": "all episodes", "captures": "captures only"}
 
 
 def evaluation_table(
@@ -42,7 +40,7 @@ def evaluation_table(
         raise MissingExtraError("the table", "algos") from error
     comparison = evaluation.comparison
     table = Table(
-        title=f"Simulated against recorded, {COUNTED[counting]}",
+        title=f"Simulated against recorded, {COUNTING[counting]}",
         caption="Mean [95 % interval], resampling demonstrations and seeds. KDE: kernel-density "
         "distance to the recordings, 0 to 2; in brackets what recordings against recordings give.",
         box=SIMPLE_HEAD,
