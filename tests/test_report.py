@@ -23,7 +23,7 @@ from animarl_algos.evaluation import (
     panels,
     write_report,
 )
-from animarl_algos.evaluation.figures import shared_bins
+from animarl_algos.evaluation.figures import shared_bins, trajectory_pair
 from animarl_algos.evaluation.interpretation import advantage, value_map, values_along_path
 from animarl_algos.evaluation.report import render_report
 from animarl_algos.evaluation.statistics import Interval
@@ -434,3 +434,17 @@ def test_interpretation_figures() -> None:
         values_along_path(q[:, :5], np.zeros(30, dtype=int), 0.1)
     with pytest.raises(InputError, match="15 rows"):
         value_map(x, y, rng.normal(size=(20, 15, 13)), focus, Arena())
+
+
+def test_a_lost_searcher_does_not_hide_the_recording() -> None:
+    recorded = np.linspace([0.3, 0.0], [0.02, 0.01], 30)[:, None]
+    lost = np.linspace([0.3, 0.0], [-40.0, 9.0], 90)[:, None]
+    figure = trajectory_pair(lost, recorded, Arena("open", size=0.35), ("searcher",))
+    for panel in figure.axes:
+        low, high = panel.get_xlim()
+        assert low < 0.0 and 0.3 < high < 1.0
+    indoors = trajectory_pair(
+        np.full((4, 1, 2), 1.1), recorded, Arena("square"), ("pursuer",)
+    )  # fmt: skip
+    low, high = indoors.axes[0].get_xlim()
+    assert low < -1.0 and high > 1.1

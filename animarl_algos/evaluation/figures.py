@@ -46,11 +46,19 @@ def trajectory_pair(
         The field, whose outline is drawn, and what each individual is.
     """
     with style.house_style():
+        from matplotlib.patches import Rectangle
+
         figure, axes = style.new_figure(1.7, 3.6, rows=2)
-        view = _view(arena, [simulated, recorded])
+        view = _view(arena, simulated, recorded)
+        x, y, half = view
         for panel, path, name in zip(axes, (simulated, recorded), ("simulated", "recorded")):
             draw_paths(panel, path, arena, roles)
-            panel.set(xlim=view[0], ylim=view[1])
+            panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+            if arena.shape == "open":
+                panel.add_patch(
+                    Rectangle((x - half, y - half), 2 * half, 2 * half, color=style.FLOOR, zorder=0)
+                )
+                _scale_bar(panel, view)
             panel.text(
                 0.0, 1.02, name, transform=panel.transAxes, fontsize=8, color=style.MUTED,
                 va="bottom",
@@ -90,19 +98,34 @@ def draw_paths(panel: Axes, path: Floats, arena: Arena, roles: Sequence[str]) ->
     panel.set_axis_off()
 
 
-def _view(arena: Arena, paths: Sequence[Floats]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A square window that holds the arena and all paths."""
-    points = np.concatenate([path.reshape(-1, 2) for path in paths])
+def _view(arena: Arena, simulated: Floats, recorded: Floats) -> tuple[float, float, float]:
+    """A square window: centre and half side.
+
+    It holds the arena and both paths; in an open field, where a lost searcher may be anywhere, the
+    recording and the source with room around them.
+    """
+    points = recorded.reshape(-1, 2)
     if arena.shape == "open":
         points = np.concatenate([points, [[0.0, 0.0]]])
+        margin = 1.5
     else:
         edge = min(1.08 * arena.boundary, 1.5 * arena.size)  # a step beyond stays in view
-        points = np.concatenate([points, [[-edge] * 2, [edge] * 2]])
+        points = np.concatenate([points, simulated.reshape(-1, 2), [[-edge] * 2, [edge] * 2]])
+        margin = 1.04
     low, high = points.min(axis=0), points.max(axis=0)
-    centre, half = (low + high) / 2, float((high - low).max()) / 2 * 1.04
-    return (
-        (float(centre[0] - half), float(centre[0] + half)),
-        (float(centre[1] - half), float(centre[1] + half)),
+    x, y = (low + high) / 2
+    return float(x), float(y), float((high - low).max()) / 2 * margin
+
+
+def _scale_bar(panel: Axes, view: tuple[float, float, float]) -> None:
+    """A bar of a round length, about a quarter of the window."""
+    x, y, half = view
+    power = 10.0 ** np.floor(np.log10(half / 2))
+    length = max(step * power for step in (1, 2, 5) if step * power <= half / 2)
+    left, bottom = x - 0.9 * half, y - 0.9 * half
+    panel.plot([left, left + length], [bottom, bottom], color=style.TEXT, linewidth=1.2)
+    panel.text(
+        left + length / 2, bottom + 0.03 * half, f"{length:g}", fontsize=7, ha="center", va="bottom"
     )
 
 

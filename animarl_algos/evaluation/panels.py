@@ -34,7 +34,7 @@ def trajectories(inputs: ReportInputs) -> Iterator[tuple[str, list[Image]]]:
         images = []
         for i in order[ranks].tolist():
             demo = int(rollouts.demo[i])
-            ending = "captured" if rollouts.captured[i] else "not captured"
+            ending = "reached" if rollouts.captured[i] else "not reached"
             figure = figures.trajectory_pair(
                 rollouts.path(i),
                 inputs.demos.episode(demo).positions,

@@ -132,14 +132,16 @@ def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
     focus = method_label(inputs.focus)
     for condition, images in panels.trajectories(inputs):
         where = f" Condition: {condition}." if condition else ""
-        target = "source a cross" if "searcher" in inputs.demos.roles else "target black"
+        marks = "target black"
+        if "searcher" in inputs.demos.roles:
+            marks = "cross: the source; bar: arena units; paths that leave the window are cut"
         yield Gallery(
             images,
             f"{focus} above the demonstration that each rollout started from.{where} Chosen by "
             "rank, not by eye: from left to right the rollouts nearest to the 10th, 30th, 50th, "
             "70th and 90th percentile of the DTW distance to the demonstration (arena units), so "
             "the first are among the best and the last among the worst. Open circles mark starts, "
-            f"filled ones ends; {target}.",
+            f"filled ones ends; {marks}.",
             strip=True,
         )
 
