@@ -210,6 +210,9 @@ class SequenceQLearning(OnlineLoop):
         self.root_seed = self._root_seed()
         self.observation_size = int(np.prod(self.observation_space.shape or ()))
         policy_kwargs = {"n_quantiles": self.default_quantiles} | self.policy_kwargs
+        if "optimizer_class" not in policy_kwargs:
+            fused = {"fused": True}  # Adam's steps of all parameters in one call
+            policy_kwargs["optimizer_kwargs"] = fused | policy_kwargs.get("optimizer_kwargs", {})
         self.policy = self.policy_class(  # type: ignore[assignment]
             self.observation_space,
             self.action_space,

@@ -200,7 +200,7 @@ class CheckpointCallback(BaseCallback):
         self._previous_handler: Any = None
 
     def _init_callback(self) -> None:
-        self.model.boundary_hooks.append(self.at_boundary)  # type: ignore[attr-defined]
+        self.model.boundary_hooks.append(self)  # type: ignore[attr-defined]
         self.due = self.every * (self.model.num_timesteps // self.every + 1)
         self.epochs = 0
         self._catch_interrupt()

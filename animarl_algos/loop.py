@@ -165,8 +165,7 @@ class OnlineLoop(OffPolicyAlgorithm):
     def _init_callback(self, callback: MaybeCallback, progress_bar: bool = False) -> BaseCallback:
         if progress_bar and self.recipe.online:
             given = callback if isinstance(callback, list) else [callback]
-            callback = [super()._init_callback(c) for c in given if c is not None]
-            callback.append(ProgressBar())
+            callback = [*(c for c in given if c is not None), ProgressBar()]
         return super()._init_callback(callback)
 
     # -- act --------------------------------------------------------------------------------------
@@ -182,7 +181,6 @@ class OnlineLoop(OffPolicyAlgorithm):
         log_interval: int | None = None,
     ) -> RolloutReturn:
         """Act until ``train_freq`` steps of every copy, or episodes of all copies, are done."""
-        self.policy.set_training_mode(False)
         steps, episodes, copies = 0, 0, self.layout.num_copies
         callback.on_rollout_start()
         while should_collect_more_steps(train_freq, steps, episodes):
@@ -250,7 +248,6 @@ class OnlineLoop(OffPolicyAlgorithm):
         """``gradient_steps`` updates on sequences from the replay memory."""
         assert self.replay_buffer is not None
         policy, phase, terms = self.policy, self.phase("online"), self.recipe.online
-        policy.set_training_mode(True)
         self._update_learning_rate(policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
         totals: dict[str, torch.Tensor] = {}

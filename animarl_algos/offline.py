@@ -144,7 +144,6 @@ def _refuse_foreign(model: SequenceQLearning, data: DemonstrationData) -> None:
 def _train_epoch(model: SequenceQLearning, dataset: OfflineDataset, epoch: int) -> Figures:
     """One pass over the training split; returns the mean of each term."""
     policy, phase, terms = model.policy, model.phase("offline"), model.recipe.offline
-    policy.set_training_mode(True)
     generator = np.random.default_rng([model.root_seed, epoch])
     totals: dict[str, torch.Tensor] = {}
     updates = 0
@@ -165,7 +164,6 @@ def _train_epoch(model: SequenceQLearning, dataset: OfflineDataset, epoch: int) 
     row: Figures = {}
     for name, total in totals.items():
         row |= _per_individual(f"train/{name}", model, (total / updates).cpu().numpy())
-    policy.set_training_mode(False)
     return row
 
 
@@ -176,7 +174,7 @@ def _keep_if_best(model: SequenceQLearning, figure: float) -> None:
             f"offline training diverged in epoch {progress.epoch} (validation figure {figure}): "
             "lower offline_learning_rate"
         )
-    if figure < progress.best_figure:
+    if figure <= progress.best_figure:  # of equals the later: it has been fitted longer
         progress.best_figure, progress.best_epoch = figure, progress.epoch
         state = model.policy.q_net.state_dict()
         model.best_weights = {name: value.clone() for name, value in state.items()}

@@ -15,6 +15,7 @@ from animarl_algos.recurrent.gru import Packing
 from animarl_algos.recurrent.networks import StackedQNetwork
 from animarl_algos.terms import Evaluation, LossTerm, Phase
 from animarl_algos.values import ValueDistribution
+from animarl_envs.errors import InputError
 
 PRIORITY_MAX_SHARE = 0.9
 """Priority of a sequence: this share of its largest |TD error|, the rest its mean (Kapturowski et
@@ -83,8 +84,11 @@ def update(
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
     """
     phase = evaluation.phase
-    losses = {term.name: term(evaluation) for term in terms}
-    total = torch.stack([term.weight(phase) * losses[term.name].sum() for term in terms]).sum()
+    active = [term for term in terms if term.weight(phase) > 0]
+    losses = {term.name: term(evaluation) for term in active}
+    total = sum(term.weight(phase) * losses[term.name].sum() for term in active)
+    if not isinstance(total, torch.Tensor):
+        raise InputError(f"all weights of the {phase.name} loss are 0: give one that is not")
     optimizer.zero_grad()
     total.backward()  # type: ignore[no-untyped-call]
     if phase.max_grad_norm is not None:

@@ -151,39 +151,42 @@ class Recall(Toy):
         return np.stack([shown, junction], axis=-1)[:, None]
 
 
-class Corridor(Toy):
-    """A corridor of ``LENGTH`` cells; its only reward lies at the far end, out of a random walk's
-    reach.
+class Lock(Toy):
+    """A combination lock of ``LENGTH`` digits, rewarded when it opens; a wrong digit starts it anew.
 
-    Actions: back, forth, stay. A random walk of ``time_limit`` steps spreads over about 6 cells.
+    Actions: the three digits. The right one differs from place to place, so that neither a random
+    walk nor a constant action opens it: chance has ``3 ** -LENGTH``.
     """
 
-    STATE = ("cell",)
-    num_observations = 2
+    STATE = ("place",)
+    KEY = np.array([2, 0, 1, 1, 2, 1, 0, 0, 2, 1, 2, 0])
+    LENGTH = len(KEY)
+    num_observations = LENGTH
     num_actions = 3
-    time_limit = 50
-    LENGTH = 40
-    MOVES = np.array([-1, 1, 0])
+    time_limit = 20
 
     def __init__(self, num_copies: int = 8, seed: int = 0) -> None:
-        self.cell = np.zeros(num_copies, dtype=np.int64)
+        self.place = np.zeros(num_copies, dtype=np.int64)
         super().__init__(num_copies, seed)
 
     def begin(self, copies: NDArray[np.intp]) -> None:
-        self.cell[copies] = 0
+        self.place[copies] = 0
 
     def advance(self, actions: NDArray[np.integer[Any]]) -> tuple[FloatArray, NDArray[np.bool_]]:
-        self.cell[:] = np.maximum(self.cell + self.MOVES[actions[:, 0]], 0)
-        arrived = self.cell >= self.LENGTH
+        right = actions[:, 0] == self.KEY[self.place]
         self.extras["dtw_penalty"] = np.zeros(self.num_copies)
-        return arrived.astype(float)[:, None], arrived
+        self.place[:] = np.where(right, self.place + 1, 0)
+        opened = self.place == self.LENGTH
+        self.place[opened] = 0
+        return opened.astype(float)[:, None], opened
 
     def observe(self) -> FloatArray:
-        return self.features(self.cell)[:, None]
+        return self.features(self.place)[:, None]
 
     @classmethod
-    def features(cls, cell: NDArray[np.integer[Any]]) -> FloatArray:
-        return np.stack([cell / cls.LENGTH, np.ones(len(cell))], axis=-1)
+    def features(cls, place: NDArray[np.integer[Any]]) -> FloatArray:
+        """One-hot place; zeros once it is open."""
+        return np.asarray(place[:, None] == np.arange(cls.LENGTH), dtype=np.float64)
 
 
 class GridWalk(Toy):
@@ -208,6 +211,7 @@ class GridWalk(Toy):
         goal: tuple[int, int],
         *,
         step_aligned: bool = False,
+        margin: int = 3,
         num_copies: int = 8,
         seed: int = 0,
     ) -> None:
@@ -215,6 +219,7 @@ class GridWalk(Toy):
         self.labels = np.asarray(labels)
         self.goal = np.asarray(goal)
         self.step_aligned = step_aligned
+        self.margin = margin
         self.position = np.zeros((num_copies, 2), dtype=np.int64)
         self.row = np.zeros((num_copies, len(self.path)))
         self.minimum = np.zeros(num_copies)
@@ -243,7 +248,7 @@ class GridWalk(Toy):
         self.minimum[:] = minimum
         arrived = (self.position == self.goal).all(axis=1)
         self.extras["arrived"] = arrived
-        outside = (np.abs(self.position - self.goal / 2) > np.abs(self.goal) / 2 + 3).any(axis=1)
+        outside = (np.abs(self.position - self.goal / 2) > np.abs(self.goal) / 2 + self.margin).any(axis=1)
         return arrived.astype(float)[:, None], arrived | outside
 
     def observe(self) -> FloatArray:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from animarl_envs.species import SearchSpecies
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.species import ChaseSpecies, SearchSpecies, Species
 
 if TYPE_CHECKING:
+    from animarl_envs.demos.demonstrations import Demonstrations
     from animarl_envs.scenario import Scenario
     from animarl_envs.worlds.base import World
 
-__all__ = ["make_world"]
+__all__ = ["demonstration_observations", "make_world"]
 
 
 def make_world(scenario: Scenario, num_copies: int = 1) -> World:
@@ -22,3 +26,15 @@ def make_world(scenario: Scenario, num_copies: int = 1) -> World:
     from animarl_envs.worlds.chase import ChaseWorld
 
     return ChaseWorld(scenario, num_copies)
+
+
+def demonstration_observations(species: Species, demos: Demonstrations) -> NDArray[np.float32]:
+    """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
+    if isinstance(species, SearchSpecies):
+        from animarl_envs.worlds import search
+
+        return search.demonstration_observations(species, demos)
+    from animarl_envs.worlds.chase import observe
+
+    assert isinstance(species, ChaseSpecies)
+    return observe(species, demos.positions, demos.velocities())[0]

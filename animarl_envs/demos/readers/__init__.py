@@ -1,14 +1,31 @@
 """Readers: files of trackers and of other projects become demonstrations."""
 
-from animarl_envs.demos.readers import agents, native
+from animarl_envs.demos.readers import (
+    agents,
+    arrays,
+    authors,
+    collections,
+    deeplabcut,
+    mothvr,
+    native,
+    pose,
+    tables,
+    trackers,
+)
 from animarl_envs.demos.readers.registry import (
     Reader,
     available_readers,
+    default_recipe,
+    find_reader,
     get_reader,
     read,
+    read_tracks,
     register_reader,
+    register_track_reader,
 )
 
 __all__ = [
-    "Reader", "agents", "available_readers", "get_reader", "native", "read", "register_reader",
+    "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
+    "default_recipe", "find_reader", "get_reader", "mothvr", "native", "pose", "read",
+    "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
 ]  # fmt: skip

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.readers.native import npz_members
+from animarl_envs.demos.readers.guards import guarded_npz, npz_members
 from animarl_envs.demos.readers.registry import register_reader
 from animarl_envs.demos.splits import assign_splits
-from animarl_envs.demos.storage import read_npz
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
 
@@ -46,7 +45,7 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
 
     Episodes start at rest. Four fifths are for training, a tenth each for validation and test.
     """
-    arrays = read_npz(path)
+    arrays = guarded_npz(path)
     missing = sorted(m[:-4] for m in _MEMBERS if m[:-4] not in arrays)
     if missing:
         raise InputError(

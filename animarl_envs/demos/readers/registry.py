@@ -1,46 +1,88 @@
-"""Readers by the software that wrote the file: registered by name, found by looking at the file."""
+"""Readers by the software that wrote the file: registered by name, found by looking at the file.
+
+There are two kinds. Files that hold finished episodes are read straight into demonstrations. Files
+of trackers are read into :class:`~animarl_envs.demos.tracks.Tracks` and pass through a recipe
+(cleaning, scaling, cutting), for which such a reader may bring defaults.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.readers.guards import refusing
+from animarl_envs.demos.recipe import Recipe, follow
+from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
 
-ReadFunction = Callable[..., Demonstrations]
-SniffFunction = Callable[[Path], bool]
+ReadDemonstrations = Callable[..., Demonstrations]
+ReadTracks = Callable[..., list[Tracks]]
+Sniff = Callable[[Path], bool]
 
 
 @dataclass(frozen=True)
 class Reader:
-    """One source of recorded episodes.
+    """One source of recorded animals.
 
-    ``sniff`` says from a look at the file whether it is of this source; it never raises. ``read``
-    takes the path and the reader's own options.
+    ``sniff`` says from a look at the file whether it is of this source; it never raises. Either
+    ``read_demonstrations`` or ``read_tracks`` is given; both take the path and options.
+    ``defaults`` are recipe entries that fit what the source is.
     """
 
     name: str
     description: str
     extensions: tuple[str, ...]
-    sniff: SniffFunction
-    read: ReadFunction
+    sniff: Sniff
+    read_demonstrations: ReadDemonstrations | None = None
+    read_tracks: ReadTracks | None = None
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the reader's options."""
+        function = self.read_demonstrations or self.read_tracks
+        assert function is not None
+        return tuple(k for k in inspect.signature(function).parameters if k not in _NOT_OPTIONS)
 
 
+_NOT_OPTIONS = ("path", "progress")
 _READERS: dict[str, Reader] = {}
 
 
 def register_reader(
-    name: str, description: str, sniff: SniffFunction, extensions: Sequence[str]
-) -> Callable[[ReadFunction], ReadFunction]:
+    name: str, description: str, sniff: Sniff, extensions: Sequence[str]
+) -> Callable[[ReadDemonstrations], ReadDemonstrations]:
     """Decorator: make a function ``read(path, **options) -> Demonstrations`` known by ``name``."""
 
-    def register(function: ReadFunction) -> ReadFunction:
-        if name in _READERS:
-            raise ValueError(f"reader {name!r} is registered twice")
-        _READERS[name] = Reader(name, description, tuple(extensions), sniff, function)
+    def register(function: ReadDemonstrations) -> ReadDemonstrations:
+        _add(Reader(name, description, tuple(extensions), sniff, read_demonstrations=function))
+        return function
+
+    return register
+
+
+def register_track_reader(
+    name: str,
+    description: str,
+    sniff: Sniff,
+    extensions: Sequence[str],
+    defaults: Mapping[str, Any] | None = None,
+) -> Callable[[ReadTracks], ReadTracks]:
+    """Decorator: make a function ``read(path, **options) -> list[Tracks]`` known by ``name``.
+
+    A function with a parameter ``progress`` is handed a callable that takes the share done.
+    """
+
+    def register(function: ReadTracks) -> ReadTracks:
+        _add(
+            Reader(
+                name, description, tuple(extensions), sniff, None, function, dict(defaults or {})
+            )
+        )
         return function
 
     return register
@@ -49,37 +91,6 @@ def register_reader(
 def available_readers() -> tuple[Reader, ...]:
     """All registered readers, by name."""
     return tuple(_READERS[name] for name in sorted(_READERS))
-
-
-def read(path: str | Path, source: str | None = None, **options: Any) -> Demonstrations:
-    """Read demonstrations from a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    source
-        Name of the reader; by default the file is looked at to find it.
-    options
-        Handed to the reader.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, of no known source, or refused by its reader.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file: check the path")
-    if source is not None:
-        return get_reader(source).read(path, **options)
-    for reader in available_readers():
-        if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
-            return reader.read(path, **options)
-    raise InputError(
-        f"{path}: no reader recognises it: name its --source "
-        f"({', '.join(reader.name for reader in available_readers())})"
-    )
 
 
 def get_reader(name: str) -> Reader:
@@ -91,3 +102,90 @@ def get_reader(name: str) -> Reader:
             f"source {name!r} is unknown: choose one of "
             f"{', '.join(reader.name for reader in available_readers())}"
         ) from None
+
+
+def find_reader(path: str | Path, source: str | None = None) -> Reader:
+    """The reader named ``source``, or the one that recognises the file."""
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file: check the path")
+    if source is not None:
+        return get_reader(source)
+    for reader in available_readers():
+        if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
+            return reader
+    raise InputError(
+        f"{path}: no reader recognises it: name its --source "
+        f"({', '.join(reader.name for reader in available_readers())})"
+    )
+
+
+def read(path: str | Path, source: str | None = None, **options: Any) -> Demonstrations:
+    """Read demonstrations from one file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    source
+        Name of the reader; by default the file is looked at to find it.
+    options
+        Handed to the reader; for a tracker's file also entries of the recipe, such as
+        ``frame_rate``.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, of no known source, or refused by its reader.
+    """
+    path = Path(path)
+    reader = find_reader(path, source)
+    if reader.read_demonstrations is not None:
+        _check_options(reader, options)
+        with refusing(path, reader.name):
+            return reader.read_demonstrations(path, **options)
+    own = {key: options.pop(key) for key in reader.options if key in options}
+    return follow(default_recipe(reader, options=own, **options), [path])
+
+
+def default_recipe(reader: Reader, **changes: Any) -> Recipe:
+    """The recipe that fits a tracker's files, with changes."""
+    return Recipe.from_dict(
+        {**reader.defaults, "source": reader.name, **changes}, f"source {reader.name}"
+    )
+
+
+def read_tracks(
+    path: str | Path,
+    source: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
+) -> list[Tracks]:
+    """Read the recordings of one tracker's file, as they are."""
+    path = Path(path)
+    reader = find_reader(path, source)
+    if reader.read_tracks is None:
+        raise InputError(
+            f"{path}: source {reader.name} holds finished episodes, not tracks: "
+            "use it as it is, or convert it with 'animarl data convert'"
+        )
+    _check_options(reader, options)
+    if progress is not None and "progress" in inspect.signature(reader.read_tracks).parameters:
+        options["progress"] = progress
+    with refusing(path, reader.name):
+        return reader.read_tracks(path, **options)
+
+
+def _check_options(reader: Reader, options: Mapping[str, Any]) -> None:
+    unknown = sorted(set(options) - set(reader.options))
+    if unknown:
+        known = ", ".join(reader.options) or "none"
+        raise InputError(
+            f"source {reader.name} has no option {unknown[0]!r}: its options are {known}"
+        )
+
+
+def _add(reader: Reader) -> None:
+    if reader.name in _READERS:
+        raise ValueError(f"reader {reader.name!r} is registered twice")
+    _READERS[reader.name] = reader

@@ -1,0 +1,42 @@
+"""The command line, ``animarl``. Bad input is one sentence and exit code 2, never a traceback."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+
+from animarl_algos.commands.fit import fit_command
+from animarl_algos.commands.run import (
+    evaluate_command,
+    report_command,
+    run_command,
+    train_command,
+)
+from animarl_envs.errors import InputError, MissingExtraError
+
+app = typer.Typer(
+    name="animarl",
+    help="Recorded animals become a simulator: fit, train, evaluate, report.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+)
+app.command("fit")(fit_command)
+app.command("run")(run_command)
+app.command("train")(train_command)
+app.command("evaluate")(evaluate_command)
+app.command("report")(report_command)
+
+
+def main() -> None:
+    """Entry point of the ``animarl`` script."""
+    try:
+        app()
+    except (InputError, MissingExtraError) as error:
+        print(f"animarl: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""From recorded episodes to a report: fit, pretrain, adapt, evaluate, report.
+
+Each stage writes its result into the run folder and is skipped if it is there, so that a run that
+was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import torch
+from stable_baselines3.common.logger import configure
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.evaluation import Evaluation, evaluate
+from animarl_algos.evaluation.report import ReportInputs, write_report
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.recipes import named_recipe
+from animarl_algos.run_folder import BEHAVIOUR_CLONING, RunFolder, RunSettings
+from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
+from animarl_envs.demos.readers import read
+from animarl_envs.errors import InputError
+from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import Species
+from animarl_envs.worlds import make_world
+
+PLANNED_FLIPS = {"agent": (0, 1), "silkmoth": (1, 0)}
+UNTRAINED, RANDOM = "untrained", "random"
+
+
+def method_name(algo: str) -> str:
+    """How a learner is called in tables and figures."""
+    return algo.upper()
+
+
+def open_run(settings: RunSettings, out: Path, command: str) -> RunFolder:
+    """Read the demonstrations and start (or find again) the run folder."""
+    demos = load_demonstrations(settings)
+    run = RunFolder(out)
+    run.start(settings, demos, command)
+    return run
+
+
+def load_demonstrations(settings: RunSettings) -> Demonstrations:
+    """The file of the settings, or the packaged demonstrations of ``packaged``."""
+    if settings.file == "packaged":
+        from animarl_envs.demos.packaged import load_packaged
+
+        return load_packaged(settings.species)
+    demos = read(settings.file, settings.source)
+    for split in SPLITS:
+        demos.select(split=split)  # an empty split is refused now, not after an hour
+    return demos
+
+
+def fit(run: RunFolder) -> LocomotionFit:
+    """Stage 1: damping and thrust of every individual."""
+    file = run.path / "locomotion.json"
+    if file.exists():
+        return run.fit
+    settings = run.settings
+    method = "onset" if settings.fit_method == "onset" else "joint"
+    result = fit_locomotion(run.demos, method, seed=settings.seed)  # type: ignore[arg-type]
+    result.save(file)
+    return result
+
+
+def train(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
+    """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
+
+    Goes on from the last checkpoint, exactly.
+    """
+    torch.set_num_threads(1)
+    demos, settings = run.demos, run.settings
+    env = run.environment(run.species(demos, fit(run)), demos)
+    model = run.learner(algo, env)
+    if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
+        run.load_policy(algo, model)
+        return model
+    checkpoints = run.path / "checkpoints" / algo
+    resumed = latest_checkpoint(checkpoints) is not None
+    if resumed:
+        load_checkpoint(model, checkpoints)
+    model.set_logger(configure(str(run.log_folder(algo)), ["csv", "tensorboard"]))
+    model.learn(
+        max(0, settings.steps - model.num_timesteps) if resumed else settings.steps,
+        callback=CheckpointCallback(checkpoints, settings.checkpoint_every),
+        reset_num_timesteps=not resumed,
+        progress_bar=progress_bar,
+    )
+    run.save_policy(algo, model)
+    return model
+
+
+def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
+    """Whether the last checkpoint has fewer steps than the run now asks for."""
+    latest = latest_checkpoint(run.path / "checkpoints" / algo)
+    if latest is None or not named_recipe(algo).algorithm.recipe.online:
+        return False
+    state = json.loads((latest / "state.json").read_text())
+    counters = state.get("counters", state)
+    return bool(counters["num_timesteps"] < steps)
+
+
+def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Policy]:
+    """The trained learner and what it is compared with, ready to act as in the paper's tests."""
+    settings, demos = run.settings, run.demos
+    env = run.environment(run.species(demos, fit(run)), demos)
+    policies: dict[str, Policy] = {}
+    untrained = run.learner(settings.algo, env)
+    policies[method_name(settings.algo)] = train(run, settings.algo, progress_bar=False)
+    if settings.baselines:
+        if settings.algo != BEHAVIOUR_CLONING:
+            policies[method_name(BEHAVIOUR_CLONING)] = train(
+                run, BEHAVIOUR_CLONING, progress_bar=progress_bar
+            )
+        policies[UNTRAINED] = untrained
+        policies[RANDOM] = RandomPolicy(settings.seed)
+    for policy in policies.values():
+        if isinstance(policy, SequenceQLearning):
+            policy.policy.epsilon = settings.test_epsilon
+            policy.policy.seed(settings.seed)
+    return policies
+
+
+def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts]:
+    """Stage 4a: every method from the start of every test demonstration."""
+    settings, demos = run.settings, run.demos
+    species = run.species(demos, fit(run))
+    scenario = make_scenario(species, demos=demos, split="test")
+    flagged = run.environment(species, demos).condition_flag
+    rollouts = {}
+    for name, policy in test_policies(run, progress_bar=progress_bar).items():
+        rollouts[name] = collect_rollouts(
+            partial(make_world, scenario),
+            policy,
+            method=name,
+            seed=settings.seed,
+            repetitions=settings.repetitions,
+            cue="actual" if flagged and name != RANDOM else None,
+        )
+        rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
+    return rollouts
+
+
+def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
+    """Stage 4: rollouts on the test split, measured and compared with the recordings."""
+    rollouts = roll_out(run, progress_bar=progress_bar)
+    evaluation = evaluate(
+        rollouts,
+        run.demos.select(split="test"),
+        seed=run.settings.seed,
+        planned_flip=PLANNED_FLIPS.get(run.settings.species),
+    )
+    evaluation.save(run.path / "evaluation")
+    return evaluation
+
+
+def report(run: RunFolder) -> Path:
+    """Stage 5: the page to show."""
+    settings, demos, record = run.settings, run.demos, run.record
+    files = sorted((run.path / "rollouts").glob("*.npz"))
+    if not files:
+        raise InputError(f"{run.path}: it has no rollouts yet: run 'animarl evaluate' first")
+    rollouts = {file.stem: Rollouts.load(file) for file in files}
+    focus = method_name(settings.algo)
+    ordered = {focus: rollouts.pop(focus)} | rollouts
+    species = run.species(demos, fit(run))
+    return write_report(
+        ReportInputs(
+            title=f"{species.title}: {focus}",
+            focus=focus,
+            demos=demos.select(split="test"),
+            rollouts=ordered,
+            evaluation=Evaluation.load(run.path / "evaluation"),
+            conditions=species.conditions,
+            fit=fit(run),
+            learning_curves=run.learning_curves(),
+            settings={"run": record["settings"], "learner": record["learner"]},
+            seeds=(settings.seed,),
+            versions=record["versions"],
+            command=record["command"],
+            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            episodes={split: int((demos.split == split).sum()) for split in SPLITS},
+        ),
+        run.path / "report.html",
+    )
+
+
+def species_of(run: RunFolder) -> Species:
+    """The species of a run, with the fitted locomotion."""
+    return run.species(run.demos, fit(run))

@@ -1,0 +1,244 @@
+"""A run's folder: everything needed to repeat it, to continue it, and to show it.
+
+    settings.json       as resolved, with versions, the command and the demonstrations' fingerprint
+    demonstrations.npz  with their splits and provenance
+    locomotion.json     the fitted parameters
+    checkpoints/        the last whole checkpoint of each learner
+    policies/           final weights of each learner (tensors only)
+    logs/               learning curves: CSV and TensorBoard
+    rollouts/           on the test split, by method
+    evaluation/         tables
+    report.html
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.presets import learner_settings
+from animarl_algos.recipes import named_recipe
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting import LocomotionFit
+from animarl_envs.scenario import with_options
+from animarl_envs.species import Species, get_species
+
+PACKAGES = (
+    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scipy",
+    "stable-baselines3", "torch",
+)  # fmt: skip
+BEHAVIOUR_CLONING = "bc"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """What a run was asked for; it decides the run together with the demonstrations.
+
+    ``overrides`` go over the YAML section of the learner; ``test_epsilon`` is the share of random
+    actions when policies are evaluated.
+    """
+
+    file: str
+    source: str | None = None
+    species: str
+    algo: str
+    steps: int
+    seed: int = 0
+    copies: int = 16
+    fit_method: str = "joint"
+    repetitions: int = 5
+    test_epsilon: float = 0.1
+    baselines: bool = True
+    checkpoint_every: int = 20_000
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        named_recipe(self.algo)
+        get_species(self.species)
+        for name in ("steps", "copies", "repetitions", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
+        if not 0.0 <= self.test_epsilon <= 1.0:
+            raise InputError(f"test_epsilon is {self.test_epsilon}: it must be from 0 to 1")
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths of a run, and what is in them."""
+
+    path: Path
+
+    def start(self, settings: RunSettings, demos: Demonstrations, command: str) -> None:
+        """Write what the run is, or make sure that what is there is the same run.
+
+        Raises
+        ------
+        InputError
+            If the folder holds another run.
+        """
+        resolved = {
+            "settings": asdict(settings) | {"overrides": dict(settings.overrides)},
+            "learner": _plain(learner_settings(settings.algo, settings.species, dict(settings.overrides))),
+            "fingerprint": demos.fingerprint(),
+        }
+        file = self.path / "settings.json"
+        if file.exists():
+            before = self._read()
+            for key, value in resolved.items():
+                if before.get(key) != _plain(value):
+                    raise InputError(
+                        f"{self.path}: it holds another run (its {key} differ): "
+                        "choose another --out, or remove it"
+                    )
+            return
+        demos.save(self.path / "demonstrations.npz")
+        record = resolved | {"versions": versions(), "command": command}
+        with write_then_rename(file) as part:
+            part.write_text(json.dumps(_plain(record), indent=2) + "\n")
+
+    def _read(self) -> dict[str, Any]:
+        file = self.path / "settings.json"
+        try:
+            record: dict[str, Any] = json.loads(file.read_text())
+            return record
+        except FileNotFoundError:
+            raise InputError(
+                f"{self.path}: it is not a run folder (settings.json is missing): "
+                "make one with 'animarl run' or 'animarl train'"
+            ) from None
+        except ValueError as error:
+            raise InputError(f"{file}: it is damaged ({error}): start the run again") from None
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """``settings``, ``learner``, ``fingerprint``, ``versions`` and ``command``."""
+        return self._read()
+
+    @property
+    def settings(self) -> RunSettings:
+        """As the run was asked for."""
+        return RunSettings(**self._read()["settings"])
+
+    def extend(self, steps: int) -> None:
+        """Raise the number of steps of a run that is to be continued."""
+        record = self._read()
+        if steps < record["settings"]["steps"]:
+            raise InputError(
+                f"{self.path}: the run has {record['settings']['steps']} steps already: "
+                "ask for more with --steps"
+            )
+        record["settings"]["steps"] = steps
+        with write_then_rename(self.path / "settings.json") as part:
+            part.write_text(json.dumps(record, indent=2) + "\n")
+
+    @property
+    def demos(self) -> Demonstrations:
+        """The demonstrations of the run, all splits."""
+        return Demonstrations.load(self.path / "demonstrations.npz")
+
+    @property
+    def fit(self) -> LocomotionFit:
+        """The fitted locomotion."""
+        return LocomotionFit.load(self.path / "locomotion.json")
+
+    def species(self, demos: Demonstrations, fit: LocomotionFit) -> Species:
+        """The species with the recording's arena, names and time limit, and the fitted locomotion."""
+        base = get_species(self.settings.species)
+        longest = int(demos.lengths.max()) - 1
+        return with_options(
+            base,
+            individuals=demos.individuals,
+            dt=demos.dt,
+            arena=demos.arena,
+            locomotion=fit.locomotion,
+            time_limit=max(base.time_limit, longest),
+        )
+
+    def environment(self, species: Species, demos: Demonstrations) -> SlotVecEnv:
+        """The training environment: all individuals learn, episodes start from the train split."""
+        flagged = bool(species.conditions) and len(set(demos.condition.tolist())) == 2
+        return SlotVecEnv(
+            species, self.settings.copies, demos=demos, condition_flag=flagged
+        )
+
+    def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
+        """A new learner with the run's settings."""
+        settings = self.settings
+        overrides = dict(settings.overrides) if algo == settings.algo else {}
+        arguments = learner_settings(algo, settings.species, overrides)
+        return named_recipe(algo).algorithm(
+            env=env, seed=settings.seed, device="cpu", **arguments
+        )
+
+    def save_policy(self, name: str, model: SequenceQLearning) -> None:
+        """The final weights, tensors only."""
+        with write_then_rename(self.path / "policies" / f"{name}.pt") as part:
+            torch.save(model.policy.q_net.state_dict(), part)
+
+    def load_policy(self, name: str, model: SequenceQLearning) -> None:
+        """Put the final weights into a learner of the same settings."""
+        file = self.path / "policies" / f"{name}.pt"
+        try:
+            weights = torch.load(file, weights_only=True)
+            model.policy.q_net.load_state_dict(weights)
+            model.policy.q_net_target.load_state_dict(weights)
+        except FileNotFoundError:
+            raise InputError(f"{file}: there is no trained policy yet: train the run first") from None
+        except (RuntimeError, ValueError, EOFError) as error:
+            raise InputError(f"{file}: it is not a policy of this run ({error})") from None
+
+    def has_policy(self, name: str) -> bool:
+        return (self.path / "policies" / f"{name}.pt").exists()
+
+    def log_folder(self, name: str) -> Path:
+        """A new folder for the logs of one session of one learner."""
+        base = self.path / "logs" / name
+        return base / f"{len(list(base.glob('[0-9]*'))):03d}"
+
+    def learning_curves(self) -> pd.DataFrame:
+        """All logged quantities: ``method, phase, seed, step, quantity, value``."""
+        rows = []
+        for file in sorted((self.path / "logs").glob("*/*/progress.csv")):
+            if file.stat().st_size == 0:
+                continue
+            table = pd.read_csv(file)
+            offline = [c for c in table if c.startswith("offline/") and c != "offline/epoch"]
+            online = [c for c in table if c.startswith(("rollout/", "train/"))]
+            phases = (("offline", offline, "offline/epoch"), ("online", online, "time/total_timesteps"))
+            for phase, columns, step in phases:
+                if step not in table:
+                    continue
+                long = table.melt(id_vars=step, value_vars=columns, var_name="quantity")
+                long = long.dropna().rename(columns={step: "step"})
+                rows.append(long.assign(method=file.parent.parent.name, phase=phase))
+        columns = ["method", "phase", "seed", "step", "quantity", "value"]
+        if not rows:
+            return pd.DataFrame(columns=columns)
+        table = pd.concat(rows, ignore_index=True).assign(seed=self.settings.seed)
+        keys = ["method", "phase", "seed", "step", "quantity"]
+        return table.drop_duplicates(keys, keep="last")[columns]
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide a result."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        found[name] = importlib.metadata.version(name)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """As JSON would give it back."""
+    return json.loads(json.dumps(value, default=str))

@@ -1,0 +1,1 @@
+"""Settings of the learners per environment, as YAML data."""
