@@ -88,24 +88,23 @@ def wasserstein(simulated: ArrayLike, recorded: ArrayLike) -> float:
     first, second = _sample(simulated), _sample(recorded)
     if min(len(first), len(second)) == 0:
         return math.nan
-    support = np.concatenate([first, second])
-    weights = np.zeros((2, 1, len(support)))
-    weights[0, 0, : len(first)] = 1.0
-    weights[1, 0, len(first) :] = 1.0
-    return float(wasserstein_weighted(support, weights[0], weights[1])[0])
+    one = np.ones((1, len(first))), np.ones((1, len(second)))
+    return float(wasserstein_weighted(first, one[0], second, one[1])[0])
 
 
-def wasserstein_weighted(support: Floats, first: Floats, second: Floats) -> Floats:
-    """Wasserstein-1 between pairs of weightings ``(resamples, values)`` of one ``support``."""
-    order = np.argsort(support, kind="stable")
-    gaps = np.diff(support[order])
+def wasserstein_weighted(a: Floats, first: Floats, b: Floats, second: Floats) -> Floats:
+    """Wasserstein-1 between values ``a`` and ``b`` under weightings ``(resamples, values)``."""
+    points = np.unique(np.concatenate([a, b]))
 
-    def cdf(weights: Floats) -> Floats:
-        total = weights.sum(axis=1, keepdims=True)
-        return np.asarray(np.cumsum(weights[:, order], axis=1)[:, :-1] / total)
+    def cdf(values: Floats, weights: Floats) -> Floats:
+        order = np.argsort(values, kind="stable")
+        below = np.searchsorted(values[order], points[:-1], side="right")
+        sums = np.zeros((len(weights), len(values) + 1))
+        np.cumsum(weights[:, order], axis=1, out=sums[:, 1:])
+        return np.asarray(sums[:, below] / sums[:, -1:])
 
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.abs(cdf(first) - cdf(second)) @ gaps)
+        return np.asarray(np.abs(cdf(a, first) - cdf(b, second)) @ np.diff(points))
 
 
 def kde_weighted(rule: KdeRule, support: Floats, weights: Floats) -> Floats:
@@ -170,7 +169,7 @@ def null_distances(
     even = np.full(len(support), 1.0 / len(support))
     first = rng.multinomial(num_simulated, even, size=resamples).astype(np.float64)
     second = rng.multinomial(num_recorded, even, size=resamples).astype(np.float64)
-    kde, distance = _distances(support, first, second)
+    kde, distance = _distances(support, first, support, second)
     return Distances(
         percentile_interval(float(np.mean(kde)), kde),
         percentile_interval(float(np.mean(distance)), distance),
@@ -208,26 +207,22 @@ def bootstrap_distances(
     demo_weights = draw_weights(rng, len(recorded), resamples)
     seed_weights = draw_weights(rng, len(seeds), resamples)
     first = seed_weights[:, row.ravel()[counts]] * demo_weights[:, np.asarray(demo)[counts]]
-    support = np.concatenate([simulated[counts], recorded[present]])
-    left = np.concatenate([first, np.zeros((resamples, int(present.sum())))], axis=1)
-    right = np.concatenate(
-        [np.zeros((resamples, int(counts.sum()))), demo_weights[:, present]], axis=1
+    kde, distance = _distances(
+        simulated[counts], first, recorded[present], demo_weights[:, present]
     )
-    kde, distance = _distances(support, left, right)
     return Distances(
         percentile_interval(kde_distance(simulated, recorded), kde),
         percentile_interval(wasserstein(simulated, recorded), distance),
     )
 
 
-def _distances(support: Floats, first: Floats, second: Floats) -> tuple[Floats, Floats]:
-    """Both distances of each pair of weightings, ``(resamples,)`` each."""
-    distance = wasserstein_weighted(support, first, second)
-    used = [support[weights.any(axis=0)] for weights in (first, second)]
-    rule = kde_rule(*used)
+def _distances(a: Floats, first: Floats, b: Floats, second: Floats) -> tuple[Floats, Floats]:
+    """Both distances ``(resamples,)`` of values ``a`` and ``b``, each with its weightings."""
+    distance = wasserstein_weighted(a, first, b, second)
+    rule = kde_rule(a[first.any(axis=0)], b[second.any(axis=0)])
     if rule is None:
         return np.zeros(len(first)), distance
-    difference = kde_weighted(rule, support, first) - kde_weighted(rule, support, second)
+    difference = kde_weighted(rule, a, first) - kde_weighted(rule, b, second)
     return np.abs(difference).sum(axis=1) * rule.step, distance
 
 
