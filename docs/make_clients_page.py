@@ -1,0 +1,115 @@
+"""Write ``docs/clients.md``: run every example and note against which versions it ran.
+
+    python docs/make_clients_page.py
+
+The examples run one after the other in processes of their own, a few thousand steps each; the
+command stops at the first that fails. ``tests/test_clients.py`` runs the same examples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import platform
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from animarl_envs.files import write_then_rename
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "clients.md"
+
+
+@dataclass(frozen=True)
+class Client:
+    """An example and the libraries it shows."""
+
+    example: str
+    libraries: tuple[str, ...]
+    view: str  # of the environment
+
+    @property
+    def path(self) -> Path:
+        return ROOT / "examples" / f"{self.example}.py"
+
+    @property
+    def summary(self) -> str:
+        """First line of the example's docstring."""
+        text = ast.get_docstring(ast.parse(self.path.read_text()))
+        assert text is not None, self.path
+        return text.splitlines()[0]
+
+
+CLIENTS = (
+    Client("sb3_dqn", ("stable-baselines3",), "`gym.make`"),
+    Client("sb3_ppo", ("stable-baselines3",), "`make_vec_env`"),
+    Client("sb3_contrib_qrdqn", ("sb3-contrib",), "`gym.make`"),
+    Client("sb3_contrib_recurrent_ppo", ("sb3-contrib",), "`make_vec_env`"),
+    Client("cleanrl_style_dqn", ("gymnasium", "torch"), "`gym.make_vec`"),
+    Client(
+        "pettingzoo_supersuit_sb3", ("pettingzoo", "supersuit", "stable-baselines3"),
+        "`parallel_env`",
+    ),
+    Client("torchrl_env", ("torchrl",), "`GymEnv`"),
+    Client("tianshou_env", ("tianshou",), "`gym.make` in `DummyVectorEnv`"),
+)  # fmt: skip
+
+HEAD = """# AnimaRL in other libraries
+
+<!-- Written by `python docs/make_clients_page.py`; do not edit. -->
+
+`import animarl_envs` registers the ids with Gymnasium; libraries that start worker processes, such
+as stable-baselines3's `SubprocVecEnv`, take `"animarl_envs:AnimaRL/Agent-v0"` instead. Every
+example below is a file of its own in [`examples/`](../examples), takes `--steps` and `--seed`, and
+is run by the tests. The table says what this command ran last, with `--steps {steps}`, on Python
+{python}: a check that they work together, not a benchmark, since nothing is learnt in so few steps.
+
+| example | what it does | view | ran against | it said |
+|---|---|---|---|---|
+"""
+
+FOOT = """
+What to know:
+
+- A time limit *truncates* and never terminates, so that it is bootstrapped. Gymnasium's views say
+  so by `step`'s fourth value; the parallel view also by `info["TimeLimit.truncated"]` at the end,
+  which is how SuperSuit's stable-baselines3 wrapper learns of it.
+- `gym.make_vec` gives the native vector environment. It resets a copy in the step after its end
+  (`AutoresetMode.NEXT_STEP`), or at once with `autoreset_mode="SameStep"`.
+- All individuals of a chase have the same observation and action spaces, so no padding is needed;
+  all end together, so `black_death` is not either.
+- SuperSuit's SB3 wrapper has no `seed()`: give SB3 no `seed=`, and seed as the example does.
+"""
+
+
+def run(client: Client, steps: int) -> str:
+    """Run one example; its last line of output."""
+    command = [sys.executable, str(client.path), "--steps", str(steps)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    if done.returncode != 0:
+        raise SystemExit(f"{client.path} failed:\n{done.stderr[-2000:]}")
+    return done.stdout.strip().splitlines()[-1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=3000)
+    steps = parser.parse_args().steps
+    rows = []
+    for client in CLIENTS:
+        said = run(client, steps)
+        versions = ", ".join(f"{name} {version(name)}" for name in client.libraries)
+        link = f"[`{client.example}.py`](../examples/{client.example}.py)"
+        rows.append(f"| {link} | {client.summary} | {client.view} | {versions} | {said} |")
+        print(client.example, "-", said, flush=True)
+    head = HEAD.format(steps=steps, python=platform.python_version())
+    with write_then_rename(PAGE) as part:
+        part.write_text(head + "\n".join(rows) + "\n" + FOOT)
+    print(f"Wrote {PAGE.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()
