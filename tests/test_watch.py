@@ -114,6 +114,41 @@ class Pusher:
         return np.zeros(len(observation), dtype=np.int64), (state or 0) + 1
 
 
+def test_a_trained_run_drives_its_fitted_animals(tmp_path):
+    from animarl_algos.run_folder import RunFolder, RunSettings
+    from animarl_envs.demos.packaged import load_packaged
+    from animarl_envs.fitting import fit_locomotion
+
+    agent, packaged = "AnimaRL/Agent-v0", load_packaged("agent")
+    few = np.concatenate(
+        [np.flatnonzero(packaged.split == s)[:5] for s in ("train", "val", "test")]
+    )
+    recorded = packaged.select(episodes=few)
+    run = RunFolder(tmp_path / "run")
+    run.start(
+        RunSettings(file="packaged", species="agent", algo="dqn", steps=1, copies=1),
+        recorded,
+        "a test",
+    )
+    with pytest.raises(InputError, match="no trained policy"):
+        prepare(agent, model=run.path)
+    fitted = fit_locomotion(recorded, "joint", bootstrap=2, seed=0)
+    fitted.save(run.path / "locomotion.json")
+    env = run.environment(run.species(recorded, fitted), recorded)
+    run.save_policy("dqn", run.learner("dqn", env))
+
+    world, actor = prepare(agent, model=run.path)
+    assert world.scenario.drivers == ("action",) * 3
+    assert world.scenario.species.locomotion == fitted.locomotion
+    assert len(positions_of(world, actor, steps=3)) == 4 + 1  # the last picture is held
+    world, _ = prepare(agent, model=run.path, focal="prey")
+    assert world.scenario.drivers == ("replay", "replay", "action")
+    with pytest.raises(InputError, match="AnimaRL/Agent-v0"):
+        prepare(NEWT, model=run.path)
+    with pytest.raises(InputError, match="predator_1"):
+        prepare(agent, model=run.path, focal="nobody")
+
+
 def test_a_policy_drives_all_individuals_and_keeps_its_state():
     world, _ = prepare("AnimaRL/Agent-v0", demos=None, condition=1)
     world = type(world)(_all_acting(world.scenario), 1)

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-import animarl_envs  # noqa: F401  (registers the AnimaRL ids)
+import animarl_envs
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.scene import SceneRecorder
-from animarl_envs.species import SearchSpecies
+from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
@@ -167,9 +168,10 @@ def prepare(
     options = kwargs | options
     policy = None
     if model is not None:
-        from animarl_algos.run_folder import load_policy
-
-        policy = load_policy(model)
+        name = species if isinstance(species, str) else species.name
+        policy, species, recorded = load_trained(model, name, seed)
+        if options.get("demos", "packaged") == "packaged":
+            options["demos"] = recorded
     plain = make_scenario(species, **options)
     names = plain.names
     if focal is not None and focal not in names:
@@ -185,6 +187,33 @@ def prepare(
     if programmed:
         return world, programmed_actor(world.scenario, seed)
     return world, idle_actor
+
+
+def load_trained(folder: Path, species: str, seed: int) -> tuple[Any, Species, Demonstrations]:
+    """The trained policy of a run, as it acts in tests, its fitted species, and its demonstrations.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no trained policy, or one of another species.
+    """
+    from animarl_algos.run_folder import RunFolder
+
+    run = RunFolder(folder)
+    settings, recorded = run.settings, run.demos
+    if settings.species != species:
+        raise InputError(
+            f"{folder}: it was trained as {settings.species}, not as {species}: watch "
+            f"{animarl_envs.environment_id(settings.species)}"
+        )
+    if not run.has_policy(settings.algo):
+        raise InputError(f"{folder}: there is no trained policy yet: let 'animarl train' finish")
+    fitted = run.species(recorded, run.fit)
+    learner = run.learner(settings.algo, run.environment(fitted, recorded))
+    run.load_policy(settings.algo, learner)
+    learner.policy.epsilon = settings.test_epsilon
+    learner.policy.seed(seed)
+    return learner, fitted, recorded
 
 
 def idle_actor(world: World, start: bool) -> NDArray[np.integer]:
