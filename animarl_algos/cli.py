@@ -13,6 +13,7 @@ from animarl_algos.commands.run import (
     run_command,
     train_command,
 )
+from animarl_algos.commands.watch import watch_command
 from animarl_envs.errors import InputError, MissingExtraError
 
 app = typer.Typer(
@@ -27,6 +28,7 @@ app.command("run")(run_command)
 app.command("train")(train_command)
 app.command("evaluate")(evaluate_command)
 app.command("report")(report_command)
+app.command("watch")(watch_command)
 
 
 def main() -> None:
