@@ -24,6 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.collection import Recorder
 from animarl_algos.exploration import LinearDecay
+from animarl_algos.losses import balanced_accuracy
 from animarl_algos.progress import ProgressBar
 from animarl_algos.recipe import Recipe
 from animarl_algos.recurrent.policies import GruPolicy
@@ -180,10 +181,15 @@ class OnlineLoop(OffPolicyAlgorithm):
         learning_starts: int = 0,
         log_interval: int | None = None,
     ) -> RolloutReturn:
-        """Act until ``train_freq`` steps of every copy, or episodes of all copies, are done."""
+        """Act until ``train_freq`` steps of every copy, or episodes of all copies, are done.
+
+        The end of training ends it too, so that an update is never late by an episode.
+        """
         steps, episodes, copies = 0, 0, self.layout.num_copies
         callback.on_rollout_start()
-        while should_collect_more_steps(train_freq, steps, episodes):
+        while self.num_timesteps < self._total_timesteps and should_collect_more_steps(
+            train_freq, steps, episodes
+        ):
             actions, hidden = self._act(learning_starts)
             observation: Any = self._last_obs
             new_obs, rewards, dones, infos = env.step(actions)
@@ -266,6 +272,11 @@ class OnlineLoop(OffPolicyAlgorithm):
                 self.replay_buffer.update_priorities(batch.indices, result.priorities)
             for name, loss in result.losses.items():
                 totals[name] = totals[name] + loss if name in totals else loss
+            if evaluation.treatment_logits is not None:
+                condition, valid = evaluation.batch.condition, evaluation.valid
+                totals["treatment_balanced_accuracy"] = gradient_steps * balanced_accuracy(
+                    evaluation.treatment_logits, condition, valid
+                )  # of the last batch
         self._n_updates += gradient_steps
         self._record_losses(totals, gradient_steps)
 

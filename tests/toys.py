@@ -152,7 +152,7 @@ class Recall(Toy):
 
 
 class Lock(Toy):
-    """A combination lock of ``LENGTH`` digits, rewarded when it opens; a wrong digit starts it anew.
+    """A combination lock of ``LENGTH`` digits, rewarded when open; a wrong digit starts it anew.
 
     Actions: the three digits. The right one differs from place to place, so that neither a random
     walk nor a constant action opens it: chance has ``3 ** -LENGTH``.
@@ -248,7 +248,9 @@ class GridWalk(Toy):
         self.minimum[:] = minimum
         arrived = (self.position == self.goal).all(axis=1)
         self.extras["arrived"] = arrived
-        outside = (np.abs(self.position - self.goal / 2) > np.abs(self.goal) / 2 + self.margin).any(axis=1)
+        outside = (np.abs(self.position - self.goal / 2) > np.abs(self.goal) / 2 + self.margin).any(
+            axis=1
+        )
         return arrived.astype(float)[:, None], arrived | outside
 
     def observe(self) -> FloatArray:

@@ -1,0 +1,168 @@
+"""Exact resume: a run that was killed ends with the same weights as one that never was (CPU)."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import toys
+from test_recipes import SETTINGS, demonstrations
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.checkpoint import (
+    CheckpointCallback,
+    latest_checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+)
+from animarl_algos.dqaas import DQAAS
+from animarl_algos.dqdil import DQDIL
+from animarl_algos.dqn import DQN
+from animarl_algos.qrdqn import QRDQN
+from animarl_envs.errors import InputError
+
+STEPS = 400
+
+
+def make(recipe: type[SequenceQLearning] = DQDIL, **more: Any) -> SequenceQLearning:
+    torch.set_num_threads(1)
+    return recipe("GruPolicy", toys.Pair(2), **SETTINGS | more)
+
+
+def weights(model: SequenceQLearning) -> torch.Tensor:
+    nets = (model.policy.q_net, model.policy.q_net_target)
+    return torch.cat([p.detach().flatten() for net in nets for p in net.parameters()])
+
+
+def go_on(model: SequenceQLearning, folder: Path, steps: int = STEPS) -> SequenceQLearning:
+    load_checkpoint(model, folder)
+    return model.learn(steps - model.num_timesteps, reset_num_timesteps=False)
+
+
+@pytest.mark.parametrize("recipe", [DQDIL, DQAAS, QRDQN])
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    recipe: type[SequenceQLearning], tmp_path: Path
+) -> None:
+    """The checkpoint is taken in mid-episode, with another seed and other weights to overwrite."""
+
+    class Stop(CheckpointCallback):
+        def at_boundary(self) -> None:
+            super().at_boundary()
+            if self.model.num_timesteps >= 200:
+                raise KeyboardInterrupt
+
+    straight = make(recipe).learn(STEPS)
+    with pytest.raises(KeyboardInterrupt):
+        make(recipe).learn(STEPS, callback=Stop(tmp_path, every=150))
+    other = make(recipe, seed=99)
+    resumed = go_on(other, tmp_path)
+    assert torch.equal(weights(straight), weights(resumed))
+    assert straight.num_timesteps == resumed.num_timesteps
+    assert straight.exploration_rate == resumed.exploration_rate
+    assert straight._n_updates == resumed._n_updates > 0
+
+
+def test_the_offline_phase_resumes_too(tmp_path: Path) -> None:
+    data = demonstrations()
+    offline = {"demonstrations": data, "offline_epochs": 5}
+    straight = make(**offline).learn(100)
+
+    class Stop(CheckpointCallback):
+        def at_boundary(self) -> None:
+            super().at_boundary()
+            if self.model.offline_progress.epoch == 3:  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(**offline).learn(100, callback=Stop(tmp_path, every=1000))
+    resumed = make(**offline)
+    load_checkpoint(resumed, tmp_path)
+    assert resumed.offline_progress.epoch == 3
+    resumed.learn(100, reset_num_timesteps=False)
+    assert torch.equal(weights(straight), weights(resumed))
+    assert resumed.offline_progress.history == straight.offline_progress.history
+
+
+KILLED = """
+import sys, os, signal
+sys.path.insert(0, sys.argv[2])
+from test_resume import make, CheckpointCallback, STEPS
+class Kill(CheckpointCallback):
+    def _on_step(self):
+        if self.model.num_timesteps >= 300:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return True
+make().learn(STEPS, callback=Kill(sys.argv[1], every=100))
+"""
+
+
+def test_a_run_killed_by_sigkill_goes_on(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path), str(Path(__file__).parent)], check=False
+    )
+    assert run.returncode == -signal.SIGKILL
+    resumed = go_on(make(seed=5), tmp_path)
+    assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
+
+
+def test_ctrl_c_writes_a_checkpoint_first(tmp_path: Path) -> None:
+    class Interrupt(CheckpointCallback):
+        def _on_step(self) -> bool:
+            if self.model.num_timesteps == 120:
+                os.kill(os.getpid(), signal.SIGINT)
+            return True
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        make().learn(STEPS, callback=Interrupt(tmp_path, every=10_000))
+    assert signal.getsignal(signal.SIGINT) is before
+    resumed = go_on(make(), tmp_path)
+    assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
+
+
+def test_an_unfinished_checkpoint_is_passed_over(tmp_path: Path) -> None:
+    model = make().learn(100)
+    whole = save_checkpoint(model, tmp_path)
+    (tmp_path / "checkpoint_000001.part").mkdir()
+    assert latest_checkpoint(tmp_path) == whole
+    assert save_checkpoint(model, tmp_path).name == "checkpoint_000001"
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint_000001"]
+
+
+def test_a_failed_write_leaves_the_last_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = make().learn(100)
+    whole = save_checkpoint(model, tmp_path)
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(InputError, match=r"No space left .* untouched"):
+        save_checkpoint(model, tmp_path)
+    monkeypatch.undo()
+    assert [p.name for p in tmp_path.iterdir()] == [whole.name]
+    load_checkpoint(make(), tmp_path)
+
+
+def test_foreign_and_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no checkpoint"):
+        load_checkpoint(make(), tmp_path)
+    whole = save_checkpoint(make().learn(100), tmp_path)
+    with pytest.raises(InputError, match="algorithm is 'DQDIL' there, 'DQN' here"):
+        load_checkpoint(make(DQN), tmp_path)
+    for name in ("model.pt", "replay.npz", "run.npz", "state.json"):
+        content = (whole / name).read_bytes()
+        (whole / name).write_bytes(content[: len(content) // 2])
+        with pytest.raises(InputError, match="damaged"):
+            load_checkpoint(make(), tmp_path)
+        (whole / name).write_bytes(content)
+    load_checkpoint(make(), tmp_path)

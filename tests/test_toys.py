@@ -1,0 +1,186 @@
+"""Toys that only the feature under test can solve, each with the ablation that fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import toys
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.bc import BC
+from animarl_algos.dqaas import DQAAS
+from animarl_algos.dqcil import DQCIL
+from animarl_algos.dqdil import DQDIL
+from animarl_algos.dqn import DQN
+from animarl_algos.offline_data import OfflineDataset
+
+LEARN: dict[str, Any] = {
+    "learning_rate": 3e-3,
+    "gamma": 0.95,
+    "buffer_size": 5000,
+    "target_update_interval": (100, "episode"),
+    "updates_per_episode": 0.2,
+    "exploration_initial_eps": 1.0,
+    "exploration_final_eps": 0.1,
+    "exploration_steps": 4000,
+    "seed": 0,
+    "device": "cpu",
+}
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def greedy_returns(model: SequenceQLearning, env: toys.Toy, steps: int) -> np.ndarray[Any, Any]:
+    """Returns of the episodes that the greedy policy finishes within ``steps``."""
+    observation, state = env.reset(), None
+    starts = np.ones(env.num_envs, dtype=bool)
+    running = np.zeros(env.num_envs)
+    finished = []
+    for _ in range(steps):
+        actions, state = model.predict(observation, state, starts, deterministic=True)
+        observation, reward, starts, _ = env.step(actions)
+        running += reward
+        finished.append(running[starts])
+        running[starts] = 0.0
+    return np.concatenate(finished)
+
+
+@dataclass(frozen=True)
+class Split:
+    train: OfflineDataset
+    val: OfflineDataset
+
+
+def test_recall_needs_the_gru() -> None:
+    scores = {}
+    settings = LEARN | {"exploration_steps": 2_000, "updates_per_episode": 0.25}
+    for policy in ("GruPolicy", "MlpPolicy"):
+        model = DQN(policy, toys.Recall(16), **settings).learn(6_000)
+        scores[policy] = greedy_returns(model, toys.Recall(64, seed=5), 40).mean()
+    assert scores["GruPolicy"] > 0.95
+    assert scores["MlpPolicy"] < 0.6  # by construction one half is all that can be had
+
+
+def lock_demonstrations() -> Split:
+    """The lock opened from its start and from three later places; a wrong digit costs 1."""
+    runs = [np.arange(start, toys.Lock.LENGTH + 1) for start in (0, 3, 6, 9)]
+    places = np.concatenate(runs)
+    last = np.cumsum([len(run) for run in runs]) - 1
+    actions = np.append(toys.Lock.KEY, -1)[places]
+    rewards = np.zeros(len(places))
+    rewards[last - 1] = 1.0
+    dataset = OfflineDataset(
+        toys.Lock.features(places)[:, None],
+        actions[:, None],
+        np.array([len(run) for run in runs]),
+        toys.Lock.num_actions,
+        rewards=rewards[:, None],
+        action_penalties=(np.arange(3) != actions[:, None]).astype(float)[:, None],
+        terminated=np.ones(len(runs), dtype=bool),
+        names=("agent",),
+    )
+    return Split(dataset, dataset)
+
+
+@pytest.mark.parametrize("recipe", [BC, DQDIL])
+def test_a_sparse_reward_needs_demonstrations(recipe: type[SequenceQLearning]) -> None:
+    offline = {"offline_epochs": 100, "offline_learning_rate": 3e-3, "offline_batch_size": 4}
+    online = {"exploration_initial_eps": 0.1, "learning_rate": 3e-4, "gamma": 0.99}
+    settings = LEARN | offline | online | {"offline_alpha": 1.0}
+    pretrained = recipe(
+        "MlpPolicy", toys.Lock(8), demonstrations=lock_demonstrations(), **settings
+    ).learn(2_000)
+    assert greedy_returns(pretrained, toys.Lock(4, seed=5), 40).mean() == 1.0
+
+
+def test_a_sparse_reward_is_not_found_at_random() -> None:
+    scratch = DQN("MlpPolicy", toys.Lock(8), **LEARN).learn(4_000)
+    assert greedy_returns(scratch, toys.Lock(4, seed=5), 40).mean() == 0.0
+
+
+def routes() -> dict[str, toys.GridWalk]:
+    """Two mirrored ways from (0, 0) to (2, 2); the demonstration takes one of them."""
+    east = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2)]
+    north = [(y, x) for x, y in east]
+    return {
+        "east": toys.GridWalk(east, [0, 0, 1, 1, 1], (2, 2), margin=1),
+        "north": toys.GridWalk(north, [1, 1, 0, 0, 0], (2, 2), margin=1),
+    }
+
+
+def walked_path(model: SequenceQLearning, env: toys.GridWalk) -> list[tuple[int, int]]:
+    """Greedy path of one copy until it is reset."""
+    observation, state = env.reset(), None
+    starts = np.ones(env.num_envs, dtype=bool)
+    path = [(0, 0)]
+    for _ in range(env.time_limit):
+        actions, state = model.predict(observation, state, starts, deterministic=True)
+        here = np.array(path[-1]) + env.MOVES[actions[0]]
+        path.append((int(here[0]), int(here[1])))
+        observation, _, starts, _ = env.step(actions)
+        if starts[0]:
+            break
+    return path
+
+
+WALK = LEARN | {
+    "buffer_size": 20_000,
+    "exploration_steps": 3_000,
+    "target_update_interval": (50, "episode"),
+    "updates_per_episode": 0.4,
+}
+
+
+def test_choosing_between_equal_routes_needs_the_distance_reward() -> None:
+    followed = {}
+    for recipe, alpha in ((DQDIL, 0.3), (DQN, 0.0)):
+        taken = {}
+        for name, env in routes().items():
+            model = recipe("MlpPolicy", env, alpha=alpha, **WALK).learn(4_000)
+            taken[name] = walked_path(model, env) == [tuple(p) for p in env.path.astype(int)]
+        followed[recipe] = taken
+    assert followed[DQDIL] == {"east": True, "north": True}
+    assert not all(followed[DQN].values())  # to it both worlds are the same
+
+
+def test_a_demonstration_at_half_speed_needs_the_alignment() -> None:
+    """Four cells east, four north, two frames in each: by the clock, the turn comes too late."""
+    cells = [(i, 0) for i in range(4)] + [(4, j) for j in range(5)]
+    path = [cell for cell in cells for _ in range(2)]
+    labels = [0] * 8 + [1] * 10
+    arrived = {}
+    for step_aligned in (False, True):
+        env = toys.GridWalk(path, labels, (4, 4), step_aligned=step_aligned)
+        model = DQAAS("MlpPolicy", env, lambda3=5.0, **WALK).learn(4_000)
+        arrived[step_aligned] = walked_path(model, env)[-1] == (4, 4)
+    assert arrived == {False: True, True: False}
+
+
+def test_flipping_a_confounded_condition_needs_the_reversal() -> None:
+    """Action 1 is right under condition 1, and a louder nuisance always agrees with the condition.
+
+    Both learners act rightly in training. Only the one whose memory must not tell the condition has
+    to take it from the flag, and so follows when the flag alone is flipped. (How well the treatment
+    head does meanwhile is no stable figure: head and encoder keep chasing each other.)
+    """
+    followed = {}
+    settings = LEARN | {"gamma": 0.0, "exploration_final_eps": 0.5, "updates_per_episode": 0.8}
+    for recipe in (DQDIL, DQCIL):
+        model = recipe("MlpPolicy", toys.Confounded(16), lambda2=0.3, **settings).learn(2_500)
+        env = toys.Confounded(64, seed=9)
+        observation = env.reset()
+        flipped = observation.copy()
+        flipped[:, -1] = 1.0 - flipped[:, -1]
+        factual, _ = model.predict(observation, deterministic=True)
+        counterfactual, _ = model.predict(flipped, deterministic=True)
+        assert (factual == env.condition).mean() > 0.95
+        followed[recipe] = (counterfactual == 1 - env.condition).mean()
+    assert followed[DQCIL] > 0.9
+    assert followed[DQDIL] < 0.1
