@@ -1,0 +1,34 @@
+# make demo   make the environment, run the main job on packaged demonstrations, name the report
+# make test   lint, types, tests with coverage
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test slow lint types docs clean
+
+demo: $(STAMP)
+	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 20000 --seed 0 --set offline_epochs=10 --out out/demo
+
+test: $(STAMP) lint types
+	$(BIN)/python -m pytest -q -m "not slow" --cov --cov-report=term:skip-covered
+
+slow: $(STAMP)
+	$(BIN)/python -m pytest -q -m slow
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) out build *.egg-info
+
+# torch comes first and by itself, so that no other package can ask for another build of it.
+$(STAMP): setup.cfg pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check torch==2.13.0
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[all]'
+	touch $(STAMP)

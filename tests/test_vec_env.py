@@ -1,0 +1,118 @@
+"""The slot VecEnv: the same numbers as the PettingZoo view, and what learners ask of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import animarl_envs
+from animarl_algos.demonstration_data import demonstration_rewards
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT
+from animarl_envs.worlds import make_world
+
+
+def test_slots_are_the_individuals_of_the_parallel_view() -> None:
+    copies, K = 3, 3
+    venv = SlotVecEnv("agent", copies, dtw=None)
+    venv.seed(7)
+    observations = venv.reset()
+    views = [animarl_envs.parallel_env("agent") for _ in range(copies)]
+    expected = [view.reset(seed=7 + b)[0] for b, view in enumerate(views)]
+    rng = np.random.default_rng(0)
+    ends = 0
+    for _ in range(150):
+        for b, view in enumerate(views):
+            for k, name in enumerate(view.possible_agents):
+                assert np.array_equal(observations[b * K + k], expected[b][name])
+        actions = rng.integers(13, size=copies * K)
+        observations, rewards, dones, infos = venv.step(actions)
+        for b, view in enumerate(views):
+            mine = actions[b * K : (b + 1) * K]
+            agents = list(view.agents)
+            seen, paid, terminated, truncated, _ = view.step(dict(zip(agents, mine.tolist())))
+            for k, name in enumerate(agents):
+                assert rewards[b * K + k] == np.float32(paid[name])
+                assert dones[b * K + k] == (terminated[name] or truncated[name])
+                if dones[b * K + k]:
+                    info = infos[b * K + k]
+                    assert np.array_equal(info["terminal_observation"], seen[name])
+                    assert info["TimeLimit.truncated"] == truncated[name]
+            if not view.agents:
+                ends += 1
+                seen, _ = view.reset()
+            expected[b] = seen
+    assert ends > 5
+
+
+def test_the_state_of_all_copies_can_be_taken_and_put_back() -> None:
+    first, second = SlotVecEnv("agent", 4), SlotVecEnv("agent", 4)
+    first.seed(1)
+    first.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        first.step(rng.integers(13, size=12))
+    second.set_state(first.get_state())
+    for _ in range(60):
+        actions = rng.integers(13, size=12)
+        one, two = first.step(actions), second.step(actions)
+        assert np.array_equal(one[0], two[0])
+        assert np.array_equal(one[1], two[1])
+        assert np.array_equal(first.extras["dtw_penalty"], second.extras["dtw_penalty"])
+
+
+def test_replaying_the_demonstrated_actions_keeps_the_aligned_action_in_step() -> None:
+    demos = load_packaged("agent")
+    venv = SlotVecEnv("agent", 1, demos=demos)
+    venv.seed(0)
+    venv.reset()
+    episode = venv.scenario.demos.episode(int(venv.world.demo[0]))
+    for t in range(episode.num_steps):
+        _, _, dones, _ = venv.step(episode.signals["actions"][t].astype(np.int64))
+        assert np.array_equal(venv.extras["aligned_action"], episode.signals["actions"][t])
+        assert venv.extras["dtw_penalty"] == pytest.approx(0.0, abs=1e-4)
+    assert dones.all()
+
+
+def test_demonstrated_rewards_are_those_of_the_world() -> None:
+    demos = load_packaged("agent").select(split="val")
+    expected = demonstration_rewards(AGENT, demos)
+    world = make_world(make_scenario(AGENT, demos=demos, split=None), demos.num_episodes)
+    world.reset(demo=np.arange(demos.num_episodes))
+    for t in range(int(demos.lengths.max()) - 1):
+        actions = np.full((demos.num_episodes, 3), 12)
+        running = demos.lengths - 1 > t
+        frames = demos.offsets[:-1][running] + t
+        actions[running] = demos.signals["actions"][frames]
+        world.step(actions)
+        assert world.reward[running] == pytest.approx(expected[frames], abs=1e-6)
+
+
+def test_the_condition_is_the_last_component_if_asked_for() -> None:
+    venv = SlotVecEnv("agent", 8, condition_flag=True)
+    venv.seed(3)
+    observations = venv.reset()
+    assert observations.shape == (24, 19)
+    assert np.array_equal(observations[:, -1], np.repeat(venv.world.condition, 3))
+    flipped = SlotVecEnv("agent", 8, condition_flag=True, cue="flipped")
+    flipped.seed(3)
+    assert np.array_equal(flipped.reset()[:, -1], 1 - observations[:, -1])
+
+
+def test_one_focal_individual_learns_while_the_others_replay() -> None:
+    venv = SlotVecEnv("agent", 5, focal="prey")
+    venv.seed(0)
+    venv.reset()
+    assert venv.num_envs == 5
+    recorded = [venv.scenario.demos.episode(int(d)).positions for d in venv.world.demo]
+    venv.step(np.full(5, 12))
+    for b, path in enumerate(recorded):
+        assert venv.world.position[b, :2] == pytest.approx(path[1, :2])
+
+
+def test_the_test_split_is_refused() -> None:
+    with pytest.raises(InputError, match="test"):
+        SlotVecEnv("agent", 2, split="test")
