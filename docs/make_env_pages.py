@@ -1,0 +1,346 @@
+"""Write ``docs/environments/*.md`` and their pictures from the species specs and docstrings.
+
+    python docs/make_env_pages.py              # pages and pictures
+    python docs/make_env_pages.py --text-only  # pages; pictures as they are
+
+``tests/test_docs_pages.py`` compares the pages with the specs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from option_notes import CHASE_ONLY, NOTES, SEARCH_ONLY
+
+import animarl_envs
+from animarl_envs.arena import Arena
+from animarl_envs.files import write_then_rename
+from animarl_envs.locomotion import ACTION_ANGLES, COAST
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import SPECIES, ChaseSpecies, SearchSpecies, Species
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.base import ObservationComponent, World
+
+DOCS = Path(__file__).parent
+PICTURE_SEEDS = {"agent": 5, "fly": 0, "newt": 0, "silkmoth": 3}
+NOTICE = "<!-- Written by `python docs/make_env_pages.py`; do not edit. -->"
+TURNS = {0: "straight at the focus", 3: "to the right", 6: "straight away", 9: "to the left"}
+
+
+def page(species: Species) -> str:
+    """The whole page of a species."""
+    scenario = make_scenario(species, demos=None)
+    world = make_world(scenario, 1)
+    env_id = animarl_envs.environment_id(species.name)
+    module = importlib.import_module(f"animarl_envs.species.{species.name}")
+    title, _, more = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    parts = [
+        f"# {species.title}: `{env_id}`",
+        NOTICE,
+        *paragraphs(title, more),
+        f"![{species.title}](../images/{species.name}.png)",
+        "## Facts",
+        facts(species),
+        "## Observation",
+        f"`Box({len(world.observation_components)},)`, float32, one vector per individual."
+        + ORDER.get(type(species), ""),
+        observations(world.observation_components),
+        "## Actions",
+        ACTIONS.format(last=COAST, focus=FOCUS[type(species)]),
+        actions(),
+        "## Rewards",
+        rewards(world, species),
+        "## Ends of an episode",
+        ends(species),
+        "## Options",
+        "Keyword arguments of `gym.make`, `gym.make_vec` and `animarl_envs.parallel_env` "
+        '(`focal` and `others` not in the last). Each is checked; `info["scenario"]` at reset '
+        "says what is in force.",
+        options(species),
+        "## Usage",
+        usage(species),
+        "## Wrappers",
+        WRAPPERS,
+        "## Version history",
+        "\n".join(f"- {line}" for line in species.version_history),
+        f"Source: {species.source}.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+FOCUS = {
+    ChaseSpecies: "the target is a pursuer's focus, the nearest pursuer is the target's",
+    SearchSpecies: "the direction upwind, -x, since the moth is not told where the source is",
+}
+ORDER = {ChaseSpecies: " Others are in this order: the target first, then pursuers by distance."}
+ACTIONS = (
+    "`Discrete(13)`: a unit acceleration in the egocentric frame towards the focus ({focus}), or "
+    "none. The velocity follows by v' = (1 - d) v + u a dt, the position by p' = p + v' dt."
+)
+
+
+WRAPPERS = (
+    "In `animarl_envs.wrappers`, each for the single, the vector (`...Vector`) and the parallel "
+    "view (`...Parallel`): `DTWReward` rewards staying near the paired demonstration; `ConditionFlag` "
+    "adds the experimental condition to the observation, as it is or flipped."
+)
+
+
+def paragraphs(title: str, more: str) -> list[str]:
+    return [markdown(text) for text in (title, *re.split(r"\n\s*\n", more.strip())) if text]
+
+
+def markdown(text: str) -> str:
+    """Docstring text on one line, with Markdown's code marks."""
+    return " ".join(text.split()).replace("``", "`")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def number(value: float) -> str:
+    """Short, and readable as Python."""
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    if math.isclose(abs(value), math.pi):
+        return "pi" if value > 0 else "-pi"
+    return f"{value:.4g}"
+
+
+def facts(species: Species) -> str:
+    arena = species.arena
+    field = {"square": "square, half side", "disc": "disc, radius", "open": "open field, drawn to"}
+    rows = [
+        ("individuals", ", ".join(f"`{name}`" for name in species.individuals)),
+        ("arena", f"{field[arena.shape]} {arena.size:g}"),
+        ("contact", f"closer than {species.contact_radius:g}"),
+        ("decision step", f"{species.dt:g} s"),
+        ("time limit", f"{species.time_limit} steps, {species.time_limit * species.dt:g} s"),
+        ("warm-up", f"{species.warmup} steps replayed from the demonstration, where there is one"),
+    ]
+    rows += [
+        (f"condition {k}", name) for k, name in enumerate(species.conditions)
+    ] or [("conditions", "none")]  # fmt: skip
+    for name, motion in zip(species.individuals, species.locomotion, strict=True):
+        top = motion.terminal_speed(species.dt)
+        text = f"d = {motion.damping:g}, u = {motion.thrust:g}, terminal speed {top:.3g} / s"
+        rows.append((f"locomotion of `{name}`", text))
+    unit = "metres" if isinstance(species, SearchSpecies) else "arena units"
+    return table(("", f"lengths in {unit}"), rows)
+
+
+def observations(components: Sequence[ObservationComponent]) -> str:
+    rows = [
+        (str(k), c.name, c.frame, c.unit, f"{number(c.low)} to {number(c.high)}")
+        for k, c in enumerate(components)
+    ]
+    return table(("", "component", "frame", "unit", "range"), rows)
+
+
+def actions() -> str:
+    rows = [
+        (str(k), f"{round(math.degrees(angle))}°", TURNS.get(k, ""))
+        for k, angle in enumerate(ACTION_ANGLES)
+    ]
+    rows.append((str(COAST), "", "no acceleration: coasting"))
+    return table(("action", "angle from the focus, counter-clockwise", ""), rows)
+
+
+def rewards(world: World, species: Species) -> str:
+    """The paragraph of the world's docstring, and the names in ``info``."""
+    doc = inspect.getdoc(type(world)) or ""
+    text = next(p for p in re.split(r"\n\s*\n", doc) if p.startswith("Reward"))
+    said = markdown(text).partition(": ")[2]
+    if not species.conditions:
+        said = re.sub(r" \(with shared reward[^)]*\)", "", said)
+    names = ", ".join(f"`{name}`" for name in world.reward_components)
+    return f"{said}\n\nThe reward is their sum; `info` holds each by its name: {names}."
+
+
+def ends(species: Species) -> str:
+    if isinstance(species, SearchSpecies):
+        rows = [(f"the moth is closer than {species.contact_radius:g} to the source", "terminated")]
+    else:
+        rows = [
+            (f"a pursuer is closer than {species.contact_radius:g} to the target", "terminated")
+        ]
+    edge = species.arena.boundary
+    if species.arena.shape == "square":
+        rows.append((f"somebody is beyond +-{edge:g} in x or y (not with `rebound`)", "terminated"))
+    elif species.arena.shape == "disc":
+        rows.append(
+            (
+                f"somebody is farther than {edge:g} from the centre (not with `rebound`)",
+                "terminated",
+            )
+        )
+    rows.append((f"step {species.time_limit} has been taken", "truncated"))
+    return table(("when", "then"), rows)
+
+
+def option_defaults(species: Species) -> dict[str, str]:
+    """Every option of the species with its default, as shown."""
+    from animarl_envs.views import AnimalEnv
+
+    shown: dict[str, str] = {}
+    for function in (AnimalEnv.__init__, make_scenario):
+        for name, parameter in inspect.signature(function).parameters.items():
+            if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name != "drivers":
+                shown[name] = repr(parameter.default)
+    is_chase = isinstance(species, ChaseSpecies)
+    if is_chase:
+        shown["num_pursuers"] = str(len(species.individuals) - 1)
+    shown |= {"arena": arena_text(species.arena), "boundary": number(species.arena.boundary)}
+    shown |= {"rebound": repr(species.arena.rebound), "locomotion": "see Facts"}
+    hidden = {"name", "individuals", "recording", "locomotion", "arena", "source", "title"}
+    for field in fields(species):
+        if field.name not in hidden | {"version_history"}:
+            shown[field.name] = repr(getattr(species, field.name))
+    return shown
+
+
+def arena_text(arena: Arena) -> str:
+    return f"Arena({arena.shape!r}, {arena.size:g})"
+
+
+def options(species: Species) -> str:
+    notes = NOTES | (CHASE_ONLY if isinstance(species, ChaseSpecies) else SEARCH_ONLY)
+    rows = []
+    for name, default in option_defaults(species).items():
+        allowed, meaning = notes[name]
+        rows.append((f"`{name}`", meaning, allowed, f"`{default}`" if default else ""))
+    return table(("option", "meaning", "allowed", "default"), rows)
+
+
+def usage(species: Species) -> str:
+    env_id = animarl_envs.environment_id(species.name)
+    last = species.individuals[-1]
+    condition = ", condition=1" if species.conditions else ""
+    return f"""One individual; the others replay, follow a script or a policy:
+
+```python
+import gymnasium as gym
+import animarl_envs
+
+env = gym.make("{env_id}", focal="{last}"{condition})
+observation, info = env.reset(seed=0)
+observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+```
+
+Many copies at once:
+
+```python
+envs = gym.make_vec("{env_id}", num_envs=512)
+observations, infos = envs.reset(seed=0)
+observations, rewards, terminated, truncated, infos = envs.step(envs.action_space.sample())
+```
+
+All individuals, in PettingZoo's way:
+
+```python
+everybody = animarl_envs.parallel_env("{species.name}")
+observations, infos = everybody.reset(seed=0)
+actions = {{name: everybody.action_space(name).sample() for name in everybody.agents}}
+observations, rewards, terminated, truncated, infos = everybody.step(actions)
+```
+
+See it move: `animarl watch {env_id} --out clip.gif`"""
+
+
+def custom_page() -> str:
+    """How to simulate animals that are none of the four."""
+    source = (DOCS / "custom_species.py").read_text()
+    doc, _, code = source.partition('"""\n\n')
+    text = "\n\n".join(markdown(p) for p in re.split(r"\n\s*\n", doc.removeprefix('"""')))
+    parts = [
+        "# Your own animals",
+        NOTICE,
+        text,
+        "![Two dogs and a sheep](../images/custom.png)",
+        f"```python\n{code.strip()}\n```",
+        "Demonstrations of your own go in by `demos=`: a `Demonstrations` object or a file of one; "
+        "names, number and time step are then taken from it. `animarl fit` estimates d and u from "
+        "them. Fields of a species and their defaults:",
+        table(
+            ("field", "meaning", "allowed", "default"),
+            [
+                (f"`{f.name}`", NOTES.get(f.name, CHASE_ONLY.get(f.name, ("", "")))[1],
+                 NOTES.get(f.name, CHASE_ONLY.get(f.name, ("", "")))[0], default_text(f))
+                for f in fields(ChaseSpecies)
+            ],
+        ),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+def default_text(field: Any) -> str:
+    """The default of a dataclass field, or that it has none."""
+    import dataclasses
+
+    return "required" if field.default is dataclasses.MISSING else f"`{field.default!r}`"
+
+
+def pages() -> dict[str, str]:
+    """File name and text of every page."""
+    found = {f"{name}.md": page(species) for name, species in SPECIES.items()}
+    return found | {"custom.md": custom_page()}
+
+
+def picture(species: Species, seed: int) -> np.ndarray:
+    """The last scene of an episode of recorded, scripted or programmed animals."""
+    from animarl_algos.commands.watch import idle_actor, prepare
+    from animarl_envs.render import Renderer
+    from animarl_envs.scene import SceneRecorder
+
+    if species.name in SPECIES:
+        world, actor = prepare(animarl_envs.environment_id(species.name), seed=seed)
+    else:
+        drivers = dict.fromkeys(species.individuals, "scripted")
+        world, actor = make_world(make_scenario(species, demos=None, drivers=drivers)), idle_actor
+    world.seed([seed])
+    world.reset()
+    recorder, start = SceneRecorder(world), True
+    recorder.start()
+    while not (world.terminated[0] or world.truncated[0]):
+        world.step(actor(world, start))
+        recorder.follow()
+        start = False
+    drawn = Renderer("rgb_array").draw(recorder.scene())
+    assert drawn is not None
+    return drawn
+
+
+def write_pictures() -> None:
+    import imageio.v3 as imageio
+    from custom_species import HERDING
+
+    (DOCS / "images").mkdir(exist_ok=True)
+    for name, species in (SPECIES | {"custom": HERDING}).items():
+        with write_then_rename(DOCS / "images" / f"{name}.png") as part:
+            imageio.imwrite(part, picture(species, PICTURE_SEEDS.get(name, 0)), optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--text-only", action="store_true", help="leave the pictures as they are")
+    if not parser.parse_args().text_only:
+        write_pictures()
+    for name, text in pages().items():
+        with write_then_rename(DOCS / "environments" / name) as part:
+            part.write_text(text)
+    print(f"Wrote {len(pages())} pages in docs/environments")
+
+
+if __name__ == "__main__":
+    main()

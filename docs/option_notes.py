@@ -1,0 +1,76 @@
+"""What the environment pages say about each option: allowed values, and what it means.
+
+Names and defaults are not written here; they come from the signatures and the species specs, and a
+test compares the two lists.
+"""
+
+from __future__ import annotations
+
+POSITIVE = "a positive number"
+NOT_NEGATIVE = "zero or a positive number"
+
+NOTES: dict[str, tuple[str, str]] = {
+    "focal": ("a name of an individual", "who acts; by default the first"),
+    "others": (
+        "`'replay'`, `'scripted'`, `'coast'`, a function from observations to actions, or a "
+        "mapping from names to these",
+        "what moves the rest; by default their demonstration, without one their script",
+    ),
+    "render_mode": ("`'rgb_array'`, `'human'`, `None`", "pictures as arrays or in a window"),
+    "demos": (
+        "`'packaged'`, a file, a `Demonstrations`, `None`",
+        "recorded episodes to start from and be paired with",
+    ),
+    "split": ("`'train'`, `'val'`, `'test'`, `None`", "which of them; `None` for all"),
+    "condition": ("`0`, `1`, `'demo'`", "experimental condition; `'demo'`: the demonstration's"),
+    "start": (
+        "`'demo'`, `'uniform'`, an array (individuals, 2)",
+        "first positions; by default the demonstration's, if there are any",
+    ),
+    "observation_noise": (NOT_NEGATIVE, "standard deviation of noise on every component"),
+    "observation_delay": ("a whole number of steps", "age of the observation that is handed out"),
+    "arena": ("an `Arena`, `'square'`, `'disc'`, `'open'`, or a size", "the field"),
+    "boundary": ("at least the size of the arena", "the virtual boundary around it"),
+    "rebound": ("`True`, `False`", "set back on the boundary instead of ending the episode"),
+    "locomotion": (
+        "a `Locomotion`; or by name a `Locomotion`, `{'damping': d, 'thrust': u}` or a factor on u",
+        "d and u of the individuals",
+    ),
+    "contact_radius": (POSITIVE, "closer is contact"),
+    "dt": (POSITIVE, "decision step [s]"),
+    "time_limit": ("a whole number of steps, at least 1", "steps until the episode is truncated"),
+    "warmup": ("a whole number of steps", "steps replayed from the demonstration at the start"),
+    "conditions": ("none or two names", "names of conditions 0 and 1"),
+    "boundary_penalty": ("a number", "reward of leaving the boundary"),
+    "name": ("a word", "its name"),
+    "title": ("text", "shown in pictures"),
+    "individuals": ("different names", "pursuers first, the target last"),
+    "recording": ("a `Recording`", "how it was recorded and cut"),
+    "source": ("text", "where the numbers come from"),
+    "version_history": ("a tuple of texts", "what changed"),
+}
+
+CHASE_ONLY: dict[str, tuple[str, str]] = {
+    "num_pursuers": ("a whole number, at least 1", "how many pursue"),
+    "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
+    "senses_centre": ("`True`, `False`", "adds the distance from the centre to the observation"),
+}
+
+SEARCH_ONLY: dict[str, tuple[str, str]] = {
+    "metres_per_unit": (POSITIVE, "length of an arena unit [m]"),
+    "start_distance": (POSITIVE, "of the start downwind of the source, without a demonstration"),
+    "antenna_length": (POSITIVE, "of the antennae's tips ahead of the body's centre"),
+    "antenna_angle": ("0 to 90", "of the antennae to either side [deg]"),
+    "antenna_radius": (NOT_NEGATIVE, "within which an antenna meets the plume"),
+    "odour_decay": (POSITIVE, "time constant of the signal after the last hit [s]"),
+    "odour_baseline": ("0 to below 1", "signal without odour"),
+    "flow_threshold": (NOT_NEGATIVE, "yaw rates below it give no visual flow [rad/s]"),
+    "flow_limit": (POSITIVE, "visual flow is clipped here [rad/s]"),
+    "rest_speed": (NOT_NEGATIVE, "the body keeps its heading when slower"),
+    "plume": (
+        "`'model'`, `'off'`, `'continuous'`, or a `Plume` from an array or a movie",
+        "the odour",
+    ),
+    "train_plumes": ("plume patterns, 0 to 4", "patterns of training episodes"),
+    "test_plumes": ("plume patterns, 0 to 4", "patterns of held-out episodes"),
+}
