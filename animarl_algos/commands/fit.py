@@ -19,7 +19,7 @@ from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
 from animarl_envs.species import get_species
 
-TABLE_WIDTH = 100  # a narrower terminal wraps lines rather than losing digits
+TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
 
 
 class MethodChoice(StrEnum):

@@ -30,6 +30,7 @@ def assign_splits(
     if len(names) >= 3:
         for missing in range(3):
             if fractions[missing] > 0 and not (part == missing).any():
-                part[-1 - (2 - missing)] = missing
+                donor = np.bincount(part, minlength=3).argmax()
+                part[np.flatnonzero(part == donor)[-1]] = missing
     lookup = dict(zip(names.tolist(), part.tolist(), strict=True))
     return np.array([SPLITS[lookup[g]] for g in groups.tolist()])

@@ -6,6 +6,7 @@ from animarl_envs.demos.readers import (
     authors,
     collections,
     deeplabcut,
+    minari,
     mothvr,
     native,
     pose,
@@ -26,6 +27,6 @@ from animarl_envs.demos.readers.registry import (
 
 __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
-    "default_recipe", "find_reader", "get_reader", "mothvr", "native", "pose", "read",
+    "default_recipe", "find_reader", "get_reader", "minari", "mothvr", "native", "pose", "read",
     "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
 ]  # fmt: skip

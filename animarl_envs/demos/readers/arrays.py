@@ -153,7 +153,7 @@ def _ordered(
     fits = len(given) == array.ndim and len(set(given)) == len(given)
     if not fits or not {"frame", "xy"} <= set(given) <= set(AXES):
         raise InputError(
-            f"{path}: {name} has shape {array.shape}, which axes {', '.join(given) or 'unknown'} do "
+            f"{path}: {name} has shape {array.shape}, which the axes {', '.join(given) or '?'} do "
             f"not fit: give the option axes, an order of {', '.join(AXES)}"
         )
     if array.shape[given.index("xy")] != 2:

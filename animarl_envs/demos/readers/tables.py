@@ -177,8 +177,8 @@ def read_wide_table(
 ) -> list[Tracks]:
     """One recording. ``columns`` maps each individual to its x and y column.
 
-    Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken. A
-    column ``time`` [s] gives the frame rate and must run evenly.
+    Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
+    A column ``time`` [s] gives the frame rate and must run evenly.
     """
     found = columns or _wide_columns(column_names(path, _separator(path)))
     if not found or any(len(pair) != 2 for pair in found.values()):

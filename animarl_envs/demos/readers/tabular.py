@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -108,10 +109,10 @@ def _parquet_pieces(
 
 def _parquet(path: Path) -> Any:
     try:
-        import pyarrow.parquet
+        parquet = importlib.import_module("pyarrow.parquet")
     except ImportError as error:
         raise MissingExtraError("reading Parquet", "parquet") from error
-    return pyarrow.parquet.ParquetFile(path)
+    return parquet.ParquetFile(path)
 
 
 def _pandas() -> Any:

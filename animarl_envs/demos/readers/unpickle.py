@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ from animarl_envs.demos.readers.guards import allowed_bytes, npy_header
 from animarl_envs.errors import InputError
 
 LARGEST_SHAPE = 0  # reconstructed arrays start empty; their state brings shape and bytes
+
+
+_PurePython: Any = vars(pickle)["_Unpickler"]
 
 
 class _Array:
@@ -68,19 +72,29 @@ _ADMITTED["numpy", "dtype"] = _dtype
 _ADMITTED["collections", "OrderedDict"] = dict
 
 _REFUSED = (
-    pickle.BYTEARRAY8, pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.PERSID, pickle.BINPERSID,
+    pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.PERSID, pickle.BINPERSID,
     pickle.EXT1, pickle.EXT2, pickle.EXT4, pickle.INST, pickle.OBJ, pickle.NEWOBJ, pickle.NEWOBJ_EX,
 )  # fmt: skip
 
 
-class _Restricted(pickle._Unpickler):  # type: ignore[name-defined, misc]
+class _Restricted(_PurePython):  # type: ignore[misc]
     """Looks up nothing but the admitted constructors."""
 
-    dispatch = {
+    dispatch: dict[int, Any] = {
         code: handler
-        for code, handler in pickle._Unpickler.dispatch.items()  # type: ignore[attr-defined]
+        for code, handler in _PurePython.dispatch.items()
         if code not in {refused[0] for refused in _REFUSED}
     }
+
+    def load_byte_array(self) -> None:
+        """Like the original, but reads before it allocates (and makes bytes)."""
+        (length,) = struct.unpack("<Q", self.read(8))
+        data = self.read(length)
+        if len(data) != length:
+            raise pickle.UnpicklingError("it is cut short")
+        self.append(data)
+
+    dispatch[pickle.BYTEARRAY8[0]] = load_byte_array
 
     def find_class(self, module: str, name: str) -> Any:
         try:

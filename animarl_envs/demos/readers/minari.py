@@ -1,0 +1,20 @@
+"""A Minari dataset that this project wrote (its ``main_data.hdf5``, or the folder around it)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.minari_io import DATA_FILE, import_minari
+from animarl_envs.demos.readers.registry import register_reader
+
+
+@register_reader(
+    "minari",
+    "a Minari dataset written by 'animarl data convert --to minari'",
+    sniff=lambda path: path.name == DATA_FILE,
+    extensions=(".hdf5",),
+)
+def read_minari(path: Path) -> Demonstrations:
+    """Read the dataset back, exactly as it was exported."""
+    return import_minari(path.parent.parent if path.name == DATA_FILE else path)

@@ -1,0 +1,157 @@
+"""One recording as a tracker wrote it: positions with gaps, before cleaning and cutting."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError
+
+CENTROID = "centroid"
+LARGEST = 1e9  # no tracker writes larger coordinates
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tracks:
+    """Tracked individuals of one recording.
+
+    Parameters
+    ----------
+    recording
+        Name of the recording; tracks of the same name are merged.
+    individuals, keypoints
+        Names; a tracker of whole bodies has the one keypoint ``"centroid"``.
+    positions
+        ``(frames, individuals, keypoints, 2)`` in ``unit``; NaN where not tracked.
+    frame_rate
+        [Hz]; ``None`` where the file does not say.
+    unit
+        Such as ``"px"``, ``"mm"``, ``"m"``.
+    y_down
+        Whether y grows downwards, as in images.
+    confidence
+        ``(frames, individuals, keypoints)`` or ``None``.
+    signals
+        Further channels by name, ``(frames, ...)``.
+    condition, outcome
+        Of the whole recording where it is one episode and the file says; see ``Demonstrations``.
+    """
+
+    recording: str
+    individuals: tuple[str, ...]
+    keypoints: tuple[str, ...] = (CENTROID,)
+    positions: NDArray[np.float64]
+    frame_rate: float | None = None
+    unit: str = "px"
+    y_down: bool = False
+    confidence: NDArray[np.float64] | None = None
+    signals: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    condition: int = 0
+    outcome: int | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shape = (len(self.individuals), len(self.keypoints), 2)
+        if self.positions.ndim != 4 or self.positions.shape[1:] != shape:
+            raise InputError(
+                f"{self.recording}: positions have shape {self.positions.shape}, not (frames, "
+                f"{', '.join(map(str, shape))}): give x and y of each keypoint and individual"
+            )
+        if len(self.positions) == 0:
+            raise InputError(f"{self.recording}: it has no frames: check the file")
+        if len(set(self.individuals)) != len(self.individuals):
+            raise InputError(
+                f"{self.recording}: individuals {self.individuals} are not all different: "
+                "give each its own name"
+            )
+        if self.frame_rate is not None and not 0 < self.frame_rate < float("inf"):
+            raise InputError(
+                f"{self.recording}: the frame rate is {self.frame_rate} Hz: it must be positive"
+            )
+        if np.isinf(self.positions).any():
+            gaps = np.where(np.isinf(self.positions), np.nan, self.positions)
+            object.__setattr__(self, "positions", gaps)
+        absurd = np.abs(self.positions) > LARGEST
+        if absurd.any():
+            frame, individual = np.argwhere(absurd)[0][:2]
+            raise InputError(
+                f"{self.recording}, frame {frame}, {self.individuals[individual]}: the position "
+                f"exceeds {LARGEST:g} {self.unit}: the file is damaged, or the column a wrong one"
+            )
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def bodies(self) -> NDArray[np.float64]:
+        """``(frames, individuals, 2)`` once a keypoint was chosen."""
+        if len(self.keypoints) != 1:
+            raise InputError(
+                f"{self.recording}: it has keypoints {', '.join(self.keypoints)}: choose one, "
+                "or their centroid"
+            )
+        return self.positions[:, :, 0]
+
+    def with_bodies(self, bodies: NDArray[np.float64], **changes: Any) -> Tracks:
+        """The same with other positions ``(frames, individuals, 2)``."""
+        return replace(self, positions=bodies[:, :, None], confidence=None, **changes)
+
+    def choose(self, names: Sequence[str]) -> Tracks:
+        """Only these individuals, in this order."""
+        missing = [name for name in names if name not in self.individuals]
+        if missing:
+            raise InputError(
+                f"{self.recording}: there is no individual {missing[0]!r}: choose among "
+                f"{', '.join(self.individuals)}"
+            )
+        index = [self.individuals.index(name) for name in names]
+        signals = {
+            key: value[:, index]
+            if value.ndim > 1 and value.shape[1] == len(self.individuals)
+            else value
+            for key, value in self.signals.items()
+        }
+        return replace(
+            self,
+            individuals=tuple(names),
+            positions=self.positions[:, index],
+            confidence=None if self.confidence is None else self.confidence[:, index],
+            signals=signals,
+        )
+
+
+def merge(parts: Sequence[Tracks]) -> list[Tracks]:
+    """Tracks of one recording become one; individuals side by side, frames up to the longest."""
+    by_name: dict[str, list[Tracks]] = {}
+    for part in parts:
+        by_name.setdefault(part.recording, []).append(part)
+    return [group[0] if len(group) == 1 else _side_by_side(group) for group in by_name.values()]
+
+
+def _side_by_side(group: Sequence[Tracks]) -> Tracks:
+    first = group[0]
+    for other in group[1:]:
+        if other.keypoints != first.keypoints or other.frame_rate != first.frame_rate:
+            raise InputError(
+                f"{first.recording}: its files differ in keypoints or frame rate: "
+                "import them one by one"
+            )
+    frames = max(len(part) for part in group)
+    positions = np.full(
+        (frames, sum(len(p.individuals) for p in group), len(first.keypoints), 2), np.nan
+    )
+    column = 0
+    for part in group:
+        positions[: len(part), column : column + len(part.individuals)] = part.positions
+        column += len(part.individuals)
+    return replace(
+        first,
+        individuals=tuple(name for part in group for name in part.individuals),
+        positions=positions,
+        confidence=None,
+        signals={},
+    )

@@ -1,0 +1,242 @@
+"""Cleaning, scaling and cutting: nothing moves in time, everything can be undone or is recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from animarl_envs.demos import assign_splits
+from animarl_envs.demos.cleaning import Cleaning, clean, fill_gaps, find_jumps, resample, smooth
+from animarl_envs.demos.cutting import Cutting, cut_episodes, most_approached
+from animarl_envs.demos.recipe import Recipe, Splitting, demonstrations_from_tracks
+from animarl_envs.demos.scaling import Scale, Scaling, scale_of
+from animarl_envs.demos.tracks import Tracks, merge
+from animarl_envs.errors import InputError
+
+CHASE = ("pursuer", "target")
+
+
+def tracks(bodies: NDArray[np.float64], **more: object) -> Tracks:
+    names = tuple(f"animal_{i}" for i in range(bodies.shape[1]))
+    values: dict[str, object] = {"recording": "r", "individuals": names, "frame_rate": 30.0}
+    return Tracks(positions=bodies[:, :, None], **(values | more))  # type: ignore[arg-type]
+
+
+def wave(frequency: float, rate: float, seconds: float = 20.0) -> NDArray[np.float64]:
+    time = np.arange(int(seconds * rate)) / rate
+    x, y = np.cos(2 * np.pi * frequency * time), np.sin(2 * np.pi * frequency * time)
+    return np.stack([x, y], axis=1)[:, None]
+
+
+@pytest.mark.parametrize("frequency", [0.1, 0.5, 2.0])
+def test_smoothing_shifts_no_phase_and_has_the_filters_gain(frequency: float) -> None:
+    path = wave(frequency, 30.0)
+    smoothed = smooth(path, 2.0, 30.0)
+    middle = slice(150, 450)
+    pace = np.tan(np.pi * frequency / 30) / np.tan(np.pi * 2.0 / 30)  # bilinear transform
+    gain = 1 / (1 + pace**2)  # |H|^2 of a first-order Butterworth, both passes
+    np.testing.assert_allclose(smoothed[middle], gain * path[middle], atol=2e-3)
+
+
+def test_smoothing_leaves_gaps_alone_and_does_not_cross_them() -> None:
+    path = wave(0.2, 30.0)
+    path[200:205] = np.nan
+    smoothed = smooth(path, 2.0, 30.0)
+    np.testing.assert_array_equal(np.isnan(smoothed), np.isnan(path))
+    before = smooth(path[:200], 2.0, 30.0)
+    np.testing.assert_allclose(smoothed[:200], before, atol=1e-12)
+    with pytest.raises(InputError, match="needs more than 4 frames a second"):
+        smooth(path, 2.0, 4.0)
+
+
+def test_resampling_keeps_the_time_of_every_sample() -> None:
+    path = np.linspace(0, 1, 301)[:, None, None] * [3.0, -2.0]
+    for rate in (10.0, 12.0, 7.0, 30.0):
+        found = resample(path, 30.0, rate)
+        expected = np.arange(len(found)) / rate / 10.0
+        np.testing.assert_allclose(found[:, 0, 0], 3 * expected, atol=1e-12)
+    slow = resample(wave(0.2, 30.0), 30.0, 12.5)
+    exact = wave(0.2, 12.5)[: len(slow)]
+    assert np.abs(slow - exact).max() < 1e-3  # straight lines between 30 Hz frames
+
+
+def test_gaps_up_to_the_limit_are_straight_lines_and_longer_ones_stay() -> None:
+    path = np.arange(30.0)[:, None, None] * [1.0, 2.0]
+    path[5:8] = path[15:19] = np.nan
+    path[:2] = np.nan
+    filled, count = fill_gaps(path, 3)
+    assert count == 3
+    np.testing.assert_allclose(filled[5:8, 0, 0], [5, 6, 7])
+    assert np.isnan(filled[15:19]).all() and np.isnan(filled[:2]).all()
+
+
+def test_identity_swaps_and_jumps_are_found() -> None:
+    rng = np.random.default_rng(0)
+    bodies = np.cumsum(rng.normal(0, 0.01, (500, 2, 2)), axis=0) + [[0, 0], [5, 5]]
+    bodies[300:] = bodies[300:, ::-1]
+    jumps, swaps = find_jumps(bodies)
+    assert swaps.tolist() == [[300, 0, 1]]
+    assert {frame for frame, _ in jumps.tolist()} == {300}
+    _, done = clean(tracks(bodies), Cleaning())
+    assert done["identity_swaps"] == 1 and done["first_swaps"] == [[300, 0, 1]]
+
+
+def test_confidence_and_centroid() -> None:
+    positions = np.zeros((4, 1, 2, 2))
+    positions[:, :, 1] = 2.0
+    confidence = np.ones((4, 1, 2))
+    confidence[1, 0, 1] = 0.1
+    confidence[2] = 0.1
+    given = Tracks(
+        recording="r", individuals=("a",), keypoints=("head", "tail"), positions=positions,
+        frame_rate=10.0, confidence=confidence,
+    )  # fmt: skip
+    cleaned, done = clean(given, Cleaning(min_confidence=0.5))
+    np.testing.assert_array_equal(cleaned.bodies[:, 0, 0], [1.0, 0.0, np.nan, 1.0])
+    assert done["below_confidence"] == 3 and done["untracked"] == 1
+    head, _ = clean(given, Cleaning(keypoint="head"))
+    assert (head.bodies == 0).all()
+    with pytest.raises(InputError, match="no keypoint 'nose'"):
+        clean(given, Cleaning(keypoint="nose"))
+
+
+@pytest.mark.parametrize("shape", ["square", "disc", "open"])
+@pytest.mark.parametrize("flip", [False, True])
+def test_scaling_is_invertible_and_fills_the_arena(shape: str, flip: bool) -> None:
+    bodies = np.random.default_rng(1).uniform(100, 900, (200, 2, 2))
+    settings = Scaling(shape=shape, flip_y=flip, units_per_arena_unit=1000.0)  # type: ignore[arg-type]
+    scale = scale_of(tracks(bodies), settings)
+    scaled = scale.to_arena(bodies)
+    np.testing.assert_allclose(scale.to_file(scaled), bodies, atol=1e-10)
+    assert Scale.from_dict(scale.to_dict()) == scale
+    extent = {
+        "square": np.abs(scaled).max(), "disc": np.linalg.norm(scaled, axis=2).max(), "open": 1.0,
+    }  # fmt: skip
+    assert extent[shape] == pytest.approx(1.0)
+    up = np.corrcoef(scaled[..., 1].ravel(), bodies[..., 1].ravel())[0, 1]
+    assert up == pytest.approx(-1.0 if flip else 1.0)
+
+
+def approach_path() -> NDArray[np.float64]:
+    """The pursuer's distance to a resting target: far, near, far, near."""
+    knots = np.interp(np.arange(61), [0, 20, 40, 60], [1.0, 0.1, 0.8, 0.05])
+    bodies = np.zeros((61, 2, 2))
+    bodies[:, 0, 0] = knots
+    return bodies
+
+
+def test_approaches_are_cut_from_far_to_near() -> None:
+    bodies = approach_path()
+    distance = bodies[:, 0, 0]
+    settings = Cutting(mode="approach", farther_than=0.5, closer_than=0.2)
+    first, second = cut_episodes(bodies, CHASE, 10.0, settings)
+    assert first.start == 0 and first.outcome == second.outcome == 1
+    assert distance[first.stop - 1] < 0.2 <= distance[first.stop - 2]
+    assert distance[second.start] > 0.5 >= distance[second.start - 1]
+    close = Cutting(mode="approach", farther_than=0.5, closer_than=0.2, start="approach")
+    cuts = cut_episodes(bodies, CHASE, 10.0, close)
+    assert [cut.stop for cut in cuts] == [first.stop, second.stop]
+    assert all(distance[c.start] > 0.5 >= distance[c.start + 1] for c in cuts)
+    short = Cutting(mode="approach", farther_than=0.5, closer_than=0.2, keep_last=1.0)
+    assert [cut.stop - cut.start for cut in cut_episodes(bodies, CHASE, 10.0, short)] == [11, 11]
+    none = Cutting(mode="approach", farther_than=0.5, closer_than=0.2, longest=1.0)
+    assert cut_episodes(bodies, CHASE, 10.0, none) == []
+
+
+def test_whole_recordings_break_at_gaps_and_end_at_contact() -> None:
+    bodies = approach_path()
+    bodies[50] = np.nan
+    cuts = cut_episodes(bodies, CHASE, 10.0, Cutting())
+    assert [(c.start, c.stop) for c in cuts] == [(0, 50), (51, 61)]
+    touched = cut_episodes(bodies[:50], CHASE, 10.0, Cutting(contact=0.2))
+    assert touched[0].outcome == 1 and bodies[touched[0].stop - 1, 0, 0] < 0.2
+
+
+def test_event_tables(tmp_path: Path) -> None:
+    table = tmp_path / "events.csv"
+    table.write_text("recording,start,end,condition,outcome\nr,1,2,1,1\nother,0,9,,\nr,3,4,,\n")
+    settings = Cutting(mode="events", events=str(table))
+    first, second = cut_episodes(approach_path(), CHASE, 10.0, settings, "r")
+    assert (first.start, first.stop, first.condition, first.outcome) == (10, 21, 1, 1)
+    assert (second.start, second.outcome) == (30, 0)
+    table.write_text("recording,start,end\nr,1,99\n")
+    with pytest.raises(InputError, match=r"events.csv: line 2 lies outside r \(6.100 s\)"):
+        cut_episodes(approach_path(), CHASE, 10.0, settings, "r")
+
+
+def test_the_one_who_is_approached_is_the_target() -> None:
+    rng = np.random.default_rng(2)
+    target = np.cumsum(rng.normal(0, 0.05, (400, 2)), axis=0)
+    pursuers = [np.vstack([[[3.0 * (-1) ** i, 1.0]], np.zeros((399, 2))]) for i in range(2)]
+    for pursuer in pursuers:
+        for t in range(1, 400):
+            pursuer[t] = pursuer[t - 1] + 0.05 * (target[t - 1] - pursuer[t - 1])
+    bodies = np.stack([pursuers[0], target, pursuers[1]], axis=1)
+    assert most_approached([bodies]) == 1
+    demos = demonstrations_from_tracks(
+        [tracks(bodies)], Recipe(target="auto", scaling=Scaling(width=20.0, centre=(0.0, 0.0)))
+    )
+    assert demos.individuals == ("animal_0", "animal_2", "animal_1")
+    assert demos.roles == ("pursuer", "pursuer", "target")
+    np.testing.assert_allclose(demos.positions[:, 2], target[1:] / 10.0)
+
+
+def test_the_first_sample_only_makes_the_first_velocity() -> None:
+    bodies = wave(0.1, 30.0)
+    recipe = Recipe(decision_rate=10.0, scaling=Scaling(width=2.0, centre=(0.0, 0.0)))
+    demos = demonstrations_from_tracks([tracks(bodies)], recipe)
+    assert demos.dt == pytest.approx(0.1)
+    np.testing.assert_allclose(demos.positions[:, 0], bodies[3::3, 0])
+    np.testing.assert_allclose(demos.initial_velocity[0, 0], (bodies[3, 0] - bodies[0, 0]) / 0.1)
+
+
+def test_no_recording_lies_in_two_splits() -> None:
+    bodies = approach_path()
+    recordings = [tracks(bodies, recording=f"day{i // 2}_run{i}") for i in range(12)]
+    cut = Cutting(mode="approach", farther_than=0.5, closer_than=0.2)
+    scaling = Scaling(width=2.0, centre=(0.0, 0.0))
+    recipe = Recipe(target="animal_1", cutting=cut, scaling=scaling)
+    demos = demonstrations_from_tracks(recordings, recipe)
+    assert demos.num_episodes == 24
+    for name in np.unique(demos.recording):
+        assert len(np.unique(demos.split[demos.recording == name])) == 1
+    by_day = Recipe.from_dict(
+        recipe.to_dict() | {"splitting": {"by": "group", "pattern": r"(day\d)", "seed": 3}}
+    )
+    grouped = demonstrations_from_tracks(recordings, by_day)
+    day = np.array([name.split("_")[0] for name in grouped.recording])
+    for name in np.unique(day):
+        assert len(np.unique(grouped.split[day == name])) == 1
+    assert set(grouped.split) == {"train", "val", "test"}
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 9, 40])
+def test_no_split_stays_empty_with_three_groups_or_more(count: int) -> None:
+    for seed in range(20):
+        split = assign_splits([f"g{i}" for i in range(count)], seed)
+        assert set(split.tolist()) == {"train", "val", "test"}
+
+
+def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None:
+    recipe = Recipe(
+        source="sleap", individuals=("a", "b"), rename={"a": "male"}, decision_rate=10.0,
+        cleaning=Cleaning(max_gap=0.5, smoothing_cutoff=2.0), splitting=Splitting(seed=4),
+        cutting=Cutting(mode="approach", farther_than=0.3, closer_than=0.2, longest=300.0),
+    )  # fmt: skip
+    assert Recipe.load(recipe.save(tmp_path / "recipe.yaml")) == recipe
+    with pytest.raises(InputError, match="entry 'smothing' is unknown"):
+        Recipe.from_dict({"cleaning": {"smothing": 2}})
+    (tmp_path / "bad.yaml").write_text("a: [1\n")
+    with pytest.raises(InputError, match="cannot be read"):
+        Recipe.load(tmp_path / "bad.yaml")
+
+
+def test_files_of_one_recording_are_merged() -> None:
+    one = tracks(np.zeros((5, 1, 2)), recording="v", individuals=("fish0",))
+    two = tracks(np.ones((3, 1, 2)), recording="v", individuals=("fish1",))
+    (merged,) = merge([one, two])
+    assert merged.individuals == ("fish0", "fish1") and len(merged) == 5
+    assert np.isnan(merged.positions[3:, 1]).all()

@@ -1,0 +1,92 @@
+"""Minari export and import round-trip exactly."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.minari_io import export_minari, import_minari
+from animarl_envs.demos.readers import read
+from animarl_envs.errors import InputError
+
+pytest.importorskip("minari")
+
+
+def demonstrations(*, actions: bool, individuals: int = 3) -> Demonstrations:
+    rng = np.random.default_rng(individuals)
+    lengths = np.array([7, 2, 30, 11])
+    frames = int(lengths.sum())
+    signals = {
+        "odour": rng.random(frames) > 0.5,
+        "heading": rng.normal(size=(frames, individuals)),
+        "wind": rng.integers(4, size=frames).astype(np.int8),
+    }
+    if actions:
+        taken = rng.integers(13, size=(frames, individuals)).astype(np.int8)
+        taken[np.cumsum(lengths) - 1] = -1
+        signals = {"actions": taken} | signals
+    return Demonstrations(
+        species="agent", individuals=tuple(f"animal {i}" for i in range(individuals)),
+        roles=("pursuer",) * (individuals - 1) + ("target",), dt=0.1, arena=Arena("open"),
+        positions=rng.uniform(-1, 1, (frames, individuals, 2)), lengths=lengths,
+        initial_velocity=rng.normal(size=(4, individuals, 2)),
+        condition=np.array([0, 1, 1, 0], np.int8), outcome=np.array([1, 0, -1, -3], np.int8),
+        split=np.array(["train", "val", "test", "train"]),
+        recording=np.array(["α", "b/1", "b/1", "c"]), signals=signals,
+        provenance={"source": "test", "licence": "CC-BY-4.0", "synthetic": True, "n": [1, 2.5]},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("actions", [True, False])
+@pytest.mark.parametrize("individuals", [2, 3])
+def test_minari_round_trip_is_exact(actions: bool, individuals: int, tmp_path: Path) -> None:
+    demos = demonstrations(actions=actions, individuals=individuals)
+    back = import_minari(export_minari(demos, tmp_path / "set-v0"))
+    assert back.fingerprint() == demos.fingerprint()
+    assert dict(back.provenance) == dict(demos.provenance)
+    assert list(back.signals) == list(demos.signals)
+    for key, value in demos.signals.items():
+        assert back.signals[key].dtype == value.dtype
+        np.testing.assert_array_equal(back.signals[key], value)
+    assert read(tmp_path / "set-v0" / "data" / "main_data.hdf5").fingerprint() == (
+        demos.fingerprint()
+    )
+
+
+def test_minari_itself_finds_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import minari
+
+    demos = demonstrations(actions=True)
+    export_minari(demos, tmp_path / "set-v0")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    dataset = minari.load_dataset("set-v0")
+    assert dataset.total_episodes == 4
+    for one, episode in zip(demos, dataset.iterate_episodes(), strict=True):
+        assert len(episode.rewards) == one.num_steps
+        for i, name in enumerate(demos.individuals):
+            assert len(episode.observations[name]) == one.num_steps + 1
+            assert len(episode.actions[name]) == one.num_steps
+            np.testing.assert_array_equal(episode.observations[name][:, :2], one.positions[:, i])
+        assert episode.terminations[-1] == (one.outcome in (1, -1))
+        assert episode.truncations[-1] == (one.outcome in (0, -3))
+    assert json.loads(dataset.storage.metadata["animarl"])["licence"] == "CC-BY-4.0"
+
+
+def test_minari_refuses_what_it_cannot_do(tmp_path: Path) -> None:
+    demos = demonstrations(actions=True)
+    folder = export_minari(demos, tmp_path / "set-v0")
+    with pytest.raises(InputError, match="exists already"):
+        export_minari(demos, folder)
+    with pytest.raises(InputError, match=r"holds no data/main_data\.hdf5"):
+        import_minari(tmp_path / "absent")
+    metadata = folder / "data" / "metadata.json"
+    record = json.loads(metadata.read_text())
+    del record["animarl"]
+    metadata.write_text(json.dumps(record))
+    with pytest.raises(InputError, match="another project"):
+        import_minari(folder)
