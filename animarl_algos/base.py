@@ -58,7 +58,8 @@ class SequenceQLearning(OnlineLoop):
         Sequences per individual and update.
     gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
         Of the online phase; see :class:`animarl_algos.terms.Phase`. Those with ``offline_`` in
-        front are the same of the offline phase.
+        front are the same of the offline phase. ``offline_scaled_penalties`` measures the
+        penalties of all actions in units of their mean instead of arena units, as in the paper.
     tau
         Share of the online weights that a target update takes over.
     target_update_interval
@@ -129,6 +130,7 @@ class SequenceQLearning(OnlineLoop):
         offline_batch_size: int = 16,
         offline_gamma: float = 0.99,
         offline_alpha: float = 10.0,
+        offline_scaled_penalties: bool = False,
         offline_lambda2: float = 10.0,
         offline_lambda3: float = 50.0,
         offline_max_grad_norm: float | None = 20.0,
@@ -186,6 +188,7 @@ class SequenceQLearning(OnlineLoop):
         self.offline_learning_rate = offline_learning_rate
         self.offline_batch_size = offline_batch_size
         self.offline_gamma, self.offline_alpha = offline_gamma, offline_alpha
+        self.offline_scaled_penalties = offline_scaled_penalties
         self.offline_lambda2, self.offline_lambda3 = offline_lambda2, offline_lambda3
         self.offline_max_grad_norm = offline_max_grad_norm
         self.offline_patience = offline_patience
@@ -283,7 +286,8 @@ class SequenceQLearning(OnlineLoop):
         prefix = "" if name == "online" else "offline_"
         own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
         settings = {key: getattr(self, prefix + key) for key in own}
-        return Phase(name=name, lambda1=self.lambda1, **settings)
+        scaled = name == "offline" and self.offline_scaled_penalties
+        return Phase(name=name, lambda1=self.lambda1, scaled_penalties=scaled, **settings)
 
     # -- before the first step --------------------------------------------------------------------
 

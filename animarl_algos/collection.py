@@ -80,9 +80,11 @@ class Recorder:
             )
         ended = self._ended(dones)
         successors = feedback.successors(next_observation, dones)
-        last = None
-        if layout.condition_flag:
-            last = observation.reshape(layout.num_copies, layout.num_individuals, -1)[:, 0, -1]
+        condition = feedback.get("condition")
+        if condition is not None:
+            condition = condition.reshape(per_copy)[:, 0]
+        elif layout.condition_flag:
+            condition = observation.reshape(layout.num_copies, layout.num_individuals, -1)[:, 0, -1]
         buffer.add(
             observation.reshape(*per_copy, -1),
             actions.reshape(per_copy),
@@ -94,7 +96,7 @@ class Recorder:
             labels=None if label is None else label.reshape(per_copy),
             warmup=None if warmup is None else warmup.reshape(per_copy)[:, 0],
             hidden=hidden.reshape(*per_copy, -1),
-            condition=last,
+            condition=condition,
         )
         return ended
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import (
@@ -166,7 +166,12 @@ class OnlineLoop(OffPolicyAlgorithm):
     def _init_callback(self, callback: MaybeCallback, progress_bar: bool = False) -> BaseCallback:
         if progress_bar and self.recipe.online:
             given = callback if isinstance(callback, list) else [callback]
-            callback = [*(c for c in given if c is not None), ProgressBar()]
+            callback = [
+                c if isinstance(c, BaseCallback) else ConvertCallback(c)
+                for c in given
+                if c is not None
+            ]
+            callback.append(ProgressBar())
         return super()._init_callback(callback)
 
     # -- act --------------------------------------------------------------------------------------

@@ -39,6 +39,10 @@ class Phase:
         Weights of squared l2 norm, treatment cross-entropy and action supervision.
     max_grad_norm
         Largest gradient norm of one individual; ``None`` does not clip.
+    scaled_penalties
+        Whether penalties of all actions are taken in units of their mean over actions and steps
+        (per individual and batch) instead of arena units. That mean is about ``u dt^2``, how far
+        one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Phase:
     lambda2: float
     lambda3: float
     max_grad_norm: float | None
+    scaled_penalties: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.gamma <= 1.0:
@@ -168,6 +173,10 @@ class ScoredActionsTemporalDifference:
     differ by -alpha p(t, a) alone, so the values rank the actions as the distances do and the
     demonstrated action, being closest, comes first. (Scoring the demonstrated action only would
     lower it against the twelve others, which nothing else touches.)
+
+    With ``scaled_penalties`` of the phase, p is divided by its mean over actions and steps. In
+    arena units the differences between actions shrink with the animals' thrust, until the noise of
+    the common target drowns them; scaled, alpha weighs imitation alike for every species.
     """
 
     name: str = "td"
@@ -185,6 +194,9 @@ class ScoredActionsTemporalDifference:
             )
         common = evaluation.double_q_target(batch.rewards)
         penalty = evaluation.phase.alpha * batch.action_penalties
+        if evaluation.phase.scaled_penalties:
+            unit = masked_mean(batch.action_penalties.mean(-1), evaluation.valid)
+            penalty = penalty / unit.clamp(min=1e-12).view(-1, 1, 1, 1)
         target = common.unsqueeze(-2) - penalty.unsqueeze(-1)
         # One problem with a single action for each of the actions.
         single = evaluation.values.unsqueeze(-2)

@@ -13,6 +13,7 @@ import torch
 import toys
 from gymnasium import spaces
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.logger import configure
 
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.dqaas import DQAAS
@@ -176,6 +177,33 @@ def test_learn_can_be_continued_with_its_memory() -> None:
     twice = make("dqn", prioritized=False).learn(60)
     twice.learn(60, reset_num_timesteps=False)
     assert torch.equal(weights(once), weights(twice))
+
+
+def test_progress_callbacks_and_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    seen = []
+
+    def callback(variables: dict[str, Any], _: dict[str, Any]) -> bool:
+        seen.append(variables["self"].num_timesteps)
+        return True
+
+    model = make("dqcil-pt")
+    model.set_logger(configure(str(tmp_path), ["csv"]))
+    model.learn(60, callback=callback, log_interval=1, progress_bar=True)
+    assert seen == list(range(2, 61, 2))
+    bars = capsys.readouterr().err
+    assert "60/60" in bars and "2/2" in bars
+    columns = (tmp_path / "progress.csv").read_text().splitlines()[0].split(",")
+    for column in (
+        "offline/val/mean_rank/seeker",
+        "offline/val/treatment_balanced_accuracy",
+        "train/td/avoider",
+        "train/treatment/seeker",
+        "train/treatment_balanced_accuracy/seeker",
+        "rollout/exploration_rate",
+        "rollout/buffer_episodes",
+        "time/fps",
+    ):
+        assert column in columns
 
 
 @pytest.mark.parametrize("prioritized", [False, True])
@@ -378,7 +406,8 @@ def test_replayed_individuals_together_are_individuals_alone() -> None:
 
 @pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "dqcil-pt", "qr-bc", "qr-dqdil-pt"])
 def test_the_demonstrated_action_comes_to_rank_first(name: str) -> None:
-    model = make(name, offline_epochs=25, offline_learning_rate=1e-2, offline_alpha=1.0)
+    settings = {"offline_learning_rate": 1e-2, "offline_alpha": 1.0, "offline_gamma": 0.5}
+    model = make(name, offline_epochs=25, **settings)
     history = model.pretrain().history
     best = history[model.offline_progress.best_epoch - 1]
     assert best["val/top_1"] > 0.6  # chance: one third
