@@ -90,8 +90,8 @@ ACTIONS = (
 
 WRAPPERS = (
     "In `animarl_envs.wrappers`, each for the single, the vector (`...Vector`) and the parallel "
-    "view (`...Parallel`): `DTWReward` rewards staying near the paired demonstration; `ConditionFlag` "
-    "adds the experimental condition to the observation, as it is or flipped."
+    "view (`...Parallel`): `DTWReward` rewards staying near the paired demonstration; "
+    "`ConditionFlag` adds the experimental condition to the observation, as it is or flipped."
 )
 
 

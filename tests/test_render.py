@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import sys
+from copy import deepcopy
 from pathlib import Path
 
+import gymnasium as gym
 import imageio.v3 as imageio
 import numpy as np
 import pytest
 
-from animarl_envs import palette
+from animarl_envs import palette, parallel_env
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.render import Renderer, round_length, write_clip
@@ -308,6 +311,33 @@ def test_a_clip_of_nothing_is_refused(tmp_path):
     with pytest.raises(InputError, match="no frame"):
         write_clip(iter(()), tmp_path / "clip.gif")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("species", ["Agent", "Silkmoth"])
+@pytest.mark.parametrize("twin_of", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_in_mid_episode_draws_on_alike(species, twin_of):
+    env = gym.make(f"AnimaRL/{species}-v0", render_mode="rgb_array").unwrapped
+    env.reset(seed=2)
+    env.step(3)
+    env.render()
+    twin = twin_of(env)
+    for action in (0, 5, 12):
+        env.step(action)
+        twin.step(action)
+    picture = env.render()
+    assert picture.shape[2] == 3
+    np.testing.assert_array_equal(picture, twin.render())
+    env.close()
+    twin.close()
+
+
+def test_all_individuals_are_drawn_and_nothing_before_the_first_episode():
+    everybody = parallel_env("fly", render_mode="rgb_array")
+    with pytest.raises(InputError, match="reset"):
+        everybody.render()
+    everybody.reset(seed=0)
+    assert everybody.render().shape == (672, 600, 3)
+    everybody.close()
 
 
 # -- scenes of a world --------------------------------------------------
