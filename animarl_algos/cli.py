@@ -6,6 +6,7 @@ import sys
 
 import typer
 
+from animarl_algos.commands import data
 from animarl_algos.commands.fit import fit_command
 from animarl_algos.commands.run import (
     evaluate_command,
@@ -23,6 +24,8 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
+app.command("import")(data.import_command)
+app.add_typer(data.app, name="data")
 app.command("fit")(fit_command)
 app.command("run")(run_command)
 app.command("train")(train_command)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,19 @@ def test_whole_recordings_break_at_gaps_and_end_at_contact() -> None:
     assert touched[0].outcome == 1 and bodies[touched[0].stop - 1, 0, 0] < 0.2
 
 
+def test_a_lone_long_recording_is_cut_in_pieces_without_losing_a_step() -> None:
+    bodies = wave(0.1, 30.0, seconds=60.0)
+    scaling = Scaling(width=2.0, centre=(0.0, 0.0))
+    demos = demonstrations_from_tracks([tracks(bodies)], Recipe(scaling=scaling))
+    assert demos.num_episodes == 10 and set(demos.split) == {"train", "val", "test"}
+    # Neighbours share a frame; the first frame of each only makes its first velocity.
+    np.testing.assert_allclose(demos.positions, bodies[1:] / 1.0)
+    whole = Recipe(scaling=scaling, cutting=Cutting(piece=np.inf))
+    assert demonstrations_from_tracks([tracks(bodies)], whole).num_episodes == 1
+    given = Recipe(scaling=scaling, cutting=Cutting(piece=4.0))
+    assert demonstrations_from_tracks([tracks(bodies)], given).num_episodes == 15
+
+
 def test_event_tables(tmp_path: Path) -> None:
     table = tmp_path / "events.csv"
     table.write_text("recording,start,end,condition,outcome\nr,1,2,1,1\nother,0,9,,\nr,3,4,,\n")
@@ -187,6 +201,7 @@ def test_the_one_who_is_approached_is_the_target() -> None:
 def test_the_first_sample_only_makes_the_first_velocity() -> None:
     bodies = wave(0.1, 30.0)
     recipe = Recipe(decision_rate=10.0, scaling=Scaling(width=2.0, centre=(0.0, 0.0)))
+    recipe = replace(recipe, cutting=Cutting(piece=np.inf))
     demos = demonstrations_from_tracks([tracks(bodies)], recipe)
     assert demos.dt == pytest.approx(0.1)
     np.testing.assert_allclose(demos.positions[:, 0], bodies[3::3, 0])

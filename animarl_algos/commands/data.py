@@ -65,6 +65,7 @@ def import_command(
     farther_than: Annotated[float | None, typer.Option(help="An approach starts here.")] = None,
     closer_than: Annotated[float | None, typer.Option(help="An approach ends here.")] = None,
     contact: Annotated[float | None, typer.Option(help="whole: ends within this.")] = None,
+    piece: Annotated[float | None, typer.Option(help="whole: cut into pieces, s.")] = None,
     longest: Annotated[float | None, typer.Option(help="Leave longer episodes out, s.")] = None,
     keep_last: Annotated[float | None, typer.Option(help="Keep the last seconds.")] = None,
     shortest: Annotated[float | None, typer.Option(help="Leave shorter ones out, s.")] = None,
@@ -109,7 +110,8 @@ def import_command(
         "scaling": {"shape": arena, "width": arena_width, "units_per_arena_unit": units},
         "cutting": {
             "mode": cut or ("approach" if farther_than else "events" if events else None),
-            "farther_than": farther_than, "closer_than": closer_than, "contact": contact,
+            "farther_than": farther_than, "closer_than": closer_than,
+            "contact": contact, "piece": piece,
             "longest": longest, "keep_last": keep_last, "shortest": shortest,
             "events": str(events) if events else None,
         },

@@ -9,6 +9,7 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from animarl_envs.demos.cleaning import runs
 from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
+
+FEWEST_PIECES = 10
 
 Mode = Literal["whole", "approach", "events"]
 Start = Literal["separation", "approach"]
@@ -39,6 +42,10 @@ class Cutting:
         contact, or at the last one before the contact (``"approach"``).
     contact
         In mode ``"whole"``: an episode ends at the first contact within this distance.
+    piece
+        In mode ``"whole"``: longer stretches are cut into pieces of this length [s]. ``None``: only
+        where there would be fewer than three episodes, and then into ``FEWEST_PIECES``, so that
+        training, validation and test have some each; infinity: never.
     longest, keep_last
         Episodes that last longer are left out [s]; of the others the last seconds are kept [s].
     shortest
@@ -52,6 +59,7 @@ class Cutting:
     closer_than: float | None = None
     start: Start = "separation"
     contact: float | None = None
+    piece: float | None = None
     longest: float = math.inf
     keep_last: float = math.inf
     shortest: float = 0.0
@@ -75,6 +83,8 @@ class Cutting:
                 )
         if self.mode == "events" and self.events is None:
             raise InputError("cutting by events needs a table: give its path")
+        if self.piece is not None and not self.piece > 0:
+            raise InputError(f"piece is {self.piece} s: it must be positive")
         if not (self.longest > 0 and self.keep_last > 0 and self.shortest >= 0):
             raise InputError("longest, keep_last and shortest of an episode must be positive")
 
@@ -129,6 +139,20 @@ def cut_episodes(
         if duration >= settings.shortest:
             kept.append(cut)
     return kept
+
+
+def in_pieces(cuts: Sequence[Cut], frame_rate: float, piece: float) -> list[Cut]:
+    """Episodes of at most ``piece`` seconds; neighbours share a frame, so no step is lost."""
+    found = []
+    for cut in cuts:
+        steps = cut.stop - 1 - cut.start
+        count = max(1, math.ceil(steps / frame_rate / piece - 1e-9)) if piece < math.inf else 1
+        edges = np.linspace(cut.start, cut.stop - 1, count + 1).round().astype(int).tolist()
+        for first, last in pairwise(edges):
+            ends = last == cut.stop - 1
+            outcome = cut.outcome if ends else UNFINISHED
+            found.append(Cut(first, last + 1, outcome, cut.condition))
+    return [cut for cut in found if cut.stop - cut.start >= 2]
 
 
 def distances_to_target(bodies: NDArray[np.float64], roles: Sequence[str]) -> NDArray[np.float64]:

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.cleaning import Cleaning, clean, resample, resample_index
-from animarl_envs.demos.cutting import Cut, Cutting, cut_episodes, most_approached
+from animarl_envs.demos.cutting import (
+    FEWEST_PIECES,
+    Cut,
+    Cutting,
+    cut_episodes,
+    in_pieces,
+    most_approached,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.scaling import Scaling, scale_of
 from animarl_envs.demos.splits import assign_splits
@@ -22,6 +29,8 @@ from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename
 
 FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits
+FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
+SHORTEST_PIECE = 10  # decisions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,12 +191,14 @@ def demonstrations_from_tracks(
         cleaned.append(tracks)
         bodies.append(scale.to_arena(tracks.bodies))
     individuals, roles, order = _roles(cleaned, bodies, recipe, name)
+    bodies = [body[:, order] for body in bodies]
     episodes = []
-    for tracks, body in zip(cleaned, bodies, strict=True):
-        body = body[:, order]
-        assert tracks.frame_rate is not None
-        cuts = cut_episodes(body, roles, tracks.frame_rate, recipe.cutting, tracks.recording)
+    for tracks, body, cuts in zip(
+        cleaned, bodies, _cuts(cleaned, bodies, roles, recipe), strict=True
+    ):
         done[tracks.recording]["episodes"] = len(cuts)
+        if len(cuts) == 1 and tracks.outcome is not None and recipe.cutting.mode == "whole":
+            cuts = [replace(cuts[0], outcome=tracks.outcome)]
         episodes += [_episode(tracks, body, cut, order, recipe) for cut in cuts]
     episodes = [one for one in episodes if len(one["positions"]) >= 2]
     if not episodes:
@@ -273,6 +284,35 @@ def _roles(
     return tuple(names[i] for i in order), roles, order
 
 
+def _cuts(
+    cleaned: Sequence[Tracks],
+    bodies: Sequence[NDArray[np.float64]],
+    roles: tuple[str, ...],
+    recipe: Recipe,
+) -> list[list[Cut]]:
+    """The episodes of each recording; a lone long recording is cut in pieces, see ``Cutting``."""
+    rates = [tracks.frame_rate or 1.0 for tracks in cleaned]
+    found = [
+        cut_episodes(body, roles, rate, recipe.cutting, tracks.recording)
+        for tracks, body, rate in zip(cleaned, bodies, rates, strict=True)
+    ]
+    piece = recipe.cutting.piece
+    if recipe.cutting.mode != "whole":
+        return found
+    if piece is None and 0 < sum(map(len, found)) < FEWEST_EPISODES:
+        seconds = sum(
+            (cut.stop - cut.start) / rate
+            for cuts, rate in zip(found, rates, strict=True)
+            for cut in cuts
+        )
+        decisions = seconds * (recipe.decision_rate or rates[0])
+        if decisions >= FEWEST_PIECES * SHORTEST_PIECE:
+            piece = seconds / FEWEST_PIECES
+    if piece is None:
+        return found
+    return [in_pieces(cuts, rate, piece) for cuts, rate in zip(found, rates, strict=True)]
+
+
 def _episode(
     tracks: Tracks, body: NDArray[np.float64], cut: Cut, order: list[int], recipe: Recipe
 ) -> dict[str, Any]:
@@ -304,15 +344,12 @@ def _episode(
         own = taken.ndim > 1 and taken.shape[1] == several
         signals[key] = taken[:, order] if own else taken
     condition = cut.condition if cut.condition is not None else tracks.condition
-    outcome = cut.outcome
-    if tracks.outcome is not None and recipe.cutting.mode == "whole":
-        outcome = tracks.outcome
     first = (samples[1] - samples[0]) * rate if len(samples) > 1 else np.zeros((several, 2))
     return {
         "positions": samples[1:],
         "initial_velocity": first,
         "condition": recipe.condition if recipe.condition is not None else condition,
-        "outcome": outcome,
+        "outcome": cut.outcome,
         "recording": tracks.recording,
         "signals": signals,
     }

@@ -5,6 +5,7 @@ Their ``.npz`` files hold Python objects; they are opened by the restricted unpi
 
 from __future__ import annotations
 
+import math
 import re
 import zipfile
 import zlib
@@ -42,6 +43,7 @@ def _chase_defaults(species: Any) -> dict[str, Any]:
         "species": species.name,
         "target": species.individuals[-1],
         "synthetic": species is AGENT,
+        "cutting": {"piece": math.inf},
         "decision_rate": 1.0 / species.dt,
         "cleaning": {"smoothing_cutoff": recording.smoothing_cutoff},
         "scaling": {
@@ -121,7 +123,8 @@ def _tracks(
     "the paper's agents (pos_val_rep_2on1_{indiv,share}_equal_K_*.npz)",
     sniff=lambda path: npz_members(path) == {"pos.npy"} and path.name.startswith("pos_val_rep"),
     extensions=(".npz",),
-    defaults=_chase_defaults(AGENT) | {"cutting": {"mode": "whole", "contact": 0.1}},
+    defaults=_chase_defaults(AGENT)
+    | {"cutting": {"piece": math.inf, "contact": AGENT.contact_radius}},
 )
 def read_authors_agents(path: Path) -> list[Tracks]:
     """Key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
@@ -236,6 +239,7 @@ def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64
         "searcher": True,
         "decision_rate": 1.0 / SILKMOTH.dt,
         "keep_last_frame": True,
+        "cutting": {"piece": math.inf},
         "scaling": {"shape": "open", "units_per_arena_unit": 1000.0},
         "splitting": {"by": "group", "pattern": r"(Movie\d+)", "fractions": (0.6, 0.2, 0.2)},
     },

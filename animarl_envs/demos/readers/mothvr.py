@@ -9,6 +9,7 @@ recorded frame is kept as the last sample.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ DEFAULTS = {
     "searcher": True,
     "decision_rate": 2.0,
     "keep_last_frame": True,
+    "cutting": {"piece": math.inf},
     "scaling": {"shape": "open", "units_per_arena_unit": 1000.0},
     "splitting": {"by": "recording", "fractions": (0.6, 0.2, 0.2), "seed": 0},
 }

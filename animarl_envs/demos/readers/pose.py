@@ -30,7 +30,7 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
     try:
         import sleap_io
     except ImportError as error:
-        raise MissingExtraError("reading SLEAP projects", "sleap") from error
+        raise MissingExtraError("reading SLEAP projects", "tracking") from error
     with open_hdf(path) as file:
         for key in ("points", "pred_points", "instances", "frames"):
             if key in file:
@@ -95,7 +95,7 @@ def read_movement(
     try:
         from movement.io import load_dataset
     except ImportError as error:
-        raise MissingExtraError("reading with movement", "movement") from error
+        raise MissingExtraError("reading with movement", "tracking") from error
     dataset = load_dataset(path, source_software=software, fps=fps)
     array = dataset["position"]
     keypoints: tuple[str, ...] = ("centroid",)
