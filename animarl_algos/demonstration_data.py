@@ -1,4 +1,4 @@
-"""Demonstrations as a learner sees them: observations, inferred actions, rewards, scored actions."""
+"""Demonstrations as a learner sees them: observations, actions, rewards, scored actions."""
 
 from __future__ import annotations
 

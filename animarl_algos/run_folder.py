@@ -1,14 +1,14 @@
 """A run's folder: everything needed to repeat it, to continue it, and to show it.
 
-    settings.json       as resolved, with versions, the command and the demonstrations' fingerprint
-    demonstrations.npz  with their splits and provenance
-    locomotion.json     the fitted parameters
-    checkpoints/        the last whole checkpoint of each learner
-    policies/           final weights of each learner (tensors only)
-    logs/               learning curves: CSV and TensorBoard
-    rollouts/           on the test split, by method
-    evaluation/         tables
-    report.html
+settings.json       as resolved, with versions, the command and the demonstrations' fingerprint
+demonstrations.npz  with their splits and provenance
+locomotion.json     the fitted parameters
+checkpoints/        the last whole checkpoint of each learner
+policies/           final weights of each learner (tensors only)
+logs/               learning curves: CSV and TensorBoard
+rollouts/           on the test split, by method
+evaluation/         tables
+report.html
 """
 
 from __future__ import annotations
@@ -90,7 +90,9 @@ class RunFolder:
         """
         resolved = {
             "settings": asdict(settings) | {"overrides": dict(settings.overrides)},
-            "learner": _plain(learner_settings(settings.algo, settings.species, dict(settings.overrides))),
+            "learner": _plain(
+                learner_settings(settings.algo, settings.species, dict(settings.overrides))
+            ),
             "fingerprint": demos.fingerprint(),
         }
         file = self.path / "settings.json"
@@ -154,7 +156,7 @@ class RunFolder:
         return LocomotionFit.load(self.path / "locomotion.json")
 
     def species(self, demos: Demonstrations, fit: LocomotionFit) -> Species:
-        """The species with the recording's arena, names and time limit, and the fitted locomotion."""
+        """The species with the recording's arena and names, and the fitted locomotion."""
         base = get_species(self.settings.species)
         longest = int(demos.lengths.max()) - 1
         return with_options(
@@ -169,18 +171,14 @@ class RunFolder:
     def environment(self, species: Species, demos: Demonstrations) -> SlotVecEnv:
         """The training environment: all individuals learn, episodes start from the train split."""
         flagged = bool(species.conditions) and len(set(demos.condition.tolist())) == 2
-        return SlotVecEnv(
-            species, self.settings.copies, demos=demos, condition_flag=flagged
-        )
+        return SlotVecEnv(species, self.settings.copies, demos=demos, condition_flag=flagged)
 
     def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
         """A new learner with the run's settings."""
         settings = self.settings
         overrides = dict(settings.overrides) if algo == settings.algo else {}
         arguments = learner_settings(algo, settings.species, overrides)
-        return named_recipe(algo).algorithm(
-            env=env, seed=settings.seed, device="cpu", **arguments
-        )
+        return named_recipe(algo).algorithm(env=env, seed=settings.seed, device="cpu", **arguments)
 
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
         """The final weights, tensors only."""
@@ -195,7 +193,9 @@ class RunFolder:
             model.policy.q_net.load_state_dict(weights)
             model.policy.q_net_target.load_state_dict(weights)
         except FileNotFoundError:
-            raise InputError(f"{file}: there is no trained policy yet: train the run first") from None
+            raise InputError(
+                f"{file}: there is no trained policy yet: train the run first"
+            ) from None
         except (RuntimeError, ValueError, EOFError) as error:
             raise InputError(f"{file}: it is not a policy of this run ({error})") from None
 
@@ -214,9 +214,13 @@ class RunFolder:
             if file.stat().st_size == 0:
                 continue
             table = pd.read_csv(file)
-            offline = [c for c in table if c.startswith("offline/") and c != "offline/epoch"]
-            online = [c for c in table if c.startswith(("rollout/", "train/"))]
-            phases = (("offline", offline, "offline/epoch"), ("online", online, "time/total_timesteps"))
+            names = [str(column) for column in table]
+            offline = [c for c in names if c.startswith("offline/") and c != "offline/epoch"]
+            online = [c for c in names if c.startswith(("rollout/", "train/"))]
+            phases = (
+                ("offline", offline, "offline/epoch"),
+                ("online", online, "time/total_timesteps"),
+            )
             for phase, columns, step in phases:
                 if step not in table:
                     continue

@@ -1,7 +1,7 @@
 """A world as a stable-baselines3 VecEnv: every individual of every copy is one slot.
 
-Slot ``s`` is individual ``s % K`` of copy ``s // K``. All slots of a copy end together and are reset
-within the same step, as SB3 expects.
+Slot ``s`` is individual ``s % K`` of copy ``s // K``. All slots of a copy end together and are
+reset within the same step, as SB3 expects.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class SlotVecEnv(VecEnv):
     condition_flag, cue
         Whether the condition is the last observation component, and what is told of it.
     dtw
-        ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``, and
-        with it the demonstrated action aligned with each state, as ``aligned_action``. The reward
+        ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``,
+        and with it the demonstrated action aligned with each state, as ``aligned_action``. The reward
         itself stays the task's; weighting is the recipe's business.
     options
         Of :func:`animarl_envs.scenario.make_scenario`.
@@ -178,7 +178,8 @@ class SlotVecEnv(VecEnv):
         """The demonstrated action at the step that each present state is aligned with, (n, K)."""
         assert self._tracker is not None
         frame = self._first_frame[self.world.demo][:, None] + self._tracker.aligned
-        return self._demonstrated[frame, np.arange(len(self._learners))]
+        aligned: NDArray[np.int64] = self._demonstrated[frame, np.arange(len(self._learners))]
+        return aligned
 
     def _observation(self) -> NDArray[np.float32]:
         observation = np.array(self.world.observation[:, self._learners], order="C")

@@ -271,9 +271,7 @@ class Demonstrations:
             twice = next(n for n in names if names.count(n) > 1)
             refuse(f"individual {twice!r} appears twice: give each individual its own name")
         if len(self.roles) != num or set(self.roles) - {"pursuer", "target", "searcher"}:
-            refuse(
-                f"roles {self.roles} do not fit: give pursuer, target or searcher to each of {names}"
-            )
+            refuse(f"roles {self.roles} do not fit: give pursuer, target or searcher to each")
         targets = self.roles.count("target")
         if targets > 1 or (targets and self.roles[-1] != "target"):
             refuse(f"roles are {self.roles}: there is one target at most and it comes last")
@@ -345,8 +343,8 @@ class Demonstrations:
         for key, value in self.signals.items():
             if len(value) != len(self.positions):
                 refuse(
-                    f"signal {key!r} has {len(value)} frames, positions have {len(self.positions)}: "
-                    "give one value per frame"
+                    f"signal {key!r} has {len(value)} frames, positions have "
+                    f"{len(self.positions)}: give one value per frame"
                 )
         for key in ("source", "licence", "synthetic"):
             if key not in self.provenance:

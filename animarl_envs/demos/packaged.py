@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -11,7 +11,7 @@ from animarl_envs.errors import InputError
 FOLDER = Path(__file__).parent / "data"
 
 
-@lru_cache(maxsize=None)
+@cache
 def load_packaged(name: str) -> Demonstrations:
     """The packaged demonstrations of a species.
 
@@ -27,7 +27,7 @@ def load_packaged(name: str) -> Demonstrations:
     return Demonstrations.load(FOLDER / f"{name}.npz")
 
 
-@lru_cache(maxsize=1)
+@cache
 def packaged_names() -> tuple[str, ...]:
     """Species that come with demonstrations."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.npz")))
