@@ -41,22 +41,17 @@ def read_section(config: str, species: str) -> dict[str, Any]:
 def learner_settings(algo: str, species: str, overrides: dict[str, Any]) -> dict[str, Any]:
     """Arguments of the algorithm: the YAML section, then ``overrides``, each checked by name.
 
-    Recipes without an offline phase lose the ``offline_*`` keys.
-
     Raises
     ------
     InputError
         If a key is not an argument of the algorithm.
     """
     recipe = named_recipe(algo)
-    config = algo.removeprefix("qr-").removesuffix("-pt")
-    settings = read_section(config, species) | overrides
+    settings = read_section(algo.removeprefix("qr-"), species) | overrides
     known = set(inspect.signature(recipe.algorithm.__init__).parameters) - {"self", "env"}
     for key in settings:
         if key not in known:
             raise InputError(
                 f"setting {key!r} is unknown to {algo}: choose among {', '.join(sorted(known))}"
             )
-    if not recipe.pretrained:
-        settings = {k: v for k, v in settings.items() if not k.startswith("offline_")}
     return {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
