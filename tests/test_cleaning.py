@@ -163,6 +163,10 @@ def test_a_lone_long_recording_is_cut_in_pieces_without_losing_a_step() -> None:
     assert demos.num_episodes == 10 and set(demos.split) == {"train", "val", "test"}
     # Neighbours share a frame; the first frame of each only makes its first velocity.
     np.testing.assert_allclose(demos.positions, bodies[1:] / 1.0)
+    thinned = demonstrations_from_tracks(
+        [tracks(bodies)], Recipe(scaling=scaling, decision_rate=10.0)
+    )
+    np.testing.assert_allclose(thinned.positions, bodies[3::3])
     whole = Recipe(scaling=scaling, cutting=Cutting(piece=np.inf))
     assert demonstrations_from_tracks([tracks(bodies)], whole).num_episodes == 1
     given = Recipe(scaling=scaling, cutting=Cutting(piece=4.0))

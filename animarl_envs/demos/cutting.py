@@ -141,13 +141,20 @@ def cut_episodes(
     return kept
 
 
-def in_pieces(cuts: Sequence[Cut], frame_rate: float, piece: float) -> list[Cut]:
-    """Episodes of at most ``piece`` seconds; neighbours share a frame, so no step is lost."""
+def in_pieces(
+    cuts: Sequence[Cut], frame_rate: float, piece: float, every: float = 1.0
+) -> list[Cut]:
+    """Episodes of at most ``piece`` seconds.
+
+    Neighbours share a frame and begin at decisions (each ``every`` frames), so no step is lost.
+    """
     found = []
     for cut in cuts:
         steps = cut.stop - 1 - cut.start
         count = max(1, math.ceil(steps / frame_rate / piece - 1e-9)) if piece < math.inf else 1
-        edges = np.linspace(cut.start, cut.stop - 1, count + 1).round().astype(int).tolist()
+        decisions = np.linspace(0, steps / every, count + 1).round()
+        edges = (cut.start + (decisions * every).round().astype(int)).tolist()
+        edges[-1] = cut.stop - 1
         for first, last in pairwise(edges):
             ends = last == cut.stop - 1
             outcome = cut.outcome if ends else UNFINISHED

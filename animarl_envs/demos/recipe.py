@@ -310,7 +310,10 @@ def _cuts(
             piece = seconds / FEWEST_PIECES
     if piece is None:
         return found
-    return [in_pieces(cuts, rate, piece) for cuts, rate in zip(found, rates, strict=True)]
+    return [
+        in_pieces(cuts, rate, piece, rate / (recipe.decision_rate or rate))
+        for cuts, rate in zip(found, rates, strict=True)
+    ]
 
 
 def _episode(
