@@ -343,7 +343,7 @@ class SequenceQLearning(OnlineLoop):
     def _excluded_save_params(self) -> list[str]:
         return [
             *super()._excluded_save_params(),
-            *("demonstrations", "boundary_hooks", "memory", "best_weights", "_recorder"),
+            *("demonstrations", "boundary_hooks", "memory", "best_weights", "_recorder", "_losses"),
             *("_last_obs", "_last_episode_starts", "_last_original_obs"),
         ]
 

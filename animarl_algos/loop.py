@@ -153,6 +153,7 @@ class OnlineLoop(OffPolicyAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         self._last_obs = np.array(self._last_obs)
+        self._losses: dict[str, tuple[torch.Tensor, int]] = {}
         self._recorder = Recorder(self.env, self.layout, self.recipe)
         steps = self.exploration_steps
         if self.exploration_fraction is not None:
@@ -272,7 +273,9 @@ class OnlineLoop(OffPolicyAlgorithm):
                 policy.distribution,
                 needs_target=any(term.needs_target for term in terms),
             )
-            result = update(evaluation, terms, policy.optimizer)
+            result = update(
+                evaluation, terms, policy.optimizer, prioritized=self.replay_buffer.prioritized
+            )
             if result.priorities is not None:
                 self.replay_buffer.update_priorities(batch.indices, result.priorities)
             for name, loss in result.losses.items():
@@ -283,7 +286,9 @@ class OnlineLoop(OffPolicyAlgorithm):
                     evaluation.treatment_logits, condition, valid
                 )  # of the last batch
         self._n_updates += gradient_steps
-        self._record_losses(totals, gradient_steps)
+        for name, total in totals.items():
+            before, updates = self._losses.get(name, (torch.zeros_like(total), 0))
+            self._losses[name] = (before + total, updates + gradient_steps)
 
     def _update_target(self, steps: int, episodes: int) -> None:
         passed = steps if self.target_update.unit is TrainFrequencyUnit.STEP else episodes
@@ -296,15 +301,18 @@ class OnlineLoop(OffPolicyAlgorithm):
 
     # -- log --------------------------------------------------------------------------------------
 
-    def _record_losses(self, totals: dict[str, torch.Tensor], updates: int) -> None:
+    def _record_losses(self) -> None:
+        """Means over the updates since the last log, for each individual."""
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, total in totals.items():
-            for individual, value in zip(self.layout.individuals, (total / updates).tolist()):
-                self.logger.record_mean(f"train/{name}/{individual}", value)
+        for name, (summed, updates) in self._losses.items():
+            for individual, value in zip(self.layout.individuals, (summed / updates).tolist()):
+                self.logger.record(f"train/{name}/{individual}", value)
+        self._losses = {}
 
     def dump_logs(self) -> None:
         """Write the log: SB3's own figures, epsilon, fill of the memory, world steps per second."""
         assert self.ep_info_buffer is not None and self.replay_buffer is not None
+        self._record_losses()
         elapsed = max((time.time_ns() - self.start_time) / 1e9, sys.float_info.epsilon)
         speed = (self.num_timesteps - self._num_timesteps_at_start) / elapsed
         if self.ep_info_buffer:

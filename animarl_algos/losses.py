@@ -171,9 +171,10 @@ def clip_grad_norm_per_individual(
     gradients = [p.grad for p in parameters if p.grad is not None]
     if not gradients:
         return torch.zeros(0)
-    norms = torch.stack([torch.linalg.vector_norm(g.flatten(1), dim=1) for g in gradients])
-    total: torch.Tensor = torch.linalg.vector_norm(norms, dim=0)
+    together = torch.cat([g.flatten(1) for g in gradients], dim=1)
+    total: torch.Tensor = torch.linalg.vector_norm(together, dim=1)
     scale = (max_norm / (total + 1e-6)).clamp(max=1.0)
-    for gradient in gradients:
-        gradient.mul_(scale.view(-1, *[1] * (gradient.dim() - 1)))
+    if scale.min() < 1:
+        for gradient in gradients:
+            gradient.mul_(scale.view(-1, *[1] * (gradient.dim() - 1)))
     return total

@@ -31,7 +31,7 @@ class UpdateResult:
     losses
         ``{term: (K,)}``, unweighted.
     priorities
-        ``(K, B)``, or None where no term measures a temporal-difference error.
+        ``(K, B)``, or None where they are not asked for or no term measures an error.
     """
 
     losses: dict[str, torch.Tensor]
@@ -77,7 +77,11 @@ def evaluate(
 
 
 def update(
-    evaluation: Evaluation, terms: Sequence[LossTerm], optimizer: torch.optim.Optimizer
+    evaluation: Evaluation,
+    terms: Sequence[LossTerm],
+    optimizer: torch.optim.Optimizer,
+    *,
+    prioritized: bool = False,
 ) -> UpdateResult:
     """Step along the gradient of the terms' weighted sum, clipped for each individual by itself.
 
@@ -89,14 +93,15 @@ def update(
     total = sum(term.weight(phase) * losses[term.name].sum() for term in active)
     if not isinstance(total, torch.Tensor):
         raise InputError(f"all weights of the {phase.name} loss are 0: give one that is not")
-    optimizer.zero_grad()
+    for parameter in evaluation.parameters:
+        parameter.grad = None
     total.backward()  # type: ignore[no-untyped-call]
     if phase.max_grad_norm is not None:
         clip_grad_norm_per_individual(evaluation.parameters, phase.max_grad_norm)
     optimizer.step()
     return UpdateResult(
         losses={name: loss.detach() for name, loss in losses.items()},
-        priorities=sequence_priorities(evaluation),
+        priorities=sequence_priorities(evaluation) if prioritized else None,
     )
 
 

@@ -226,7 +226,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 keep &= ~np.asarray(episode_start, dtype=bool)
             hidden[keep] = np.reshape(state[0], hidden.shape)[keep]
             previous[keep] = np.reshape(state[1], previous.shape)[keep]
-        if self.device.type == "cpu":
+        if self.q_net.encoder_1.weight.is_cpu:  # self.device would walk all parameters
             return self._actor.decide(flat, previous, hidden), hidden, single
         return *self._advance_on_device(flat, previous, hidden), single
 
