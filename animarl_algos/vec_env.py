@@ -44,8 +44,8 @@ class SlotVecEnv(VecEnv):
         Whether the condition is the last observation component, and what is told of it.
     dtw
         ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``,
-        and with it the demonstrated action aligned with each state, as ``aligned_action``. The reward
-        itself stays the task's; weighting is the recipe's business.
+        and with it the demonstrated action aligned with each state, as ``aligned_action``. The
+        reward itself stays the task's; weighting is the recipe's business.
     options
         Of :func:`animarl_envs.scenario.make_scenario`.
 

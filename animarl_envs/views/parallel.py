@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -36,7 +36,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
     ``TimeLimit.truncated`` at the end, for libraries that do not look at truncations.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "name": "animarl",
         "render_modes": ["human", "rgb_array"],
         "is_parallelizable": True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -60,7 +60,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
     (18,)
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
         self.world = make_world(self.scenario, 1)
-        self.observation_space = observation_space(self.world)
+        self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.scenario.species.dt)}
@@ -165,7 +165,8 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         return self._recorder
 
     def _observation(self) -> NDArray[np.float32]:
-        return self.world.observation[0, self.focal_index].copy()
+        row: NDArray[np.float32] = self.world.observation[0, self.focal_index].copy()
+        return row
 
     def _info(self) -> dict[str, Any]:
         world, i = self.world, self.focal_index

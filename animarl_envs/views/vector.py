@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -41,11 +41,11 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
 
     Notes
     -----
-    It truncates by itself at the time limit of the scenario. ``reset_by_step`` ``(num_envs,)`` tells
-    which copies the last ``step`` has reset instead of stepped (``NEXT_STEP``).
+    It truncates by itself at the time limit of the scenario. ``reset_by_step`` ``(num_envs,)``
+    tells which copies the last ``step`` has reset instead of stepped (``NEXT_STEP``).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "render_modes": [],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }

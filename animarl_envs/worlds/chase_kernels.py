@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 
 import numba as nb
-import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
@@ -88,9 +87,7 @@ def drive(drivers, actions, position, velocity, towards, damping, thrust, dt, fi
 def move(actions, towards, damping, thrust, dt, position, velocity):  # type: ignore[no-untyped-def]
     """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all individuals."""
     for i in range(len(actions)):
-        _move_one(
-            actions[i], towards[i], damping[i], thrust[i], dt, position[i], velocity[i]
-        )
+        _move_one(actions[i], towards[i], damping[i], thrust[i], dt, position[i], velocity[i])
 
 
 @jit
@@ -165,9 +162,9 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
 
 
 @jit
-def judge(
+def judge(  # type: ignore[no-untyped-def]
     position, condition, field, contact_radius, dt, penalty, nearest, components, reward, outcome
-):  # type: ignore[no-untyped-def]
+):
     """Contact, then boundary, then rewards. ``nearest`` is scratch, ``(B,)``."""
     K, _, B = position.shape
     target = K - 1
@@ -260,9 +257,7 @@ def observe(position, velocity, towards, others, senses_centre, observation):  #
         _observe_own(position[i], velocity[i], others[0], towards[i], observation[i])
         for rank in range(ranks):
             entry = OWN_ENTRIES + OTHER_ENTRIES * rank
-            _observe_other(
-                others[rank], towards[i], observation[i, entry : entry + OTHER_ENTRIES]
-            )
+            _observe_other(others[rank], towards[i], observation[i, entry : entry + OTHER_ENTRIES])
             if rank == 0:  # straight ahead, by definition
                 observation[i, entry + 1] = 0.0
                 observation[i, entry + 5] = 0.0

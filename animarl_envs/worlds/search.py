@@ -20,7 +20,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds import search_kernels as kernels
-from animarl_envs.worlds.base import ObservationComponent, World
+from animarl_envs.worlds.base import ObservationComponent, World, recorded_speed
 from animarl_envs.worlds.plume import ModelPlume, as_plume, hit_table
 from animarl_envs.worlds.search_kernels import Senses
 
@@ -59,7 +59,7 @@ class SearchWorld(World):
                 f"{species.individuals[0]} has no scripted rule in the world: drive it by actions, "
                 "for instance with animarl_envs.demos.programmed_moth"
             )
-        self.observation_components = observation_components(species)
+        self.observation_components = observation_components(species, recorded_speed(scenario))
         super().__init__(scenario, num_copies)
         B = num_copies
         self._heading = np.zeros((2, B))
@@ -149,12 +149,18 @@ def antennae_at(
     return np.stack([position + ahead + left, position + ahead - left], axis=-2)
 
 
-def observation_components(species: SearchSpecies) -> tuple[ObservationComponent, ...]:
-    """What each entry of an observation means, in order. The position is not among them."""
+def observation_components(
+    species: SearchSpecies, fastest: float = 0.0
+) -> tuple[ObservationComponent, ...]:
+    """What each entry of an observation means, in order. The position is not among them.
+
+    The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are.
+    """
+    top = max(fastest, *(m.terminal_speed(species.dt) for m in species.locomotion))
     ego = "egocentric, x upwind, y to the left"
     entries = [
-        ObservationComponent("velocity ahead", ego, "arena unit / s", -math.inf, math.inf),
-        ObservationComponent("velocity left", ego, "arena unit / s", -math.inf, math.inf),
+        ObservationComponent("velocity ahead", ego, "arena unit / s", -top, top),
+        ObservationComponent("velocity left", ego, "arena unit / s", -top, top),
         ObservationComponent("body angle", ego, "rad", -math.pi, math.pi),
         ObservationComponent("odour left", "body", "1", 0.0, 1.0),
         ObservationComponent("odour right", "body", "1", 0.0, 1.0),

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -50,16 +51,20 @@ def _check(env: Any, cue: Any) -> None:
     check_cue(cue, species.conditions, species.name)
 
 
-class ConditionFlag(gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], np.int64]):
+class ConditionFlag(
+    gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], np.int64],
+    RecordConstructorArgs,
+):
     """The condition flag for a single environment."""
 
     condition_flag = True
 
     def __init__(self, env: gym.Env[Any, Any], cue: Cue = "actual") -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self, cue=cue)
+        gym.Wrapper.__init__(self, env)
         _check(env.unwrapped, cue)
         self.cue = cue
-        self.observation_space = with_flag(env.observation_space)  # type: ignore[arg-type]
+        self.observation_space = with_flag(env.observation_space)  # type: ignore
 
     def reset(self, **given: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
         observation, info = self.env.reset(**given)

@@ -16,6 +16,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 from pettingzoo.utils.wrappers import BaseParallelWrapper
@@ -36,7 +37,10 @@ def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DT
     return tracker
 
 
-class DTWReward(gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], np.int64]):
+class DTWReward(
+    gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], np.int64],
+    RecordConstructorArgs,
+):
     """The DTW reward for a single :class:`~animarl_envs.views.single.AnimalEnv`.
 
     Parameters
@@ -57,7 +61,8 @@ class DTWReward(gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], 
     def __init__(
         self, env: gym.Env[Any, Any], alpha: float = 1.0, penalty: str = "increment"
     ) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self, alpha=alpha, penalty=penalty)
+        gym.Wrapper.__init__(self, env)
         inner = env.unwrapped
         if not isinstance(inner, AnimalEnv):
             raise InputError(f"DTWReward wraps AnimaRL environments, not {type(inner).__name__}")

@@ -1,0 +1,388 @@
+"""The chase world against a plain reference, against recorded episodes, and its invariants."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.readers import read
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT, FLY
+from animarl_envs.worlds.chase import ChaseWorld
+
+Array = NDArray[Any]
+
+
+def world(copies: int = 1, start: Any = None, **options: Any) -> ChaseWorld:
+    made = ChaseWorld(make_scenario("agent", demos=None, start=start, **options), copies)
+    made.reset()
+    return made
+
+
+# -- a scalar reference, written from the definitions ---------------------------------------------
+
+
+def reference_focus(position: Array) -> Array:
+    """Unit vectors towards each individual's focus."""
+    target = len(position) - 1
+    out = np.zeros_like(position)
+    for i in range(len(position)):
+        if i == target:
+            aims = [float(np.linalg.norm(position[j] - position[i])) for j in range(target)]
+            j = int(np.argmin(aims))
+        else:
+            j = target
+        out[i] = (position[j] - position[i]) / np.linalg.norm(position[j] - position[i])
+    return out
+
+
+def reference_step(position: Array, velocity: Array, actions: Array) -> tuple[Array, Array]:
+    """v' = (1 - d) v + u a dt, p' = p + v' dt for the Agent's numbers."""
+    focus = reference_focus(position)
+    after = np.zeros_like(velocity)
+    for i, k in enumerate(actions):
+        direction = math.atan2(focus[i, 1], focus[i, 0]) - math.radians(30 * k)
+        unit = (math.cos(direction), math.sin(direction)) if k < COAST else (0.0, 0.0)
+        after[i] = 0.75 * velocity[i] + 3.0 * 0.1 * np.array(unit)
+    return position + after * 0.1, after
+
+
+def reference_observation(position: Array, velocity: Array, i: int) -> list[float]:
+    """The documented components of individual i, in order."""
+    focus = reference_focus(position)[i]
+    target = len(position) - 1
+    turn = np.array([[focus[0], focus[1]], [-focus[1], focus[0]]])
+    others = [j for j in range(target) if j != i]
+    others.sort(key=lambda j: float(np.linalg.norm(position[j] - position[i])))
+    if i != target:
+        others = [target, *others]
+    entries = [*position[i], *(turn @ velocity[i]), *focus]
+    for j in others:
+        apart = turn @ (position[j] - position[i])
+        drift = turn @ (velocity[j] - velocity[i])
+        entries += [*apart, *drift, float(np.linalg.norm(apart)), math.atan2(apart[1], apart[0])]
+    return [float(e) for e in entries]
+
+
+@pytest.mark.parametrize("pursuers", [1, 2, 3, 4])
+def test_kernels_agree_with_the_scalar_reference(pursuers: int) -> None:
+    rng = np.random.default_rng(pursuers)
+    copies, K = 40, pursuers + 1
+    made = world(copies, num_pursuers=pursuers, arena="open", contact_radius=1e-9)
+    position, velocity = made.position.copy(), made.velocity.copy()
+    for _ in range(8):
+        actions = rng.integers(13, size=(copies, K))
+        made.step(actions)
+        for b in range(copies):
+            position[b], velocity[b] = reference_step(position[b], velocity[b], actions[b])
+            assert made.position[b] == pytest.approx(position[b], abs=1e-12)
+            assert made.velocity[b] == pytest.approx(velocity[b], abs=1e-12)
+            for i in range(K):
+                expected = reference_observation(position[b], velocity[b], i)
+                assert made.observation[b, i] == pytest.approx(expected, abs=2e-6)
+
+
+# -- recorded episodes ----------------------------------------------------------------------------
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("condition", ["share", "indiv"])
+def test_recorded_actions_reproduce_recorded_episodes(data_dir: Path, condition: str) -> None:
+    file = data_dir / "agents_collab_hunting" / f"episodes_c2ae_{condition}_slow2.4.npz"
+    demos = read(file)
+    assert len(demos) == 500
+    scenario = make_scenario(
+        AGENT,
+        demos=demos,
+        split=None,
+        locomotion={"predator_0": {"thrust": 2.4}, "predator_1": {"thrust": 2.4}},
+        arena=Arena("square", size=1.0, boundary=1.0),
+        contact_radius=0.1,
+        time_limit=301,
+    )
+    made = ChaseWorld(scenario, len(demos))
+    made.reset(demo=np.arange(len(demos)))
+    steps = demos.lengths - 1
+    worst = 0.0
+    for t in range(int(steps.max())):
+        running = steps > t
+        frame = demos.offsets[:-1] + t
+        actions = np.full((len(demos), 3), COAST)
+        actions[running] = demos.signals["actions"][frame[running]]
+        made.step(actions)
+        error = made.position[running] - demos.positions[frame[running] + 1]
+        worst = max(worst, float(np.abs(error).max()))
+        over = made.terminated | made.truncated
+        ends = steps == t + 1
+        assert np.array_equal(over[running], ends[running])
+        assert np.array_equal(made.outcome[ends], demos.outcome[ends])
+    assert worst < 1e-5
+
+
+# -- invariance -----------------------------------------------------------------------------------
+
+
+def rotation(angle: float) -> Array:
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+
+
+def follow(start: Array, actions: Array, **options: Any) -> tuple[Array, Array]:
+    """Positions and observations of one copy from a fixed start."""
+    made = world(1, start=start, contact_radius=1e-6, **options)
+    seen = [(made.position[0].copy(), made.observation[0].copy())]
+    for row in actions:
+        made.step(row[None])
+        seen.append((made.position[0].copy(), made.observation[0].copy()))
+    return np.stack([p for p, _ in seen]), np.stack([o for _, o in seen])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.sampled_from(["disc", "open"]))
+def test_rotating_the_world_rotates_the_paths(seed: int, angle: float, shape: str) -> None:
+    rng = np.random.default_rng(seed)
+    start, actions = rng.uniform(-0.4, 0.4, (3, 2)), rng.integers(13, size=(15, 3))
+    turn = rotation(angle)
+    paths, seen = follow(start, actions, arena=shape)
+    turned, seen_turned = follow(start @ turn.T, actions, arena=shape)
+    assert turned == pytest.approx(paths @ turn.T, abs=1e-6)
+    egocentric = [2, 3, *range(6, 18)]
+    assert seen_turned[..., egocentric] == pytest.approx(seen[..., egocentric], abs=1e-3)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_mirroring_the_world_mirrors_the_paths(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, actions = rng.uniform(-0.4, 0.4, (3, 2)), rng.integers(13, size=(15, 3))
+    mirrored_actions = np.where(actions == COAST, COAST, (12 - actions) % 12)
+    mirror = np.array([1.0, -1.0])
+    paths, seen = follow(start, actions)
+    mirrored, seen_mirrored = follow(start * mirror, mirrored_actions)
+    assert mirrored == pytest.approx(paths * mirror, abs=1e-6)
+    left = [1, 3, 5, 7, 9, 11, 13, 15, 17]
+    sign = np.ones(18)
+    sign[left] = -1.0
+    difference = np.abs(seen_mirrored - seen * sign)
+    difference[..., 17] %= 2 * math.pi  # straight behind, left and right are one bearing
+    difference[..., 17] = np.minimum(difference[..., 17], 2 * math.pi - difference[..., 17])
+    assert difference.max() < 1e-3
+
+
+def test_relabelling_the_pursuers_permutes_what_they_do() -> None:
+    rng = np.random.default_rng(0)
+    start, actions = rng.uniform(-0.4, 0.4, (4, 2)), rng.integers(13, size=(20, 4))
+    order = [2, 0, 1, 3]
+    paths, seen = follow(start, actions, num_pursuers=3)
+    permuted, seen_permuted = follow(start[order], actions[:, order], num_pursuers=3)
+    assert permuted == pytest.approx(paths[:, order], abs=1e-12)
+    assert np.array_equal(seen_permuted, seen[:, order])
+
+
+def test_mirrored_actions_are_mirrored_vectors() -> None:
+    for k in range(12):
+        assert np.array_equal(ACTION_VECTORS[(12 - k) % 12], ACTION_VECTORS[k] * [1.0, -1.0])
+
+
+# -- ends and rewards -----------------------------------------------------------------------------
+
+APART = [[-0.5, 0.0], [-0.5, 0.4], [0.5, 0.0]]
+NEAR = [[0.45, 0.0], [0.0, 0.4], [0.54, 0.0]]
+
+
+@pytest.mark.parametrize(("condition", "second"), [(0, 0.0), (1, 1.0)])
+def test_a_capture_pays_the_catcher_or_all(condition: int, second: float) -> None:
+    made = world(start=NEAR, condition=condition)
+    made.step(np.array([[0, COAST, COAST]]))
+    assert made.outcome[0] == 1 and made.terminated[0] and not made.truncated[0]
+    assert made.components[0, :, 0].tolist() == [1.0, second, 0.0]
+    assert made.components[0, 2, 1] == 0.0
+
+
+def test_the_target_is_paid_for_every_step_that_it_lasts() -> None:
+    made = world(start=APART)
+    made.step(np.full((1, 3), COAST))
+    assert made.reward[0].tolist() == [0.0, 0.0, 0.1]
+
+
+def test_contact_is_judged_before_the_boundary() -> None:
+    made = world(start=[[1.0, 0.0], [0.0, 0.5], [1.09, 0.0]])
+    made.step(np.array([[COAST, COAST, 6]]))  # the prey leaves, but within the predator's reach
+    assert made.position[0, 2, 0] > 1.1
+    assert made.outcome[0] == TIME_OUT or made.outcome[0] == TARGET_OUT
+    made = world(start=[[1.05, 0.0], [0.0, 0.5], [1.09, 0.0]])
+    made.step(np.array([[0, COAST, 6]]))
+    assert made.outcome[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("start", "who", "code"),
+    [
+        ([[-0.5, 0.0], [-0.5, 0.4], [1.09, 0.0]], 2, TARGET_OUT),
+        ([[-0.5, 1.09], [-0.5, 0.4], [-0.5, -0.9]], 0, PURSUER_OUT),
+    ],
+)
+def test_leaving_ends_it_with_a_penalty(start: Any, who: int, code: int) -> None:
+    made = world(start=start)
+    actions = np.full((1, 3), COAST)
+    actions[0, who] = 6
+    made.step(actions)
+    assert made.outcome[0] == code and made.terminated[0]
+    assert made.components[0, who, 2] == -10.0
+    assert made.components[0, :, 2].sum() == -10.0
+
+
+def test_rebound_keeps_everyone_in() -> None:
+    made = world(start=[[-0.5, 0.0], [-0.5, 0.4], [1.09, 0.0]], rebound=True)
+    for _ in range(40):
+        made.step(np.array([[COAST, COAST, 6]]))
+        assert made.scenario.species.arena.contains(made.position).all()
+        assert not made.terminated[0]
+
+
+def test_the_time_limit_truncates_and_never_terminates() -> None:
+    made = world(start=APART, time_limit=5)
+    for _ in range(5):
+        assert not made.truncated[0]
+        made.step(np.full((1, 3), COAST))
+        assert not made.terminated[0]
+    assert made.truncated[0] and made.step_count[0] == 5 and made.outcome[0] == TIME_OUT
+
+
+def test_components_sum_to_the_reward_whatever_happens() -> None:
+    made = ChaseWorld(make_scenario("agent", demos=None, condition=1), 200)
+    made.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        made.step(rng.integers(13, size=(200, 3)))
+        assert np.array_equal(made.components.sum(axis=2), made.reward)
+
+
+# -- options --------------------------------------------------------------------------------------
+
+
+def test_a_replayed_path_is_followed_and_then_coasts() -> None:
+    demos = load_packaged("agent")
+    drivers = {"predator_1": "replay", "prey": "replay"}
+    scenario = make_scenario("agent", demos=demos, split=None, drivers=drivers, contact_radius=1e-9)
+    made = ChaseWorld(scenario, 1)
+    short = int(np.argmin(demos.lengths))
+    episode = demos.episode(short)
+    made.reset(demo=np.array([short]))
+    for t in range(1, episode.num_steps + 1):
+        made.step(np.array([[COAST, 0, 0]]))
+        assert made.position[0, 1:] == pytest.approx(episode.positions[t, 1:], abs=1e-12)
+    before = made.velocity[0, 1:].copy()
+    made.step(np.array([[COAST, 0, 0]]))
+    assert made.velocity[0, 1:] == pytest.approx(0.75 * before, abs=1e-12)
+
+
+def test_the_scripted_prey_outlives_a_resting_one() -> None:
+    lasted = []
+    for driver in ("scripted", "coast"):
+        drivers = {"predator_0": "scripted", "predator_1": "scripted", "prey": driver}
+        made = ChaseWorld(make_scenario("agent", demos=None, drivers=drivers), 100)
+        made.reset()
+        running = np.ones(100, dtype=bool)
+        count = np.zeros(100)
+        for _ in range(148):
+            made.step(np.zeros((100, 3), dtype=int))
+            count += running
+            running &= ~(made.terminated | made.truncated)
+        lasted.append(count.mean())
+    assert lasted[0] > 2 * lasted[1]
+
+
+def test_a_late_observation_is_that_of_steps_ago() -> None:
+    now, late = world(start=APART), world(start=APART, observation_delay=3)
+    seen = [now.observation.copy()]
+    for t in range(10):
+        for made in (now, late):
+            made.step(np.zeros((1, 3), dtype=int))
+        seen.append(now.observation.copy())
+        assert np.array_equal(late.observation, seen[max(0, t + 1 - 3)])
+
+
+def test_noise_has_the_stated_deviation() -> None:
+    clear, noisy = world(2000, start=APART), world(2000, start=APART, observation_noise=0.1)
+    error = noisy.observation - clear.observation
+    assert error.std() == pytest.approx(0.1, rel=0.02)
+    assert abs(error.mean()) < 0.002
+
+
+def test_starts_without_demonstration_are_uniform_and_not_in_contact() -> None:
+    made = world(5000)
+    assert np.abs(made.position).max() <= 0.5
+    assert made.position.mean(axis=(0, 1)) == pytest.approx([0.0, 0.0], abs=0.01)
+    apart = np.linalg.norm(made.position[:, :2] - made.position[:, 2:], axis=2)
+    assert apart.min() >= AGENT.contact_radius
+
+
+def test_a_copy_does_not_depend_on_its_neighbours() -> None:
+    rng = np.random.default_rng(0)
+    many, one = ChaseWorld(make_scenario("agent"), 9), ChaseWorld(make_scenario("agent"), 1)
+    many.seed(np.arange(9) + 40)
+    one.seed([45])
+    many.reset()
+    one.reset()
+    for _ in range(20):
+        actions = rng.integers(13, size=(9, 3))
+        many.step(actions)
+        one.step(actions[5:6])
+        assert np.array_equal(many.observation[5], one.observation[0])
+
+
+def test_faster_by_a_factor_is_one_keyword() -> None:
+    made = make_scenario("agent", demos=None, locomotion={"prey": 1.2})
+    assert made.species.locomotion[2].thrust == pytest.approx(3.6)
+    assert made.species.locomotion[1] == Locomotion(0.25, 3.0)
+
+
+def test_the_fly_senses_the_centre() -> None:
+    made = ChaseWorld(make_scenario(FLY, demos=None), 20)
+    made.reset()
+    distance = np.linalg.norm(made.position, axis=2)
+    assert made.observation[..., -1] == pytest.approx(distance, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"contact_radius": -1.0}, "contact_radius"),
+        ({"contact_radios": 1.0}, "contact_radios"),
+        ({"num_pursuers": 0}, "num_pursuers"),
+        ({"time_limit": 0}, "time_limit"),
+        ({"arena": "hexagon"}, "hexagon"),
+        ({"boundary": 0.5}, "boundary"),
+        ({"condition": 2}, "condition"),
+        ({"start": "demo"}, "demo"),
+        ({"start": [[0.0, 0.0]]}, "start"),
+        ({"start": [[5.0, 0.0], [0.0, 0.0], [1.0, 0.0]]}, "bounds"),
+        ({"drivers": {"cat": "replay"}}, "cat"),
+        ({"drivers": {"prey": "replay"}}, "replay"),
+        ({"drivers": {"prey": "magic"}}, "magic"),
+        ({"locomotion": {"cat": 1.0}}, "cat"),
+        ({"locomotion": {"prey": {"damping": 2.0}}}, "damping"),
+        ({"observation_noise": -1.0}, "noise"),
+        ({"observation_delay": -1}, "delay"),
+    ],
+)
+def test_bad_options_are_refused_by_name(options: dict[str, Any], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        make_scenario("agent", demos=None, **options)
+
+
+def test_a_condition_needs_a_species_that_has_some() -> None:
+    with pytest.raises(InputError, match="condition"):
+        make_scenario("fly", demos=None, condition=1)
