@@ -66,8 +66,10 @@ class ConditionFlag(
         self.cue = cue
         self.observation_space = with_flag(env.observation_space)  # type: ignore
 
-    def reset(self, **given: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        observation, info = self.env.reset(**given)
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        observation, info = self.env.reset(seed=seed, options=options)
         return self._flag(observation), info
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], Any, bool, bool, dict[str, Any]]:
@@ -91,8 +93,10 @@ class ConditionFlagVector(VectorWrapper):
         self.single_observation_space = with_flag(env.single_observation_space)  # type: ignore[arg-type]
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
 
-    def reset(self, **given: Any) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        observations, infos = self.env.reset(**given)
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        observations, infos = self.env.reset(seed=seed, options=options)
         return self._flag(observations, infos["condition"]), infos
 
     def step(
