@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
+from torch.nn import functional
 
 from animarl_algos.losses import (
     action_cross_entropy,
@@ -192,18 +193,39 @@ class ScoredActionsTemporalDifference:
                 "the demonstrations carry no penalties of all actions: "
                 "make the dataset with the fitted dynamics of their species"
             )
-        common = evaluation.double_q_target(batch.rewards)
         penalty = evaluation.phase.alpha * batch.action_penalties
         if evaluation.phase.scaled_penalties:
             unit = masked_mean(batch.action_penalties.mean(-1), evaluation.valid)
             penalty = penalty / unit.clamp(min=1e-12).view(-1, 1, 1, 1)
-        target = common.unsqueeze(-2) - penalty.unsqueeze(-1)
+        # Valid steps only, and few target quantiles: all actions times all pairs of quantiles.
+        valid = evaluation.valid
+        common = _fewer_quantiles(evaluation.double_q_target(batch.rewards)[valid])
+        target = common.unsqueeze(-2) - penalty[valid].unsqueeze(-1)
         # One problem with a single action for each of the actions.
-        single = evaluation.values.unsqueeze(-2)
+        single = evaluation.values[valid].unsqueeze(-2)
         only = torch.zeros(single.shape[:-2], dtype=torch.int64, device=single.device)
         td = evaluation.distribution.td_loss(single, only, target)
-        evaluation.errors = td.error.mean(-1)
-        return masked_mean(td.loss.mean(-1), evaluation.valid, batch.weights)
+        evaluation.errors = _padded(td.error.mean(-1), valid)
+        return masked_mean(_padded(td.loss.mean(-1), valid), valid, batch.weights)
+
+
+TARGET_QUANTILES = 5
+
+
+def _fewer_quantiles(target: torch.Tensor) -> torch.Tensor:
+    """Means of neighbouring quantiles, at most ``TARGET_QUANTILES`` of them: (N, Q) to (N, q).
+
+    The mean over all stays what it is; the pairs to compare are a fraction.
+    """
+    if target.shape[-1] <= TARGET_QUANTILES:
+        return target
+    return functional.adaptive_avg_pool1d(target, TARGET_QUANTILES)
+
+
+def _padded(per_valid_step: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """(N,) values of the valid steps back in their places, (K, T, B), zero elsewhere."""
+    padded = per_valid_step.new_zeros(valid.shape)
+    return padded.masked_scatter(valid, per_valid_step)
 
 
 @dataclass(frozen=True)

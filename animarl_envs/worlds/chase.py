@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.demos.demonstrations import TIME_OUT
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds import chase_kernels as kernels
@@ -41,7 +40,7 @@ class ChaseWorld(World):
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
-        self._actions = np.zeros((K, B), dtype=np.int64)
+        self._actions = np.zeros((K, B), dtype=np.uint64)
         self._others = np.zeros((K - 1, kernels.RELATIVE, B))
         self._nearest = np.zeros(B)
         self._damping = np.array([m.damping for m in species.locomotion])
@@ -49,7 +48,14 @@ class ChaseWorld(World):
         self._fixed_start = (
             np.zeros((0, 2)) if isinstance(scenario.start, str) else np.asarray(scenario.start)
         )
-        self._field = (SHAPE_CODES[species.arena.shape], species.arena.size, species.arena.boundary)
+        self._code = np.zeros(B, dtype=np.int64)
+        self._driven = any(driver != "action" for driver in scenario.drivers)
+        arena = species.arena
+        self._numbers = (
+            species.dt, species.contact_radius, species.boundary_penalty, species.time_limit,
+            self._warmup, (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
+            arena.rebound, species.senses_centre,
+        )  # fmt: skip
 
     @property
     def _species(self) -> ChaseSpecies:
@@ -64,33 +70,13 @@ class ChaseWorld(World):
         self._observe()
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        species = self._species
-        dt = species.dt
-        self._actions[...] = actions.T
-        self.step_count += 1
-        kernels.drive(
-            self._drivers, self._actions, self._position, self._velocity, self._towards,
-            self._damping, self._thrust, dt, self._field,
+        kernels.advance(
+            actions, self._actions, self._drivers, self._driven, self._demos, self.demo,
+            self.condition, self._damping, self._thrust, self._numbers, self._position,
+            self._velocity, self._towards, self._others, self._nearest, self._code,
+            self._components, self._reward, self.outcome, self.terminated, self.truncated,
+            self.step_count, self.warming, self._sensed,
         )  # fmt: skip
-        kernels.move(
-            self._actions, self._towards, self._damping, self._thrust, dt,
-            self._position, self._velocity,
-        )  # fmt: skip
-        if self._replays or self._warmup:
-            kernels.replay(
-                self._drivers, self._warmup, self._demos, self.demo, self.step_count,
-                self._position, self._velocity, self.warming,
-            )  # fmt: skip
-        if species.arena.rebound:
-            kernels.rebound(self._field, self._position, self._velocity)
-        kernels.judge(
-            self._position, self.condition, self._field, species.contact_radius, dt,
-            species.boundary_penalty, self._nearest, self._components, self._reward, self.outcome,
-        )  # fmt: skip
-        np.not_equal(self.outcome, TIME_OUT, out=self.terminated)
-        np.greater_equal(self.step_count, species.time_limit, out=self.truncated)
-        self.truncated &= ~self.terminated
-        self._observe()
 
     def _observe(self) -> None:
         kernels.observe(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numba as nb
+import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
@@ -24,6 +25,9 @@ TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
 DX, DY, DVX, DVY, DISTANCE = 0, 1, 2, 3, 4
 RELATIVE = 5
 OWN_ENTRIES, OTHER_ENTRIES = 6, 6
+
+AHEAD = np.ascontiguousarray(ACTION_VECTORS[:, 0])
+LEFT = np.ascontiguousarray(ACTION_VECTORS[:, 1])
 
 jit = nb.njit(cache=True, error_model="numpy")
 
@@ -67,6 +71,42 @@ def start(mask, demos, demo, fixed, half_side, contact_radius, random, position,
                 touching |= dx * dx + dy * dy < contact_radius * contact_radius
 
 
+# -- a whole step ---------------------------------------------------------------------------------
+
+
+@jit
+def advance(  # type: ignore[no-untyped-def]
+    asked, actions, drivers, driven, demos, demo, condition, damping, thrust, numbers, position,
+    velocity, towards, others, nearest, code, components, reward, outcome, terminated, truncated,
+    step_count, warming, observation,
+):  # fmt: skip
+    """All of a step in one call. ``asked`` is (B, K); ``actions``, ``others``, ``nearest`` and
+    ``code`` are scratch; ``driven`` tells whether anybody does not follow ``asked``."""
+    (
+        dt, contact_radius, penalty, time_limit, warmup, field, rebounds, senses_centre,
+    ) = numbers  # fmt: skip
+    B = len(step_count)
+    for i in range(len(actions)):
+        for b in range(B):
+            actions[i, b] = asked[b, i]
+    step_count += 1
+    if driven:
+        drive(drivers, actions, position, velocity, towards, damping, thrust, dt, field)
+    move(actions, towards, damping, thrust, dt, position, velocity)
+    if driven or warmup > 0:
+        replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
+    if rebounds:
+        rebound(field, position, velocity)
+    judge(
+        position, condition, field, contact_radius, dt, penalty, nearest, code, components, reward
+    )
+    for b in range(B):
+        outcome[b] = code[b]
+        terminated[b] = code[b] != TIME_OUT
+        truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
+    observe(position, velocity, towards, others, senses_centre, observation)
+
+
 # -- moving ---------------------------------------------------------------------------------------
 
 
@@ -94,14 +134,10 @@ def move(actions, towards, damping, thrust, dt, position, velocity):  # type: ig
 def _move_one(action, towards, damping, thrust, dt, position, velocity):  # type: ignore[no-untyped-def]
     B = len(action)
     for b in range(B):
-        ahead = ACTION_VECTORS[action[b], 0]
-        left = ACTION_VECTORS[action[b], 1]
-        a = ahead * towards[0, b] - left * towards[1, b]
+        a = AHEAD[action[b]] * towards[0, b] - LEFT[action[b]] * towards[1, b]
         velocity[0, b] = next_velocity(velocity[0, b], a, damping, thrust, dt)
     for b in range(B):
-        ahead = ACTION_VECTORS[action[b], 0]
-        left = ACTION_VECTORS[action[b], 1]
-        a = ahead * towards[1, b] + left * towards[0, b]
+        a = AHEAD[action[b]] * towards[1, b] + LEFT[action[b]] * towards[0, b]
         velocity[1, b] = next_velocity(velocity[1, b], a, damping, thrust, dt)
     for x in range(2):
         for b in range(B):
@@ -163,34 +199,37 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
 
 @jit
 def judge(  # type: ignore[no-untyped-def]
-    position, condition, field, contact_radius, dt, penalty, nearest, components, reward, outcome
+    position, condition, field, contact_radius, dt, penalty, nearest, code, components, reward
 ):
-    """Contact, then boundary, then rewards. ``nearest`` is scratch, ``(B,)``."""
+    """Contact, then boundary, then rewards.
+
+    ``code`` ``(B,)`` int64 becomes the outcome; ``nearest`` is scratch, ``(B,)``.
+    """
     K, _, B = position.shape
     target = K - 1
     nearest[:] = contact_radius * contact_radius
-    outcome[:] = TIME_OUT
+    code[:] = TIME_OUT
     for i in range(target):
-        _touch(i, position[i], position[target], contact_radius, nearest, components[i], outcome)
+        _touch(i, position[i], position[target], contact_radius, nearest, components[i], code)
     for i in range(target):
         touch = components[i, TOUCH]
         for b in range(B):  # shared reward: a capture is everybody's
-            touch[b] = 1.0 if condition[b] == 1 and outcome[b] > 0 else touch[b]
+            touch[b] = 1.0 if condition[b] == 1 and code[b] > 0 else touch[b]
     for i in range(target, -1, -1):  # the target first: its leaving is named before the others'
         _leave(position[i], field, penalty, components[i])
         out = components[i, BOUNDARY]
-        code = TARGET_OUT if i == target else PURSUER_OUT
+        left = TARGET_OUT if i == target else PURSUER_OUT
         for b in range(B):
-            outcome[b] = code if out[b] != 0.0 and outcome[b] == TIME_OUT else outcome[b]
+            code[b] = left if out[b] != 0.0 and code[b] == TIME_OUT else code[b]
     elapsed = components[target, ELAPSED]
     for b in range(B):  # the target is paid for every step that it lasts
-        elapsed[b] = 0.0 if outcome[b] > 0 or outcome[b] == TARGET_OUT else dt
+        elapsed[b] = 0.0 if code[b] > 0 or code[b] == TARGET_OUT else dt
     for i in range(K):
         _sum(components[i], reward[i])
 
 
 @jit
-def _touch(i, pursuer, target, contact_radius, nearest, components, outcome):  # type: ignore[no-untyped-def]
+def _touch(i, pursuer, target, contact_radius, nearest, components, code):  # type: ignore[no-untyped-def]
     """Who touches the target; the nearest of them is the outcome (ties: the lower index)."""
     B = len(nearest)
     squared = components[ELAPSED]  # free until rewards are summed
@@ -202,7 +241,7 @@ def _touch(i, pursuer, target, contact_radius, nearest, components, outcome):  #
     for b in range(B):
         touch[b] = 1.0 if squared[b] < contact_radius * contact_radius else 0.0
     for b in range(B):
-        outcome[b] = i + 1 if squared[b] < nearest[b] else outcome[b]
+        code[b] = i + 1 if squared[b] < nearest[b] else code[b]
     for b in range(B):
         nearest[b] = min(nearest[b], squared[b])
     squared[:] = 0.0
