@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from animarl_envs.dtw import dtw_distance
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.dtw import dtw_distance
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
