@@ -140,6 +140,20 @@ def test_every_recipe_trains_repeats_saves_and_loads(name: str, tmp_path: Path) 
     loaded.learn(30)
 
 
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("name", ["dqaas", "dqcil-pt", "qr-dqdil-pt"])
+def test_a_cuda_device_learns_the_same(name: str) -> None:
+    """Offline, where no draw depends on rounding: the validation figures of the CPU."""
+    figures = []
+    for device in ("cpu", "cuda"):
+        model = make(name, device=device)
+        figures.append(model.pretrain().history[-1]["val/cross_entropy"])
+        model.learn(60)
+        assert torch.isfinite(weights(model)).all()
+    assert figures[1] == pytest.approx(figures[0], rel=1e-3)
+
+
 def test_load_without_environment_predicts(tmp_path: Path) -> None:
     model = make("dqn").learn(40)
     model.save(tmp_path / "model")
