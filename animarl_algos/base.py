@@ -206,7 +206,7 @@ class SequenceQLearning(OnlineLoop):
         self.set_random_seed(self.seed)
         if self.env is not None:
             self.layout = SlotLayout.of(self.env)
-            self.max_episode_steps = longest_episode(self.env, self.max_episode_steps)
+            self.episode_limit = longest_episode(self.env, self.max_episode_steps)
         self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
         self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
         self._refuse_bad_settings()
@@ -248,13 +248,13 @@ class SequenceQLearning(OnlineLoop):
         return int(np.random.SeedSequence().generate_state(1)[0])
 
     def _make_replay_buffer(self) -> SequenceReplayBuffer:
-        assert self.max_episode_steps is not None
+        assert self.episode_limit is not None
         return SequenceReplayBuffer(
             self.buffer_size,
             self.observation_size,
             self.layout.num_individuals,
             self.policy.num_actions,
-            self.max_episode_steps,
+            self.episode_limit,
             sequence_length=self.sequence_length,
             burn_in=self.burn_in,
             state_mode=self.state_mode,

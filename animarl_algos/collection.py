@@ -110,5 +110,5 @@ class Recorder:
                 "the individuals of a copy ended at different steps: an episode must end for all "
                 "of its slots together"
             )
-        truncated = self._feedback.truncated(dones).reshape(self._layout.num_copies, -1)[:, 0]
-        return Ended(done & ~truncated, done & truncated)
+        truncated = self._feedback.truncated(done)
+        return Ended(done & ~truncated, truncated)

@@ -216,7 +216,8 @@ class OnlineLoop(OffPolicyAlgorithm):
             self._update_target(copies, finished)
             if finished:
                 self._forget(dones)
-                self._update_info_buffer(infos, dones)
+                over = np.flatnonzero(dones)
+                self._update_info_buffer([infos[s] for s in over], dones[over])
                 episodes += finished
                 before, self._episode_num = self._episode_num, self._episode_num + finished
                 if log_interval is not None and (

@@ -88,11 +88,13 @@ class Feedback:
             return None
         return np.array([info[name] for info in self._infos])
 
-    def truncated(self, dones: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which slots ended by a time-out rather than by termination."""
-        out = np.zeros(len(dones), dtype=bool)
-        for s in np.flatnonzero(dones):
-            out[s] = self._infos[s].get("TimeLimit.truncated", False)
+    def truncated(self, done: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which copies ended by a time-out rather than by termination; ``done`` ``(copies,)``."""
+        out = np.zeros(len(done), dtype=bool)
+        slots_per_copy = len(self._infos) // len(done)
+        for copy in np.flatnonzero(done).tolist():
+            info = self._infos[copy * slots_per_copy]
+            out[copy] = info.get("TimeLimit.truncated", False)
         return out
 
     def successors(
