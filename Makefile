@@ -8,7 +8,8 @@ STAMP := $(VENV)/.installed
 .PHONY: demo test slow lint types docs clean
 
 demo: $(STAMP)
-	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 20000 --seed 0 --set offline_epochs=10 --out out/demo
+	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 10000 --seed 0 --out out/demo \
+		--set offline_epochs=8 --set learning_rate=0.0002 --set alpha=0.1 --set gamma=0.95
 
 test: $(STAMP) lint types
 	$(BIN)/python -m pytest -q -m "not slow" --cov --cov-report=term:skip-covered
