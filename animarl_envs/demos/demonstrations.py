@@ -285,7 +285,7 @@ class Demonstrations:
         count = len(self.lengths)
         if self.lengths.ndim != 1 or count == 0:
             refuse("it holds no episode: check the cut or the split")
-        for i, length in enumerate(self.lengths):
+        for i, length in enumerate(self.lengths.tolist()):
             if length < 2:
                 refuse(
                     f"episode {i} has {length} frame{'s' * (length != 1)}: "
