@@ -5,19 +5,18 @@ All views build their world from a scenario, so an option means the same everywh
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError, UnknownOptionError
-from animarl_envs.locomotion import Locomotion
-from animarl_envs.species import ChaseSpecies, Species, get_species
+from animarl_envs.errors import InputError
+from animarl_envs.species import Species, get_species
+from animarl_envs.species.options import with_options as with_options
 
 Condition = Literal[0, 1, "demo"]
 Demos = Demonstrations | str | Path | None
@@ -158,8 +157,8 @@ def make_scenario(
     drivers
         Who moves an individual, by name; ``"action"`` for those not named.
     options
-        What :func:`with_options` takes: ``num_pursuers``, ``arena``, ``contact_radius``,
-        ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
+        What :func:`~animarl_envs.species.options.with_options` takes: ``num_pursuers``,
+        ``arena``, ``contact_radius``, ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
     """
     spec = get_species(species) if isinstance(species, str) else species
     loaded = _load_demos(demos, spec, changed=bool(options.get("num_pursuers")))
@@ -192,41 +191,6 @@ def make_scenario(
     )
 
 
-def with_options(species: Species, **options: Any) -> Species:
-    """The species with options applied, each checked and refused by name.
-
-    Parameters
-    ----------
-    num_pursuers
-        Number of pursuers of a chase; they are renamed ``<kind>_0, <kind>_1, ...``.
-    arena
-        An :class:`Arena`, a shape name, or a size; ``rebound`` and ``boundary`` apply to it.
-    locomotion
-        One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
-        ``{"female": {"thrust": 0.19}}`` or ``{"female": 1.2}`` (a factor on the thrust).
-    others
-        Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
-    """
-    if "individuals" in options:
-        species = _with_individuals(species, tuple(options.pop("individuals")))
-    if (count := options.pop("num_pursuers", None)) is not None:
-        species = _with_pursuers(species, count)
-    arena = _arena(species.arena, options)
-    locomotion = _locomotion(species, options.pop("locomotion", None))
-    known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
-    for key in options:
-        if key not in known:
-            more = {"num_pursuers", "locomotion", "rebound", "boundary"}
-            raise UnknownOptionError(
-                f"option {key!r} is unknown for {species.name} (unexpected keyword argument "
-                f"{key!r}): choose one of {', '.join(sorted(known | more))}"
-            )
-    try:
-        return replace(species, arena=arena, locomotion=locomotion, **options)
-    except TypeError as error:
-        raise InputError(f"an option of {species.name} has the wrong type ({error})") from error
-
-
 def _load_demos(demos: Demos, species: Species, changed: bool) -> Demonstrations | None:
     if isinstance(demos, Demonstrations) or demos is None:
         return demos
@@ -238,85 +202,3 @@ def _load_demos(demos: Demos, species: Species, changed: bool) -> Demonstrations
     from animarl_envs.demos.readers import read
 
     return read(demos)
-
-
-def _with_individuals(species: Species, names: tuple[str, ...]) -> Species:
-    if names == species.individuals:
-        return species
-    resized = species
-    if len(names) != species.num_individuals:
-        if not isinstance(species, ChaseSpecies):
-            raise InputError(
-                f"{species.name} has one individual but {len(names)} were given: {names}"
-            )
-        resized = _with_pursuers(species, len(names) - 1)
-    return replace(resized, individuals=names)
-
-
-def _with_pursuers(species: Species, count: Any) -> ChaseSpecies:
-    if not isinstance(species, ChaseSpecies):
-        raise InputError(f"num_pursuers does not apply to {species.name}, which has none: drop it")
-    if not isinstance(count, int) or count < 1:
-        raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
-    kind = species.individuals[0].rpartition("_")[0] or "pursuer"
-    pursuers, target = species.locomotion[:-1], species.locomotion[-1]
-    return replace(
-        species,
-        individuals=(*(f"{kind}_{i}" for i in range(count)), species.individuals[-1]),
-        locomotion=(*(pursuers[i % len(pursuers)] for i in range(count)), target),
-    )
-
-
-def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
-    given = options.pop("arena", None)
-    changes = {key: options.pop(key) for key in ("rebound", "boundary") if key in options}
-    if isinstance(given, Arena):
-        arena = given
-    elif isinstance(given, str):
-        arena = replace(arena, shape=given)  # type: ignore[arg-type]
-    elif isinstance(given, int | float) and not isinstance(given, bool):
-        margin = arena.boundary / arena.size
-        arena = replace(arena, size=float(given), boundary=float(given) * margin)
-    elif given is not None:
-        raise InputError(f"arena is {given!r}: give an Arena, a shape or a size")
-    return replace(arena, **changes) if changes else arena
-
-
-def _locomotion(species: Species, given: Any) -> tuple[Locomotion, ...]:
-    if given is None:
-        return species.locomotion
-    if isinstance(given, Locomotion):
-        return (given,) * species.num_individuals
-    if isinstance(given, Mapping):
-        unknown = set(given) - set(species.individuals)
-        if unknown:
-            raise InputError(
-                f"locomotion names {sorted(unknown)[0]!r}: choose among "
-                f"{', '.join(species.individuals)}"
-            )
-        return tuple(
-            _one_locomotion(old, given.get(name), name)
-            for name, old in zip(species.individuals, species.locomotion, strict=True)
-        )
-    if isinstance(given, Sequence) and len(given) == species.num_individuals:
-        return tuple(
-            _one_locomotion(old, new, name)
-            for name, old, new in zip(species.individuals, species.locomotion, given, strict=True)
-        )
-    raise InputError(
-        f"locomotion is {given!r}: give one Locomotion, one per individual, or a mapping by name"
-    )
-
-
-def _one_locomotion(old: Locomotion, new: Any, name: str) -> Locomotion:
-    if new is None:
-        return old
-    if isinstance(new, Locomotion):
-        return new
-    if isinstance(new, Mapping) and set(new) <= {"damping", "thrust"}:
-        return replace(old, **new)
-    if isinstance(new, int | float) and not isinstance(new, bool):
-        return replace(old, thrust=old.thrust * new)
-    raise InputError(
-        f"locomotion of {name} is {new!r}: give a Locomotion, damping and thrust, or a factor"
-    )

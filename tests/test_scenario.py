@@ -1,0 +1,103 @@
+"""A scenario's options: what they change, and what is refused by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT, SPECIES
+from animarl_envs.species.options import with_options
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"colour": "red"}, "colour"),
+    ({"contact_radius": -0.1}, "contact_radius"),
+    ({"num_pursuers": 0}, "num_pursuers"),
+    ({"num_pursuers": 2.5}, "num_pursuers"),
+    ({"condition": 2}, "condition"),
+    ({"start": "somewhere"}, "start"),
+    ({"start": np.zeros((2, 2))}, "start"),
+    ({"start": np.full((3, 2), 5.0)}, "out of bounds"),
+    ({"demos": None, "start": "demo"}, "demos="),
+    ({"demos": None, "drivers": {"prey": "replay"}}, "cannot replay"),
+    ({"drivers": {"prey": "dance"}}, "dance"),
+    ({"drivers": {"wolf": "coast"}}, "wolf"),
+    ({"locomotion": {"wolf": 1.2}}, "wolf"),
+    ({"locomotion": {"prey": "fast"}}, "prey"),
+    ({"locomotion": {"prey": -1.0}}, "thrust"),
+    ({"arena": [1, 2]}, "arena"),
+    ({"arena": "triangle"}, "triangle"),
+    ({"observation_noise": -1.0}, "observation_noise"),
+    ({"observation_delay": 1.5}, "observation_delay"),
+    ({"split": "holdout"}, "holdout"),
+    ({"dt": 0.2, "demos": load_packaged("agent")}, "dt"),
+]
+
+
+@pytest.mark.parametrize(("options", "word"), REFUSED)
+def test_a_bad_option_is_refused_in_one_sentence(options: dict[str, Any], word: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        make_scenario("agent", **options)
+    assert word in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", [n for n, s in SPECIES.items() if not s.conditions])
+def test_condition_1_needs_a_species_that_has_conditions(name: str) -> None:
+    with pytest.raises(InputError, match="no conditions"):
+        make_scenario(name, demos=None, start="uniform", condition=1)
+
+
+def test_pursuers_do_not_apply_to_a_lone_searcher() -> None:
+    with pytest.raises(InputError, match="num_pursuers"):
+        with_options(SPECIES["silkmoth"], num_pursuers=2)
+
+
+def test_no_options_leave_the_species_as_it_is() -> None:
+    assert with_options(AGENT) == AGENT
+
+
+def test_pursuers_are_renamed_and_keep_their_locomotion() -> None:
+    slow, fast, prey = Locomotion(0.25, 2.4), Locomotion(0.25, 3.0), Locomotion(0.25, 3.5)
+    species = with_options(with_options(AGENT, locomotion=(slow, fast, prey)), num_pursuers=3)
+    assert species.individuals == ("predator_0", "predator_1", "predator_2", "prey")
+    assert species.locomotion == (slow, fast, slow, prey)
+
+
+def test_a_factor_scales_the_thrust_of_one_individual_only() -> None:
+    species = with_options(AGENT, locomotion={"prey": 1.2})
+    assert species.locomotion[:2] == AGENT.locomotion[:2]
+    assert species.locomotion[2].thrust == pytest.approx(1.2 * AGENT.locomotion[2].thrust)
+    assert species.locomotion[2].damping == AGENT.locomotion[2].damping
+
+
+def test_a_larger_arena_keeps_its_margin() -> None:
+    arena = with_options(AGENT, arena=2.0).arena
+    assert arena.size == 2.0
+    assert arena.boundary / arena.size == pytest.approx(AGENT.arena.boundary / AGENT.arena.size)
+
+
+def test_an_arena_can_be_given_whole() -> None:
+    disc = Arena("disc", 1.0, 1.5)
+    assert with_options(AGENT, arena=disc).arena == disc
+
+
+def test_only_the_chosen_split_is_handed_out() -> None:
+    whole = load_packaged("agent")
+    for split in ("train", "test"):
+        demos = make_scenario("agent", split=split).demos
+        assert demos is not None
+        assert set(demos.split.tolist()) == {split}
+        assert len(demos) == int((whole.split == split).sum())
+
+
+def test_other_numbers_of_pursuers_start_without_packaged_demonstrations() -> None:
+    scenario = make_scenario("agent", num_pursuers=4)
+    assert scenario.demos is None
+    assert not scenario.paired
