@@ -1,0 +1,96 @@
+"""Wrappers beside what they wrap: the world is not changed, only what is paid and told."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import animarl_envs
+from animarl_envs.errors import InputError
+from animarl_envs.wrappers import ConditionFlag, ConditionFlagVector, DTWReward, DTWRewardVector
+
+
+def agent(**options: Any) -> Any:
+    return gym.make("AnimaRL/Agent-v0", **options)
+
+
+def test_the_shaped_reward_is_the_task_reward_less_the_weighted_penalty() -> None:
+    plain, shaped = agent(), DTWReward(agent(), alpha=0.3)
+    plain.reset(seed=5)
+    shaped.reset(seed=5)
+    total, ended = 0.0, False
+    actions = np.random.default_rng(0)
+    while not ended:
+        action = int(actions.integers(13))
+        observation, reward, *ends, _ = plain.step(action)
+        same, paid, *same_ends, info = shaped.step(action)
+        np.testing.assert_array_equal(observation, same)
+        assert ends == same_ends
+        assert info["task_reward"] == reward
+        assert paid == pytest.approx(reward - 0.3 * info["dtw_penalty"], abs=1e-12)
+        total += info["dtw_penalty"]
+        ended = any(ends)
+    assert total > 0.0
+
+
+@pytest.mark.parametrize("penalty", ["increment", "cumulative"])
+def test_vector_and_single_pay_the_same(penalty: str) -> None:
+    vector = DTWRewardVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=3), penalty=penalty)
+    singles = [DTWReward(agent(), penalty=penalty) for _ in range(3)]
+    vector.reset(seed=7)
+    for b, env in enumerate(singles):
+        env.reset(seed=7 + b)
+    running = np.ones(3, dtype=bool)
+    for t in range(40):
+        actions = np.array([t % 13, (t + 4) % 13, 12])
+        _, rewards, terminated, truncated, _ = vector.step(actions)
+        for b in np.flatnonzero(running):
+            _, reward, *_ = singles[b].step(int(actions[b]))
+            assert rewards[b] == pytest.approx(reward, abs=1e-12)
+        running &= ~(terminated | truncated)
+    assert running.any()
+
+
+def test_a_wrapped_env_continues_identically_after_a_deep_copy() -> None:
+    env = DTWReward(ConditionFlag(agent()))
+    env.reset(seed=2)
+    for _ in range(3):
+        env.step(3)
+    twin = copy.deepcopy(env)
+    for action in (0, 5, 12):
+        one, other = env.step(action), twin.step(action)
+        np.testing.assert_array_equal(one[0], other[0])
+        assert one[1:] == other[1:]
+
+
+def test_the_flag_is_the_last_component_and_the_rest_is_untouched() -> None:
+    vector = gym.make_vec("AnimaRL/Agent-v0", num_envs=16)
+    flagged = ConditionFlagVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=16))
+    plain, info = vector.reset(seed=0)
+    told, _ = flagged.reset(seed=0)
+    np.testing.assert_array_equal(told[:, :-1], plain)
+    np.testing.assert_array_equal(told[:, -1], info["condition"])
+    assert set(info["condition"]) == {0, 1}
+    assert flagged.observation_space.contains(told)
+
+
+@pytest.mark.parametrize(
+    ("wrap", "word"),
+    [
+        (lambda: DTWReward(agent(), alpha=-1.0), "alpha"),
+        (lambda: DTWReward(agent(), alpha=float("nan")), "alpha"),
+        (lambda: DTWReward(agent(), penalty="total"), "penalty"),
+        (lambda: DTWReward(agent(demos=None)), "demos="),
+        (lambda: DTWReward(agent(start="uniform")), "demos="),
+        (lambda: DTWReward(gym.make("CartPole-v1")), "AnimaRL"),
+        (lambda: ConditionFlag(agent(), cue="both"), "cue"),  # type: ignore[arg-type]
+        (lambda: ConditionFlag(gym.make(animarl_envs.environment_id("fly"))), "conditions"),
+    ],
+)
+def test_a_wrapper_that_does_not_fit_is_refused(wrap: Any, word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        wrap()
