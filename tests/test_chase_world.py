@@ -150,7 +150,7 @@ def follow(start: Array, actions: Array, **options: Any) -> tuple[Array, Array]:
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.sampled_from(["disc", "open"]))
-def test_rotating_the_world_rotates_the_paths(seed: int, angle: float, shape: str) -> None:
+def test_invariance_rotation_turns_the_paths(seed: int, angle: float, shape: str) -> None:
     rng = np.random.default_rng(seed)
     start, actions = rng.uniform(-0.4, 0.4, (3, 2)), rng.integers(13, size=(15, 3))
     turn = rotation(angle)
@@ -163,7 +163,7 @@ def test_rotating_the_world_rotates_the_paths(seed: int, angle: float, shape: st
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_mirroring_the_world_mirrors_the_paths(seed: int) -> None:
+def test_invariance_mirroring_the_world_mirrors_the_paths(seed: int) -> None:
     rng = np.random.default_rng(seed)
     start, actions = rng.uniform(-0.4, 0.4, (3, 2)), rng.integers(13, size=(15, 3))
     mirrored_actions = np.where(actions == COAST, COAST, (12 - actions) % 12)
@@ -180,7 +180,7 @@ def test_mirroring_the_world_mirrors_the_paths(seed: int) -> None:
     assert difference.max() < 1e-3
 
 
-def test_relabelling_the_pursuers_permutes_what_they_do() -> None:
+def test_invariance_relabelling_the_pursuers_permutes_what_they_do() -> None:
     rng = np.random.default_rng(0)
     start, actions = rng.uniform(-0.4, 0.4, (4, 2)), rng.integers(13, size=(20, 4))
     order = [2, 0, 1, 3]
