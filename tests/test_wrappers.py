@@ -48,7 +48,7 @@ def test_vector_and_single_pay_the_same(penalty: str) -> None:
     for t in range(40):
         actions = np.array([t % 13, (t + 4) % 13, 12])
         _, rewards, terminated, truncated, _ = vector.step(actions)
-        for b in np.flatnonzero(running):
+        for b in np.flatnonzero(running).tolist():
             _, reward, *_ = singles[b].step(int(actions[b]))
             assert rewards[b] == pytest.approx(reward, abs=1e-12)
         running &= ~(terminated | truncated)
