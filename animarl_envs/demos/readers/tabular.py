@@ -111,7 +111,7 @@ def _parquet(path: Path) -> Any:
     try:
         parquet = importlib.import_module("pyarrow.parquet")
     except ImportError as error:
-        raise MissingExtraError("reading Parquet", "parquet") from error
+        raise MissingExtraError("reading Parquet", "data") from error
     return parquet.ParquetFile(path)
 
 
