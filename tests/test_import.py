@@ -17,8 +17,9 @@ from typer.testing import CliRunner
 from animarl_algos.commands import data
 from animarl_algos.commands.fit import fit_command
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.following import follow
 from animarl_envs.demos.readers import default_recipe, get_reader, read
-from animarl_envs.demos.recipe import Recipe, follow
+from animarl_envs.demos.recipe import Recipe
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 
@@ -157,7 +158,7 @@ def test_imports_read_a_large_table_in_pieces(tmp_path: Path) -> None:
         "from pathlib import Path\n"
         "import pandas, scipy.signal\n"
         "from animarl_envs.demos.readers import default_recipe, get_reader\n"
-        "from animarl_envs.demos.recipe import follow\n"
+        "from animarl_envs.demos.following import follow\n"
         "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024\n"
         "before, told = peak(), []\n"
         "recipe = default_recipe(get_reader('long-table'), frame_rate=100.0, decision_rate=10.0)\n"

@@ -337,7 +337,8 @@ def test_movement_agrees_with_our_own_reader(tmp_path: Path) -> None:
 
 
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
-    from animarl_envs.demos.recipe import Recipe, follow
+    from animarl_envs.demos.following import follow
+    from animarl_envs.demos.recipe import Recipe
 
     write_trex(tmp_path)
     files = sorted(tmp_path.glob("video_fish*.npz"))

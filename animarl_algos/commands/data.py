@@ -15,10 +15,12 @@ from rich.progress import Progress
 from rich.table import Table
 
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.following import follow
 from animarl_envs.demos.minari_io import export_minari
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.readers import available_readers, default_recipe, find_reader, read
-from animarl_envs.demos.recipe import Recipe, Splitting, deal, follow
+from animarl_envs.demos.recipe import Recipe
+from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import episode_table, plot_summary, summarise
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename

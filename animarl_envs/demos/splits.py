@@ -2,12 +2,77 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.demonstrations import SPLITS
+from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
+from animarl_envs.errors import InputError
+
+FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splitting:
+    """How episodes are dealt to train, val and test.
+
+    ``by``: ``"recording"`` (episodes of a recording stay together), ``"episode"``, ``"group"``
+    (recordings whose name gives the same first group of the regular expression ``pattern``), or
+    ``"auto"``: by recording if there are at least three, else by episode.
+    """
+
+    by: Literal["auto", "recording", "episode", "group"] = "auto"
+    pattern: str | None = None
+    fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        fractions = tuple(float(share) for share in self.fractions)
+        object.__setattr__(self, "fractions", fractions)
+        if len(fractions) != 3 or min(fractions) < 0 or not math.isclose(sum(fractions), 1):
+            raise InputError(f"fractions are {fractions}: give three that add up to 1")
+        if self.by not in {"auto", "recording", "episode", "group"}:
+            raise InputError(
+                f"splitting by {self.by!r} is unknown: choose auto, recording, episode or group"
+            )
+        if (self.by == "group") != (self.pattern is not None):
+            raise InputError("splitting by group needs a pattern, and only it does: give both")
+
+
+def deal(demos: Demonstrations, settings: Splitting) -> Demonstrations:
+    """The same episodes, dealt anew to train, val and test."""
+    return replace(demos, split=split_recordings(demos.recording, settings))
+
+
+def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArray[np.str_]:
+    """The split of each episode, from the recording it belongs to."""
+    by = settings.by
+    if by == "auto":
+        by = "recording" if len(np.unique(recording)) >= FEWEST_RECORDINGS else "episode"
+    groups = recording
+    if by == "episode":
+        groups = np.array([f"{i:06d}" for i in range(len(recording))])
+    elif by == "group":
+        assert settings.pattern is not None
+        try:
+            pattern = re.compile(settings.pattern)
+        except re.error as error:
+            raise InputError(
+                f"splitting pattern {settings.pattern!r} is no regular expression ({error})"
+            ) from None
+        found = [pattern.search(name) for name in recording.tolist()]
+        if pattern.groups < 1 or not all(found):
+            raise InputError(
+                f"splitting pattern {settings.pattern!r} does not fit every recording or has no "
+                "(group): write one that does"
+            )
+        groups = np.array([match.group(1) for match in found if match])
+    return assign_splits(groups, settings.seed, settings.fractions)
 
 
 def assign_splits(

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.following import follow
 from animarl_envs.demos.readers.guards import refusing
-from animarl_envs.demos.recipe import Recipe, follow
+from animarl_envs.demos.recipe import Recipe
 from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
 
