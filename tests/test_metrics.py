@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.comparison import comparison_table, contrast_table
+from animarl_algos.evaluation.comparison import comparison_table, contrast_table, pair_table
 from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.metrics import (
     dtw_distances,
@@ -204,6 +204,31 @@ def test_comparison_counts_what_it_says() -> None:
     dtw = row(table, method="BC", metric="dtw", counting="all")
     assert np.isnan(dtw["to_recorded"]) and np.isnan(dtw["kde"])
     assert len(table[(table["method"] == "recorded") & (table["metric"] == "dtw")]) == 0
+
+
+def test_pairs_are_differences_on_the_same_demonstrations() -> None:
+    rng = np.random.default_rng(0)
+    recorded = rng.normal(5.0, 1.0, 20)
+    caught = np.ones(20, dtype=bool)
+    metrics = pd.concat(
+        [
+            metrics_rows("recorded", -1, recorded, caught),
+            metrics_rows("BC", 0, recorded + 2.0, caught),
+            metrics_rows("DQDIL", 0, recorded + 1.0, caught),
+        ]
+    )
+    table = pair_table(metrics, 20, rng, resamples=200)
+    assert "recorded" not in set(table["first"]) | set(table["second"])
+    for first, second, difference in [("BC", "DQDIL", 1.0), ("DQDIL", "BC", -1.0)]:
+        pair = row(table, first=first, second=second, metric="duration", counting="all")
+        ends = (pair["difference_low"], pair["difference"], pair["difference_high"])
+        assert ends == pytest.approx((difference,) * 3)
+    within = row(
+        comparison_table(metrics, 20, rng, resamples=200, distance_resamples=50),
+        method="BC", metric="duration", counting="all",
+    )  # fmt: skip
+    assert (within["within_low"], within["within_high"]) == pytest.approx((within["mean"],) * 2)
+    assert within["mean_high"] - within["mean_low"] > 0.5
 
 
 def test_flipped_cues_and_changed_worlds_do_not_enter_the_comparison() -> None:

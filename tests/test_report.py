@@ -299,7 +299,7 @@ def test_inputs_that_do_not_belong_together_are_refused(inputs: ReportInputs) ->
 
 def test_an_evaluation_is_saved_and_loaded(inputs: ReportInputs, html: str, tmp_path: Path) -> None:
     read = Evaluation.load(inputs.evaluation.save(tmp_path / "evaluation"))
-    for name in ("metrics", "comparison", "contrasts", "counterfactual"):
+    for name in ("metrics", "comparison", "pairs", "contrasts", "counterfactual"):
         pd.testing.assert_frame_equal(
             getattr(read, name), getattr(inputs.evaluation, name), check_dtype=False
         )
@@ -347,7 +347,7 @@ def test_the_terminal_table_names_every_method(inputs: ReportInputs) -> None:
 # -- words and figures -----------------------------------------------------------------
 
 
-def comparison(mean: float, low: float, high: float, other: tuple[float, float]) -> pd.DataFrame:
+def comparison(mean: float, low: float, high: float) -> pd.DataFrame:
     """A table of one method, its difference to the recordings, and random actions beside it."""
     rows = []
     for method, metric in [("bc", "path_length"), ("bc", "dtw"), ("random", "dtw")]:
@@ -355,30 +355,35 @@ def comparison(mean: float, low: float, high: float, other: tuple[float, float])
         keys = ("mean", "to_recorded", "to_baseline", "kde", "kde_null", "wasserstein")
         for key in keys:
             row |= {key: mean, f"{key}_low": low, f"{key}_high": high}
-        if method == "random":
-            row |= {"mean": sum(other) / 2, "mean_low": other[0], "mean_high": other[1]}
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def pairs(low: float, high: float) -> pd.DataFrame:
+    """Random actions minus BC in DTW distance."""
+    row = {"metric": "dtw", "counting": "all", "first": "random", "second": "bc"}
+    ends = {"difference": (low + high) / 2, "difference_low": low, "difference_high": high}
+    return pd.DataFrame([row | ends])
 
 
 @pytest.mark.parametrize(
     ("mean", "low", "high", "other", "said"),
     [
-        (2.0, 1.0, 3.0, (4.0, 5.0), ["longer than recorded", "closer than random"]),
-        (-2.0, -3.0, -1.0, (-5.0, -4.0), ["2.0 [1.0, 3.0] arena units shorter", "farther than"]),
-        (0.5, -1.0, 2.0, (1.0, 3.0), ["not told apart", "overlaps that of random"]),
+        (2.0, 1.0, 3.0, (1.0, 2.0), ["longer than recorded", "closer than random"]),
+        (-2.0, -3.0, -1.0, (-2.0, -1.0), ["2.0 [1.0, 3.0] arena units shorter", "farther than"]),
+        (0.5, -1.0, 2.0, (-1.0, 3.0), ["not told apart", "not told apart from random"]),
     ],
 )
 def test_claims_follow_the_numbers(
     mean: float, low: float, high: float, other: tuple[float, float], said: list[str]
 ) -> None:
-    text = " ".join(headline(comparison(mean, low, high, other), "bc"))
+    text = " ".join(headline(comparison(mean, low, high), pairs(*other), "bc"))
     for words in said:
         assert words in text
 
 
 def test_cautions_say_what_limits_the_conclusions() -> None:
-    table = comparison(1.0, 0.0, 2.0, (0.0, 1.0))
+    table = comparison(1.0, 0.0, 2.0)
     one = cautions(table, "bc", synthetic=True)
     assert "synthetic" in one[0] and "One training seed" in one[1]
     assert cautions(table.assign(seeds=3), "bc", synthetic=False)[0].startswith("Only 3")

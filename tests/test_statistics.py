@@ -26,6 +26,7 @@ from animarl_algos.evaluation.statistics import (
     percentile_interval,
     permutation_anova,
     resampled_means,
+    within_demo_intervals,
 )
 from animarl_envs.errors import InputError
 
@@ -149,6 +150,44 @@ def test_shared_seeds_are_resampled_together() -> None:
     apart = bootstrap_difference(first, second, rng, 500)
     assert (shared.low, shared.high) == pytest.approx((1.0, 1.0))
     assert apart.high - apart.low > 5.0
+
+
+def test_within_demo_intervals_take_out_what_demonstrations_share() -> None:
+    """Far apart from the same starts, though each mean by itself is vague."""
+    rng = np.random.default_rng(3)
+    shared = rng.normal(0, 60.0, 50)
+    values = np.stack(
+        [shared + rng.normal(0, 2.0, 50) + centre for centre in (100.0, 110.0, 120.0)]
+    )
+    demos = draw_weights(rng, 50, 2000)
+    resampled = values @ demos.T / 50
+    own = [percentile_interval(v.mean(), r) for v, r in zip(values, resampled)]
+    within = within_demo_intervals(values.mean(axis=1), resampled)
+    assert own[0].overlaps(own[2])
+    assert not within[0].overlaps(within[1]) and not within[1].overlaps(within[2])
+    assert [w.estimate for w in within] == pytest.approx(values.mean(axis=1))
+
+
+def test_within_demo_intervals_equal_the_means_own_without_shared_spread() -> None:
+    """With independent methods nothing is shared, and the scaled interval keeps its width."""
+    rng = np.random.default_rng(4)
+    widths, own_widths = [], []
+    for _ in range(60):
+        values = rng.normal(0, 1.0, (4, 40))
+        resampled = values @ draw_weights(rng, 40, 800).T / 40
+        widths += [i.high - i.low for i in within_demo_intervals(values.mean(axis=1), resampled)]
+        own_widths += [
+            i.high - i.low
+            for i in (percentile_interval(v.mean(), r) for v, r in zip(values, resampled))
+        ]
+    assert np.mean(widths) == pytest.approx(np.mean(own_widths), rel=0.03)
+
+
+def test_within_demo_intervals_need_two_methods() -> None:
+    alone = within_demo_intervals([1.0], np.zeros((1, 10)))
+    assert alone[0].estimate == 1.0 and np.isnan(alone[0].low)
+    with pytest.raises(InputError, match="methods, resamples"):
+        within_demo_intervals([1.0, 2.0], np.zeros((3, 10)))
 
 
 def test_same_generator_same_numbers() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from animarl_algos.evaluation.statistics import (
     percentile_interval,
     permutation_anova,
     resampled_means,
+    within_demo_intervals,
 )
 
 if TYPE_CHECKING:
@@ -40,6 +42,9 @@ BASELINE = "BC"
 PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
 GATE_LEVEL = 0.05
 SEEDS_FOR_GATE = 3  # with fewer seeds, labels are exchanged within demonstrations instead
+PAIR_COLUMNS = [
+    "metric", "counting", "first", "second", "difference", "difference_low", "difference_high"
+]  # fmt: skip
 COUNTING = {"all": "all episodes", "captures": "captures only"}
 
 
@@ -59,6 +64,13 @@ class Resamples:
     def difference(self, first: str, a: Cells, second: str, b: Cells) -> Interval:
         """Mean of ``a`` minus mean of ``b``, on the same demonstrations."""
         return percentile_interval(a.mean - b.mean, self.means(first, a) - self.means(second, b))
+
+    def within(self, methods: dict[str, Cells]) -> list[Interval]:
+        """Mean of each method, with the spread that all share taken out."""
+        return within_demo_intervals(
+            [data.mean for data in methods.values()],
+            [self.means(name, data) for name, data in methods.items()],
+        )
 
 
 def draw_resamples(
@@ -115,9 +127,11 @@ def comparison_table(
     Returns
     -------
     One row per method, metric and counting rule. ``rollouts``, ``demos`` and ``seeds`` say how
-    many count. Each of ``mean``, ``to_recorded``, ``to_baseline``, ``kde``, ``kde_null``,
-    ``wasserstein`` and ``wasserstein_null`` comes with ``_low`` and ``_high``; for the two nulls
-    that is the central 95 % of the null distribution.
+    many count. Each of ``mean``, ``within``, ``to_recorded``, ``to_baseline``, ``kde``,
+    ``kde_null``, ``wasserstein`` and ``wasserstein_null`` comes with ``_low`` and ``_high``; for
+    the two nulls that is the central 95 % of the null distribution. ``within`` is the mean again,
+    with the interval of
+    :func:`~animarl_algos.evaluation.statistics.within_demo_intervals` among the simulated methods.
     """
     import pandas as pd
 
@@ -132,6 +146,12 @@ def comparison_table(
             continue
         reference = method_cells(recorded, metric.key, num_demos, counting)
         nulls: dict[int, Distances] = {}
+        simulated = {
+            name: method_cells(rows, metric.key, num_demos, counting)
+            for name, rows in by_method.items()
+            if name != RECORDED
+        }
+        within = dict(zip(simulated, weights.within(simulated)))
         for name, rows in by_method.items():
             if name == RECORDED and not metric.of_recordings:
                 continue
@@ -148,6 +168,7 @@ def comparison_table(
             compared = name != RECORDED and metric.of_recordings
             with_baseline = other is not None and name not in (RECORDED, other)
             _put(row, "mean", weights.mean(name, data))
+            _put(row, "within", within.get(name, UNDEFINED))
             _put(
                 row,
                 "to_recorded",
@@ -167,10 +188,10 @@ def comparison_table(
             )
             distances, null = Distances(UNDEFINED, UNDEFINED), Distances(UNDEFINED, UNDEFINED)
             if compared and metric is not RETURN:
-                simulated = rows[metric.key].where(rows["captured"] | (counting == "all"))
+                values = rows[metric.key].where(rows["captured"] | (counting == "all"))
                 truth = reference.cell_means[0]
                 distances = bootstrap_distances(
-                    simulated, truth, rows["seed"], rows["demo"], rng, distance_resamples
+                    values, truth, rows["seed"], rows["demo"], rng, distance_resamples
                 )
                 if number not in nulls:
                     nulls[number] = null_distances(truth, number, rng, distance_resamples)
@@ -181,6 +202,37 @@ def comparison_table(
             _put(row, "wasserstein_null", null.wasserstein)
             table.append(row)
     return pd.DataFrame(table)
+
+
+def pair_table(
+    metrics: pd.DataFrame, num_demos: int, rng: np.random.Generator, *, resamples: int = RESAMPLES
+) -> pd.DataFrame:
+    """Every simulated method minus every other, paired by demonstration.
+
+    Returns
+    -------
+    One row per metric, counting rule and ordered pair: ``first``, ``second``, and the
+    ``difference`` of their means with its 95 % interval. These are not planned contrasts:
+    nothing corrects them for their number.
+    """
+    import pandas as pd
+
+    metrics = factual(metrics)
+    weights = draw_resamples(metrics, num_demos, rng, resamples)
+    simulated = metrics[metrics["method"] != RECORDED].groupby("method", sort=False)
+    by_method = {str(name): rows for name, rows in simulated}
+    table = []
+    for metric, counting in [(m, c) for m in METRICS for c in COUNTING]:
+        if metric is RETURN and counting == "captures":
+            continue
+        data = {n: method_cells(r, metric.key, num_demos, counting) for n, r in by_method.items()}
+        for first, second in permutations(data, 2):
+            row: dict[str, Any] = {
+                "metric": metric.key, "counting": counting, "first": first, "second": second
+            }  # fmt: skip
+            _put(row, "difference", weights.difference(first, data[first], second, data[second]))
+            table.append(row)
+    return pd.DataFrame(table, columns=PAIR_COLUMNS)
 
 
 def contrast_table(

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import BASELINE, comparison_table, contrast_table, factual
+from animarl_algos.evaluation.comparison import (
+    BASELINE,
+    comparison_table,
+    contrast_table,
+    factual,
+    pair_table,
+)
 from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.metrics import measure, measure_recordings
@@ -23,7 +29,7 @@ from animarl_envs.files import write_then_rename
 if TYPE_CHECKING:
     import pandas as pd
 
-TABLES = ("metrics", "comparison", "contrasts", "counterfactual")
+TABLES = ("metrics", "comparison", "pairs", "contrasts", "counterfactual")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,12 +37,14 @@ class Evaluation:
     """The tables of an evaluation, each a tidy data frame.
 
     ``metrics`` has one row per rollout and recording, ``comparison`` one per method, metric and
-    counting rule, ``contrasts`` one per planned contrast (may be empty), ``counterfactual`` one per
-    quantity (empty if no cue was flipped). ``fingerprint`` is that of the evaluated demonstrations.
+    counting rule, ``pairs`` one per ordered pair of methods, ``contrasts`` one per planned contrast
+    (may be empty), ``counterfactual`` one per quantity (empty if no cue was flipped).
+    ``fingerprint`` is that of the evaluated demonstrations.
     """
 
     metrics: pd.DataFrame
     comparison: pd.DataFrame
+    pairs: pd.DataFrame
     contrasts: pd.DataFrame
     counterfactual: pd.DataFrame
     fingerprint: str
@@ -71,7 +79,7 @@ class Evaluation:
             numbers = json.loads((folder / "evaluation.json").read_text())
             for name in TABLES:
                 try:
-                    tables[name] = pd.read_csv(folder / f"{name}.csv")
+                    tables[name] = pd.read_csv(folder / f"{name}.csv", float_precision="round_trip")
                 except pd.errors.EmptyDataError:
                     tables[name] = pd.DataFrame()
             return cls(**tables, **numbers)
@@ -128,7 +136,7 @@ def evaluate(
                 f"no rollout of {name!r} is in the condition of its recording: collect them with "
                 "condition='demo' and the actual cue"
             )
-    streams = np.random.default_rng(seed).spawn(3)
+    streams = np.random.default_rng(seed).spawn(4)
     flipped = has_flips(metrics)
     return Evaluation(
         metrics=metrics,
@@ -140,6 +148,7 @@ def evaluate(
             resamples=resamples,
             distance_resamples=distance_resamples,
         ),
+        pairs=pair_table(metrics, demos.num_episodes, streams[3], resamples=resamples),
         contrasts=contrast_table(metrics, demos.num_episodes, streams[1], resamples=resamples),
         counterfactual=counterfactual_table(
             metrics, demos.condition, streams[2], planned=planned_flip, resamples=resamples

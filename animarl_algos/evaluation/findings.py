@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from animarl_algos.evaluation import panels, wording
 from animarl_algos.evaluation.blocks import Block, Gallery, Group, Heading, Row, Table, Text
@@ -11,7 +12,13 @@ from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WO
 from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
 from animarl_algos.evaluation.report import ReportInputs
 from animarl_algos.evaluation.style import method_label
-from animarl_algos.evaluation.wording import NOTHING, comparison_row, number, with_interval
+from animarl_algos.evaluation.wording import (
+    NOTHING,
+    comparison_row,
+    number,
+    pair_difference,
+    with_interval,
+)
 
 
 def metrics(inputs: ReportInputs) -> Iterator[Block]:
@@ -67,27 +74,37 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
             if with_baseline:
                 cells.append(with_interval(interval(row, "to_baseline"), percent))
             if metric is DTW:
-                step = comparison_row(
-                    comparison, str(row["method"]), METRICS[-1], str(row["counting"])
-                )
-                cells.append(NOTHING if step is None else with_interval(interval(step, "mean")))
+                cells += _dtw_cells(inputs, row)
             lines.append(Row(cells, strong=row["method"] == inputs.focus))
         groups.append(Group(COUNTING[counting].capitalize() if metric is not RETURN else "", lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
     columns += ["Minus recorded"] if with_recorded else []
     columns += ["Minus BC"] if with_baseline else []
-    columns += ["Per step"] if metric is DTW else []
-    step_note = (
-        " Per step: the distance over the frames of the longer of the two paths."
-        if metric is DTW
-        else ""
-    )
+    note = ""
+    if metric is DTW:
+        columns += ["Within starts", f"Minus {method_label(inputs.focus)}", "Per step"]
+        note = (
+            " Within starts: the mean with what all methods share of a start taken out "
+            "(Cousineau 2005, Morey 2008), to compare methods where episodes differ much in length."
+            " Per step: the distance over the frames of the longer of the two paths."
+        )
     return Table(
         f"{metric.label} by method",
         columns,
         groups,
-        f"Mean [95 % interval] and paired differences.{step_note}",
+        f"Mean [95 % interval] and paired differences.{note}",
     )
+
+
+def _dtw_cells(inputs: ReportInputs, row: Any) -> list[str]:
+    """Within starts, minus the method in focus, per step."""
+    evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
+    step = comparison_row(evaluation.comparison, name, METRICS[-1], counting)
+    return [
+        with_interval(interval(row, "within")),
+        with_interval(pair_difference(evaluation.pairs, name, inputs.focus, DTW, counting)),
+        NOTHING if step is None else with_interval(interval(step, "mean")),
+    ]
 
 
 def distances(inputs: ReportInputs) -> Iterator[Block]:

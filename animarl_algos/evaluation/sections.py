@@ -43,7 +43,7 @@ def summary(inputs: ReportInputs) -> Summary:
     """The sentences at the top, worked out from the tables."""
     comparison = inputs.evaluation.comparison
     return Summary(
-        wording.headline(comparison, inputs.focus),
+        wording.headline(comparison, inputs.evaluation.pairs, inputs.focus),
         wording.cautions(comparison, inputs.focus, inputs.demos.synthetic),
     )
 

@@ -42,14 +42,16 @@ def evaluation_table(
     table = Table(
         title=f"Simulated against recorded, {COUNTING[counting]}",
         caption="Mean [95 % interval], resampling demonstrations and seeds. KDE: kernel-density "
-        "distance to the recordings, 0 to 2; in brackets what recordings against recordings give.",
+        "distance to the recordings, 0 to 2; in brackets what recordings against recordings give. "
+        "Within starts: the DTW distance with what all methods share of a start taken out.",
         box=SIMPLE_HEAD,
         padding=(0, 1),
     )
     table.add_column("method", no_wrap=True)
     table.add_column("n", justify="right")
     for heading in (
-        "target\nreached, %", "path length", "KDE", "duration, s", "KDE", "DTW distance"
+        "target\nreached, %", "path length", "KDE", "duration, s", "KDE", "DTW distance",
+        "within starts",
     ):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
     for name in comparison["method"].unique():
@@ -63,6 +65,8 @@ def evaluation_table(
                 cells.append("" if value is None else with_interval(value, metric is RETURN))
             if metric in (PATH_LENGTH, DURATION):
                 cells.append("" if row is None else _against_null(row))
+        own = comparison_row(comparison, str(name), DTW, counting)
+        cells.append("" if own is None else with_interval(interval(own, "within")))
         count = comparison_row(comparison, str(name), PATH_LENGTH, counting)
         table.add_row(
             escape(method_label(str(name))),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
 from animarl_algos.evaluation.rollouts import RECORDED
-from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.evaluation.style import method_label
 
 if TYPE_CHECKING:
@@ -72,13 +72,28 @@ def comparison_row(
     return None if chosen.empty else chosen.iloc[0]
 
 
-def headline(comparison: pd.DataFrame, focus: str) -> list[str]:
+def headline(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> list[str]:
     """What the evaluation of ``focus`` found, in plain sentences."""
     return [
-        sentence
-        for part in (_captures, _likeness, _closeness)
-        for sentence in part(comparison, focus)
+        *_captures(comparison, focus),
+        *_likeness(comparison, focus),
+        *_closeness(comparison, pairs, focus),
     ]
+
+
+def pair_difference(
+    pairs: pd.DataFrame, first: str, second: str, metric: Metric, counting: str = "all"
+) -> Interval:
+    """Mean of ``first`` minus that of ``second``; undefined if the table lacks the pair."""
+    if pairs.empty:
+        return UNDEFINED
+    chosen = pairs[
+        (pairs["first"] == first)
+        & (pairs["second"] == second)
+        & (pairs["metric"] == metric.key)
+        & (pairs["counting"] == counting)
+    ]
+    return UNDEFINED if chosen.empty else interval(chosen.iloc[0], "difference")
 
 
 def _captures(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
@@ -133,38 +148,38 @@ def _likeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
         yield f"{sentence}."
 
 
-def _closeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
+def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> Iterator[str]:
     mine = comparison_row(comparison, focus, DTW)
     if mine is None:
         return
-    own = interval(mine, "mean")
     closer, farther, unclear = [], [], []
     for name in comparison["method"].unique():
         row = comparison_row(comparison, name, DTW)
         if row is None or name == focus:
             continue
-        other = interval(row, "mean")
-        text = f"{method_label(name)} ({with_interval(other)})"
-        if own.overlaps(other) or not math.isfinite(own.low):
+        more = pair_difference(pairs, str(name), focus, DTW)
+        text = f"{method_label(name)} ({number(row['mean'])}, difference {with_interval(more)})"
+        if not more.excludes_zero:
             unclear.append(text)
-        elif own.estimate < other.estimate:
+        elif more.estimate > 0:
             closer.append(text)
         else:
             farther.append(text)
     sentence = (
-        f"Mean DTW distance of {method_label(focus)} to the recordings: {with_interval(own)} "
-        f"{DTW.unit}"
+        f"Mean DTW distance of {method_label(focus)} to the recordings: "
+        f"{with_interval(interval(mine, 'mean'))} {DTW.unit}"
     )
     parts = [
         f"{words} {_listed(names)}"
         for words, names in (
             ("closer than", closer),
             ("farther than", farther),
-            ("with an interval that overlaps that of", unclear),
+            ("not told apart from", unclear),
         )
         if names
     ]
-    yield sentence + (f"; {'; '.join(parts)}." if parts else ".")
+    paired = "; from the same starts, it is " if parts else ""
+    yield f"{sentence}{paired}{', '.join(parts)}."
 
 
 def cautions(comparison: pd.DataFrame, focus: str, synthetic: bool) -> list[str]:
