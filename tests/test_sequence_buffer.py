@@ -464,6 +464,17 @@ def test_dropping_running_episodes_keeps_the_finished() -> None:
     )  # the episodes of six steps that began at step 3 or before ended
 
 
+def test_no_more_episodes_are_kept_than_asked_for() -> None:
+    """The oldest goes, as if the rows were full, and what is left is what is drawn."""
+    stream = Stream(2, 1, 2, 6, seed=5)
+    capped = fill(make(stream, 200, max_episodes=3, seed=1), stream)
+    whole = fill(make(stream, 200, seed=1), stream)
+    assert whole.num_episodes > capped.num_episodes == 3
+    frames = whole.sequences.frames[: whole.num_sequences]
+    assert capped.num_steps == int(frames[-3:].sum()) - 3
+    assert capped.sample(50).lengths.max() <= frames[-3:].max() - 1
+
+
 # -- memory and refusals --------------------------------------------------------------------------
 
 

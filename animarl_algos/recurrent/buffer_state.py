@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 State = dict[str, Any]
 _SETTINGS = (
     "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
-    "stride", "burn_in", "state_size", "prioritized",
+    "stride", "burn_in", "state_size", "prioritized", "max_episodes",
 )  # fmt: skip
 """What must be equal for a state to fit a buffer."""
 

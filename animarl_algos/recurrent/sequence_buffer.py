@@ -63,6 +63,8 @@ class SequenceReplayBuffer:
         Roots of the random streams; names default to ``individual_0`` and so on.
     device
         Where batches go.
+    max_episodes
+        Most episodes kept, however short; ``None``: as many as the rows hold.
     num_copies
         Copies of the world; ``None``: as many as the first ``add`` shows.
 
@@ -92,6 +94,7 @@ class SequenceReplayBuffer:
         seed: int = 0,
         names: Sequence[str] | None = None,
         device: torch.device | str = "cpu",
+        max_episodes: int | None = None,
         num_copies: int | None = None,
     ) -> None:
         self.names = tuple(names or (f"individual_{k}" for k in range(num_individuals)))
@@ -102,6 +105,9 @@ class SequenceReplayBuffer:
                 f"buffer_size {buffer_size} cannot hold an episode of {max_episode_steps} steps "
                 f"and its last observation: set it to {max(max_episode_steps, 1) + 1} or more"
             )
+        if max_episodes is not None and max_episodes < 1:
+            raise InputError(f"max_episodes is {max_episodes}: it must be at least 1")
+        self.max_episodes = buffer_size if max_episodes is None else max_episodes
         self.state_mode = check_state_mode(state_mode, sequence_length, burn_in, state_size)
         self.stride = max_episode_steps if sequence_length is None else sequence_length - burn_in
         self.buffer_size = buffer_size
@@ -280,6 +286,7 @@ class SequenceReplayBuffer:
                 self.alpha,
                 self.stride,
                 self.burn_in,
+                self.max_episodes,
                 terminated,
                 truncated,
                 condition,

@@ -56,7 +56,7 @@ def _has_trained_step(warmup, begin, end):  # type: ignore[no-untyped-def]
 @nb.njit(cache=True)
 def _commit(  # type: ignore[no-untyped-def]
     staging, base, steps, terminated, condition, staged_state,
-    ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in,
+    ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in, max_episodes,
 ):  # fmt: skip
     """Move a finished episode of ``steps`` steps from the staging rows to the ring.
 
@@ -70,7 +70,11 @@ def _commit(  # type: ignore[no-untyped-def]
     if wanted == 0:
         return
     rows, slots = len(ring.warmup), len(sequences.first)
-    while cursor[ROWS_USED] + steps + 1 > rows or cursor[NEXT] - cursor[OLDEST] + wanted > slots:
+    while (
+        cursor[ROWS_USED] + steps + 1 > rows
+        or cursor[NEXT] - cursor[OLDEST] + wanted > slots
+        or cursor[EPISODES] >= max_episodes
+    ):
         _evict_oldest(sequences, cursor, trees)
     first_row = cursor[NEXT_ROW]
     for t in range(steps + 1):
@@ -157,7 +161,7 @@ def stage_steps(  # type: ignore[no-untyped-def]
 @nb.njit(cache=True)
 def commit_ended(  # type: ignore[no-untyped-def]
     staging, step_count, staged_state,
-    ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in,
+    ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in, max_episodes,
     terminated, truncated, condition,
 ):  # fmt: skip
     """Move the episodes that ended from staging to the ring, in the order of the copies."""
@@ -167,7 +171,7 @@ def commit_ended(  # type: ignore[no-untyped-def]
         if terminated[c] or truncated[c]:
             _commit(
                 staging, c * room, step_count[c], terminated[c], condition[c], staged_state[c],
-                ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in,
+                ring, sequences, cursor, trees, max_priority, alpha, stride, burn_in, max_episodes,
             )  # fmt: skip
             step_count[c] = 0
 
