@@ -103,7 +103,7 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
             rewards[last[e], outcome - 1] = 1.0
             for i in pursuers:
                 near = np.linalg.norm(end[i] - end[-1]) < species.contact_radius
-                shared = demos.condition[e] == 1 and len(pursuers) > 1
+                shared = demos.condition[e] == 1 and getattr(species, "shared_reward", False)
                 if i != len(end) - 1 and (near or shared):
                     rewards[last[e], i] = 1.0
         elif outcome == PURSUER_OUT:

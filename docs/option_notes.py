@@ -54,6 +54,7 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
     "num_pursuers": ("a whole number, at least 1", "how many pursue"),
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
     "senses_centre": ("`True`, `False`", "adds the distance from the centre to the observation"),
+    "shared_reward": ("`True`, `False`", "in condition 1 a capture pays every pursuer"),
 }
 
 SEARCH_ONLY: dict[str, tuple[str, str]] = {

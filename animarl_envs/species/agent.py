@@ -14,6 +14,7 @@ AGENT = ChaseSpecies(
     dt=0.1,
     time_limit=148,
     conditions=("individual", "shared"),  # who is rewarded for a capture
+    shared_reward=True,
     start_half_side=0.5,
     recording=Recording(frame_rate=10.0, onset_threshold=0.3),
     source="Fujii et al., Artificial agent dataset; Tsutsui et al. 2024, eLife",

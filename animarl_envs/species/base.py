@@ -75,6 +75,7 @@ class ChaseSpecies(Species):
 
     start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
     senses_centre: bool = False  # adds the distance from the arena's centre to the observation
+    shared_reward: bool = False  # in condition 1 a capture pays every pursuer
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -49,6 +49,8 @@ class ChaseWorld(World):
             np.zeros((0, 2)) if isinstance(scenario.start, str) else np.asarray(scenario.start)
         )
         self._code = np.zeros(B, dtype=np.int64)
+        # Whose capture pays all; elsewhere a condition is a label that changes no reward.
+        self._sharing = self.condition if species.shared_reward else np.zeros_like(self.condition)
         self._driven = any(driver != "action" for driver in scenario.drivers)
         arena = species.arena
         self._numbers = (
@@ -72,7 +74,7 @@ class ChaseWorld(World):
     def _advance(self, actions: NDArray[np.integer]) -> None:
         kernels.advance(
             actions, self._actions, self._drivers, self._driven, self._demos, self.demo,
-            self.condition, self._damping, self._thrust, self._numbers, self._position,
+            self._sharing, self._damping, self._thrust, self._numbers, self._position,
             self._velocity, self._towards, self._others, self._nearest, self._code,
             self._components, self._reward, self.outcome, self.terminated, self.truncated,
             self.step_count, self.warming, self._sensed,
