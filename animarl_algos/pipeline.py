@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import configure
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.evaluation import Evaluation, evaluate
 from animarl_algos.evaluation.report import ReportInputs, write_report
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -31,6 +32,7 @@ from animarl_envs.species import Species
 from animarl_envs.worlds import make_world
 
 PLANNED_FLIPS = {"agent": (0, 1), "silkmoth": (1, 0)}
+DECISIONS = Path("rollouts", "decisions.npz")
 UNTRAINED, RANDOM = "untrained", "random"
 
 
@@ -130,13 +132,19 @@ def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Pol
 
 
 def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts]:
-    """Stage 4a: every method from the start of every test demonstration."""
+    """Stage 4a: every method from each test demonstration's start, and what the learner values."""
     settings, demos = run.settings, run.demos
     species = run.species(demos, fit(run))
     scenario = make_scenario(species, demos=demos, split="test")
     flagged = run.environment(species, demos).condition_flag
+    policies = test_policies(run, progress_bar=progress_bar)
+    focus = policies[method_name(settings.algo)]
+    assert isinstance(focus, SequenceQLearning)
+    decide_along(focus.policy, species, demos.select(split="test"), condition_flag=flagged).save(
+        run.path / DECISIONS
+    )
     rollouts = {}
-    for name, policy in test_policies(run, progress_bar=progress_bar).items():
+    for name, policy in policies.items():
         rollouts[name] = collect_rollouts(
             partial(make_world, scenario),
             policy,
@@ -165,7 +173,8 @@ def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
 def report(run: RunFolder) -> Path:
     """Stage 5: the page to show."""
     settings, demos, record = run.settings, run.demos, run.record
-    files = sorted((run.path / "rollouts").glob("*.npz"))
+    decisions = run.path / DECISIONS
+    files = [f for f in sorted(decisions.parent.glob("*.npz")) if f != decisions]
     if not files:
         raise InputError(f"{run.path}: it has no rollouts yet: run 'animarl evaluate' first")
     rollouts = {file.stem: Rollouts.load(file) for file in files}
@@ -181,6 +190,7 @@ def report(run: RunFolder) -> Path:
             evaluation=Evaluation.load(run.path / "evaluation"),
             conditions=species.conditions,
             fit=fit(run),
+            decisions=Decisions.load(decisions) if decisions.exists() else None,
             learning_curves=run.learning_curves(),
             settings={"run": record["settings"], "learner": record["learner"]},
             seeds=(settings.seed,),

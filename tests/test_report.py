@@ -7,6 +7,7 @@ import dataclasses
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,7 @@ from animarl_algos.evaluation import (
     panels,
     write_report,
 )
+from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.figures import shared_bins, trajectory_pair
 from animarl_algos.evaluation.interpretation import advantage, value_map, values_along_path
 from animarl_algos.evaluation.report import render_report
@@ -33,6 +35,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import IndividualFit, LocomotionFit
+from animarl_envs.species import SPECIES
 
 HOSTILE = '<script>alert("x")</script> & $\\frac{a}$'
 
@@ -453,3 +456,39 @@ def test_a_lost_searcher_does_not_hide_the_recording() -> None:
     )  # fmt: skip
     low, high = indoors.axes[0].get_xlim()
     assert low < -1.0 and high > 1.1
+
+
+def test_decisions_follow_the_recorded_path_and_pass_through_a_file(tmp_path: Path) -> None:
+    """A policy that counts its steps shows its memory, its previous action and the flag."""
+
+    class Counter:
+        def advance(
+            self, observation: Any, state: Any, episode_start: Any
+        ) -> tuple[Any, Any, bool]:
+            slots = len(observation)
+            count = np.zeros((slots, 1)) if state is None else state[0].reshape(slots, 1)
+            seen.append(None if state is None else state[1])
+            q = np.zeros((slots, 13)) + 10.0 * count + observation[:, -1:]
+            q[np.arange(slots), np.arange(slots) % 3] += 1.0
+            return q, count + 1, False
+
+    seen: list[Any] = []
+    demos = make_demos()
+    made = decide_along(Counter(), SPECIES["agent"], demos, condition_flag=True)
+    median = int(np.argsort(demos.lengths, kind="stable")[6])
+    steps = int(demos.lengths[median]) - 1
+    assert (made.individual, made.demo, len(made.q)) == ("predator_0", median, steps)
+    flag = float(demos.condition[median])
+    assert made.q[:, 0] == pytest.approx(10.0 * np.arange(steps) + 1.0 + flag)
+    assert np.array_equal([s[0] for s in seen[1:steps]], made.actions[: steps - 1])
+    # The map is taken with the memory of that moment, for each place of the arena.
+    assert made.map_q[..., 0] == pytest.approx(10.0 * made.moment + 1.0 + flag)
+    assert np.allclose(np.linalg.norm(made.focus, axis=-1), 1.0)
+    made.save(tmp_path / "decisions.npz")
+    read = Decisions.load(tmp_path / "decisions.npz")
+    assert all(np.array_equal(getattr(read, k), v) for k, v in dataclasses.asdict(made).items())
+    page = render_report(dataclasses.replace(make_inputs(), decisions=read))
+    assert 'id="decisions"' in page and "over the arena" in page
+    (tmp_path / "decisions.npz").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError, match="damaged"):
+        Decisions.load(tmp_path / "decisions.npz")

@@ -93,7 +93,7 @@ def value_map(
     x, y
         ``(columns,)`` and ``(rows,)``, where the individual is put [arena unit].
     q
-        ``(rows, columns, 13)``, its action values there.
+        ``(rows, columns, 13)``, its action values there; NaN outside the arena.
     focus
         ``(rows, columns, 2)``, unit vectors towards the focus, arena frame: they turn
         an action into a direction in the arena.
@@ -117,6 +117,7 @@ def value_map(
         ],
         axis=-1,
     )
+    direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
     with style.house_style():
         figure, panel = style.new_figure(4.2, 3.6)
         mesh = panel.pcolormesh(

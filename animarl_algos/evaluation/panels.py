@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation import figures
+from animarl_algos.evaluation import figures, interpretation
 from animarl_algos.evaluation.comparison import COUNTING, factual, interval
+from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
 from animarl_algos.evaluation.report import ReportInputs
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
@@ -130,6 +131,25 @@ def counterfactual_panels(inputs: ReportInputs, conditions: Sequence[str]) -> li
         )
         alt = f"Mean path length by condition and cue, {method_label(str(name))}"
         images.append(to_image(figure, alt))
+    return images
+
+
+def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
+    """Values along the recorded path and, where there is an arena, over it."""
+    who, dt = decisions.individual, inputs.demos.dt
+    along = interpretation.values_along_path(decisions.q, decisions.actions, dt, title=who)
+    images = [to_image(along, f"Action values of {who} along test demonstration {decisions.demo}")]
+    if decisions.map_q.size:
+        figure = interpretation.value_map(
+            decisions.x,
+            decisions.y,
+            decisions.map_q,
+            decisions.focus,
+            inputs.demos.arena,
+            others=decisions.others,
+            title=f"{who} at {number(decisions.moment * dt)} s",
+        )
+        images.append(to_image(figure, f"Best action value of {who} over the arena"))
     return images
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.evaluation import Evaluation
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -40,6 +41,8 @@ class ReportInputs:
         Names of conditions 0 and 1, if the species has any.
     fit
         The fitted locomotion, if it was fitted.
+    decisions
+        What the method in focus values along a demonstration, if it has values.
     learning_curves
         Tidy, columns ``method, phase, seed, step, quantity, value``; the phase ``"offline"``
         counts epochs, every other one environment steps.
@@ -66,6 +69,7 @@ class ReportInputs:
     evaluation: Evaluation
     conditions: tuple[str, ...] = ()
     fit: LocomotionFit | None = None
+    decisions: Decisions | None = None
     learning_curves: pd.DataFrame | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = ()

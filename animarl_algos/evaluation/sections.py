@@ -58,6 +58,7 @@ def build_sections(inputs: ReportInputs) -> list[Section]:
         Section("contrasts", "Planned contrasts", list(findings.contrasts(inputs))),
         Section("counterfactual", "Counterfactual", list(findings.counterfactual(inputs))),
         Section("locomotion", "Locomotion", list(_locomotion(inputs))),
+        Section("decisions", "Decisions", list(_decisions(inputs))),
         Section("learning", "Learning", list(_learning(inputs))),
         Section("provenance", "How this was made", list(_provenance(inputs))),
     ]
@@ -130,6 +131,27 @@ def _locomotion(inputs: ReportInputs) -> Iterator[Block]:
         "recorded top speed is the median above the 99th percentile; after the braking time a "
         "coasting animal has lost all but 1/e of its speed. Lengths in arena units, times in s, "
         "d per step.",
+    )
+
+
+def _decisions(inputs: ReportInputs) -> Iterator[Block]:
+    decisions = inputs.decisions
+    if decisions is None:
+        return
+    over = (
+        " Over the arena: the value of the best action and the acceleration it calls for, were the "
+        "animal put there at rest halfway through that episode, its memory and the others (the "
+        "target dark) as they then were."
+        if decisions.map_q.size
+        else ""
+    )
+    yield Gallery(
+        panels.decision_panels(inputs, decisions),
+        f"What {method_label(inputs.focus)} values for {decisions.individual} along test "
+        f"demonstration {decisions.demo}, the one of median length, everyone moving as recorded. "
+        "Above, the state value (mean of Q over actions) and the best action's; below, the "
+        "advantage of each direction of acceleration, angles taken from the direction to the "
+        f"focus; dots: the action found in the recording.{over}",
     )
 
 

@@ -1,0 +1,182 @@
+"""What a trained learner values: along a recorded path, and over the arena at one moment of it."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.species import ChaseSpecies, Species
+from animarl_envs.worlds import demonstration_observations
+from animarl_envs.worlds.chase import observe
+
+Floats = NDArray[np.float64]
+
+MAP_POINTS = 41  # along each side of the map
+
+
+class QPolicy(Protocol):
+    """What is asked of a policy: action values of all individuals, with their memory."""
+
+    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
+        """Q-values ``(slots, 13)``, next memory ``(slots, H)``, and whether there was one slot."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decisions:
+    """Action values of one individual.
+
+    Parameters
+    ----------
+    individual
+        Whose values they are: the first that moves towards the target or source.
+    demo
+        The demonstration, counted in the evaluated set.
+    q, actions
+        ``(steps, 13)`` and ``(steps,)``: values before each recorded step, and the action that
+        inverse dynamics finds in it.
+    moment
+        The frame at which the map is taken.
+    x, y
+        ``(columns,)`` and ``(rows,)``, where the individual is put, at rest [arena unit].
+    map_q, focus
+        ``(rows, columns, 13)`` and ``(rows, columns, 2)``: its values there and the direction
+        towards its focus. All four are empty in an open field, where no map is drawn.
+    others
+        ``(K - 1, 2)``, where the others stand at that moment, the target last.
+    """
+
+    individual: str
+    demo: int
+    q: Floats
+    actions: NDArray[np.int64]
+    moment: int
+    x: Floats
+    y: Floats
+    map_q: Floats
+    focus: Floats
+    others: Floats
+
+    def save(self, file: Path) -> None:
+        """Write arrays only, whole or not at all."""
+        with write_then_rename(file) as part, part.open("wb") as stream:
+            np.savez_compressed(stream, **asdict(self))
+
+    @classmethod
+    def load(cls, file: Path) -> Decisions:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged.
+        """
+        try:
+            with np.load(file, allow_pickle=False) as stored:
+                values: dict[str, Any] = {name: stored[name] for name in stored.files}
+            values["individual"] = str(values["individual"])
+            values["demo"], values["moment"] = int(values["demo"]), int(values["moment"])
+            return cls(**values)
+        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError(f"{file}: it is damaged ({error}): evaluate the run again") from error
+
+
+def decide_along(
+    policy: QPolicy, species: Species, demos: Demonstrations, *, condition_flag: bool = False
+) -> Decisions:
+    """What ``policy`` values in the demonstration of median length, where all move as recorded.
+
+    Parameters
+    ----------
+    policy
+        Of all individuals, in the order of ``demos``.
+    species
+        As the policy was trained in; its locomotion tells the recorded actions.
+    demos
+        The evaluated set.
+    condition_flag
+        Whether the condition is the last component of an observation.
+    """
+    order = np.argsort(demos.lengths, kind="stable")
+    demo = int(order[len(order) // 2])
+    one = demos.select(episodes=[demo])
+    movers = [i for i, role in enumerate(one.roles) if role != "target"]
+    who, steps = movers[0], int(one.lengths[0]) - 1
+    observations = _flagged(demonstration_observations(species, one), one, condition_flag)
+    actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
+    values = np.empty((steps, NUM_ACTIONS))
+    state: Any = None
+    moment, memory = steps // 2, None
+    for t in range(steps):
+        if t == moment:
+            memory = state
+        q_values, hidden, _ = policy.advance(observations[t], state, np.zeros(len(one.roles), bool))
+        values[t] = q_values[who]
+        state = (hidden, np.maximum(actions[t], 0))
+    empty = np.empty(0)
+    decisions: dict[str, Any] = {
+        "x": empty, "y": empty, "map_q": empty, "focus": empty, "others": np.empty((0, 2))
+    }  # fmt: skip
+    if isinstance(species, ChaseSpecies):
+        decisions = _map(policy, species, one, who, moment, memory, condition_flag)
+    return Decisions(
+        individual=one.individuals[who],
+        demo=demo,
+        q=values,
+        actions=actions[:steps, who],
+        moment=moment,
+        **decisions,
+    )
+
+
+def _map(
+    policy: QPolicy,
+    species: ChaseSpecies,
+    one: Demonstrations,
+    who: int,
+    moment: int,
+    memory: Any,
+    condition_flag: bool,
+) -> dict[str, Any]:
+    """Values of one individual put at every place of the arena, the others where they were."""
+    side = np.linspace(-species.arena.size, species.arena.size, MAP_POINTS)
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    position = np.repeat(one.positions[moment][None], len(places), axis=0)
+    velocity = np.repeat(one.velocities()[moment][None], len(places), axis=0)
+    position[:, who], velocity[:, who] = places, 0.0
+    observations, focus = observe(species, position, velocity)
+    slots = len(places) * len(one.roles)
+    flat = _flagged(observations, one, condition_flag).reshape(slots, -1)
+    state = None if memory is None else tuple(np.tile(m.T, len(places)).T for m in memory)
+    q_values = policy.advance(flat, state, np.zeros(slots, dtype=bool))[0]
+    shape = (len(side), len(side))
+    map_q = q_values.reshape(len(places), len(one.roles), -1)[:, who].astype(np.float64)
+    if species.arena.shape == "disc":
+        map_q[np.hypot(places[:, 0], places[:, 1]) > species.arena.size] = np.nan
+    return {
+        "x": side,
+        "y": side,
+        "map_q": map_q.reshape(*shape, NUM_ACTIONS),
+        "focus": np.asarray(focus[:, who]).reshape(*shape, 2),
+        "others": np.delete(one.positions[moment], who, axis=0),
+    }
+
+
+def _flagged(
+    observations: NDArray[np.float32], one: Demonstrations, flagged: bool
+) -> NDArray[np.float32]:
+    """Observations ``(N, K, n)``, with the condition of the episode behind them if asked for."""
+    if not flagged:
+        return observations
+    column = np.full((*observations.shape[:2], 1), one.condition[0], dtype=np.float32)
+    return np.concatenate([observations, column], axis=2)
