@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
-from torch.nn import functional
 
 from animarl_algos.losses import (
     action_cross_entropy,
@@ -20,7 +19,7 @@ from animarl_algos.losses import (
     treatment_cross_entropy,
 )
 from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.values import ValueDistribution, double_q_target
+from animarl_algos.values import ValueDistribution, double_q_target, take_action
 from animarl_envs.errors import InputError
 
 
@@ -154,7 +153,8 @@ class TemporalDifference:
         if self.shaped:
             rewards = rewards - evaluation.phase.alpha * batch.penalties
         target = evaluation.double_q_target(rewards)
-        td = evaluation.distribution.td_loss(evaluation.values, batch.actions, target)
+        taken = take_action(evaluation.values, batch.actions)
+        td = evaluation.distribution.td_loss(taken, target)
         evaluation.errors = td.error
         return masked_mean(td.loss, evaluation.valid, batch.weights)
 
@@ -197,29 +197,14 @@ class ScoredActionsTemporalDifference:
         if evaluation.phase.scaled_penalties:
             unit = masked_mean(batch.action_penalties.mean(-1), evaluation.valid)
             penalty = penalty / unit.clamp(min=1e-12).view(-1, 1, 1, 1)
-        # Valid steps only, and few target quantiles: all actions times all pairs of quantiles.
+        # Valid steps only: there are 13 values to each.
         valid = evaluation.valid
-        common = _fewer_quantiles(evaluation.double_q_target(batch.rewards)[valid])
-        target = common.unsqueeze(-2) - penalty[valid].unsqueeze(-1)
-        # One problem with a single action for each of the actions.
-        single = evaluation.values[valid].unsqueeze(-2)
-        only = torch.zeros(single.shape[:-2], dtype=torch.int64, device=single.device)
-        td = evaluation.distribution.td_loss(single, only, target)
+        target = evaluation.double_q_target(batch.rewards)[valid].unsqueeze(-2)
+        td = evaluation.distribution.td_loss(
+            evaluation.values[valid], target - penalty[valid].unsqueeze(-1)
+        )
         evaluation.errors = _padded(td.error.mean(-1), valid)
         return masked_mean(_padded(td.loss.mean(-1), valid), valid, batch.weights)
-
-
-TARGET_QUANTILES = 5
-
-
-def _fewer_quantiles(target: torch.Tensor) -> torch.Tensor:
-    """Means of neighbouring quantiles, at most ``TARGET_QUANTILES`` of them: (N, Q) to (N, q).
-
-    The mean over all stays what it is; the pairs to compare are a fraction.
-    """
-    if target.shape[-1] <= TARGET_QUANTILES:
-        return target
-    return functional.adaptive_avg_pool1d(target, TARGET_QUANTILES)
 
 
 def _padded(per_valid_step: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:

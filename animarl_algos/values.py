@@ -18,6 +18,7 @@ from typing import Protocol
 import torch
 from torch.nn import functional
 
+from animarl_algos.quantile_huber import quantile_huber
 from animarl_envs.errors import InputError
 
 
@@ -48,16 +49,15 @@ class ValueDistribution(Protocol):
         """Expected returns (..., actions) of network outputs (..., actions, quantiles)."""
         ...
 
-    def td_loss(self, values: torch.Tensor, actions: torch.Tensor, target: torch.Tensor) -> TDLoss:
-        """Loss of the actions taken, per step.
+    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Loss of the value of an action against its target.
 
         Parameters
         ----------
-        values : Tensor (..., actions, quantiles)
-            Online network at the state the action was taken in.
-        actions : Tensor (...) int64
+        value : Tensor (..., quantiles)
+            Of the action taken; see :func:`take_action`.
         target : Tensor (..., quantiles)
-            From :func:`double_q_target`.
+            From :func:`double_q_target`. It gets no gradient.
         """
         ...
 
@@ -119,9 +119,9 @@ class ExpectedValue:
         """Expected returns (..., actions)."""
         return values.squeeze(-1)
 
-    def td_loss(self, values: torch.Tensor, actions: torch.Tensor, target: torch.Tensor) -> TDLoss:
-        """Squared or Huber loss of target - Q, per step."""
-        error = (target - take_action(values, actions)).squeeze(-1)
+    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Squared or Huber loss of target - Q."""
+        error = (target - value).squeeze(-1)
         if self.loss is ErrorLoss.SQUARED:
             loss = error.square()
         else:
@@ -145,34 +145,10 @@ class Quantiles:
         """Expected returns (..., actions): the quantiles' mean."""
         return values.mean(-1)
 
-    def td_loss(self, values: torch.Tensor, actions: torch.Tensor, target: torch.Tensor) -> TDLoss:
-        """Quantile Huber loss per step: summed over the quantiles, averaged over the target's."""
-        current = take_action(values, actions)
-        error = (target.mean(-1) - current.mean(-1)).detach().abs()
-        return TDLoss(quantile_huber(current, target), error)
-
-
-def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Quantile Huber loss with threshold 1, per step (Dabney et al. 2018, equations 9 and 10)::
-
-        sum over i, mean over j of |tau_i - 1(delta_ij < 0)| huber(delta_ij)
-        delta_ij = target_j - current_i,  tau_i = (i + 1/2) / quantiles
-
-    Parameters
-    ----------
-    current, target : Tensor (..., quantiles)
-
-    Returns
-    -------
-    Tensor (...)
-    """
-    quantiles = current.shape[-1]
-    tau = (torch.arange(quantiles, device=current.device, dtype=current.dtype) + 0.5) / quantiles
-    delta = target.unsqueeze(-2) - current.unsqueeze(-1)
-    # Halves of the weight |tau - 1(delta < 0)|, which is tau above and 1 - tau below.
-    weight = torch.where(delta.detach() < 0, (1 - tau).unsqueeze(-1), tau.unsqueeze(-1))
-    huber = functional.huber_loss(delta, torch.zeros_like(delta), reduction="none")
-    return (weight * huber).sum(-2).mean(-1)
+    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Quantile Huber loss: summed over the quantiles, averaged over the target's."""
+        error = (target.mean(-1) - value.mean(-1)).detach().abs()
+        return TDLoss(quantile_huber(value, target), error)
 
 
 def value_distribution(

@@ -18,12 +18,12 @@ from animarl_algos.losses import (
     squared_l2,
     treatment_cross_entropy,
 )
+from animarl_algos.quantile_huber import quantile_huber, quantile_huber_definition
 from animarl_algos.values import (
     ErrorLoss,
     ExpectedValue,
     Quantiles,
     double_q_target,
-    quantile_huber,
     take_action,
     value_distribution,
 )
@@ -70,7 +70,7 @@ def test_ties_go_to_the_lowest_index() -> None:
 def test_expected_value_loss_by_hand(loss: ErrorLoss, expected: list[float]) -> None:
     distribution = ExpectedValue(loss)
     target = double_q_target(distribution, REWARDS, CONTACT, NEXT_ONLINE, NEXT_TARGET, 0.5)
-    result = distribution.td_loss(VALUES, ACTIONS, target)
+    result = distribution.td_loss(take_action(VALUES, ACTIONS), target)
     assert result.loss.flatten().tolist() == expected
     assert result.error.flatten().tolist() == [2.0, 1.0, 1.0]
 
@@ -83,7 +83,7 @@ def test_quantile_target_and_loss_by_hand() -> None:
         distribution, REWARDS, CONTACT, NEXT_ONLINE + spread, NEXT_TARGET + spread, 0.5
     )
     assert target[0, :, 0].tolist() == [[2.5, 3.5], [2.5, 3.5], [2.0, 2.0]]
-    result = distribution.td_loss(VALUES + spread, ACTIONS, target)
+    result = distribution.td_loss(take_action(VALUES + spread, ACTIONS), target)
     assert result.error.flatten().tolist() == [2.0, 1.0, 1.0]
     # Step 2: current (0, 2), target (2, 2): deltas of quantile 0 are 2, 2 (huber 1.5, weight 1/4),
     # of quantile 1 are 0: sum over quantiles of the mean over targets = 0.25 * 1.5.
@@ -112,6 +112,36 @@ def test_quantile_huber_gradient_is_the_derivative() -> None:
     current = torch.randn(5, 3, generator=generator, dtype=torch.float64, requires_grad=True)
     target = torch.randn(5, 3, generator=generator, dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda c: quantile_huber(c, target), (current,))
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0, 20.0])  # within the threshold, around it, beyond
+@pytest.mark.parametrize("quantiles", [2, 7, 20])
+def test_quantile_huber_equals_its_definition(quantiles: int, spread: float) -> None:
+    """Rows of any leading shape, each weighted differently, against autograd."""
+    generator = torch.Generator().manual_seed(2)
+    shape = (3, 5, 13, quantiles)
+    current = spread * torch.randn(shape, generator=generator, dtype=torch.float64)
+    target = spread * torch.randn(shape, generator=generator, dtype=torch.float64)
+    target[0] = current[0].flip(-1)  # ties: some differences are exactly zero
+    weight = torch.rand(shape[:-1], generator=generator, dtype=torch.float64)
+    current.requires_grad_()
+    ours, plain = quantile_huber(current, target), quantile_huber_definition(current, target)
+    torch.testing.assert_close(ours, plain, rtol=1e-12, atol=1e-12)
+    gradients = [torch.autograd.grad((weight * loss).sum(), current)[0] for loss in (ours, plain)]
+    torch.testing.assert_close(*gradients, rtol=1e-12, atol=1e-12)
+    # A view that is not contiguous, in single precision.
+    single = current.detach().float().transpose(0, 1).requires_grad_()
+    ours = quantile_huber(single, target.float().transpose(0, 1))
+    torch.testing.assert_close(ours, plain.float().transpose(0, 1), rtol=1e-6, atol=1e-6)
+
+
+def test_quantile_huber_passes_on_what_is_not_a_number() -> None:
+    """So that a run that diverges is noticed."""
+    current = torch.tensor([[0.0, 1.0], [0.0, 1.0]], requires_grad=True)
+    loss = quantile_huber(current, torch.tensor([[math.nan, 0.0], [0.0, 1.0]]))
+    assert loss.isnan().tolist() == [True, False]
+    loss.sum().backward()  # type: ignore[no-untyped-call]
+    assert current.grad is not None and current.grad.isnan().any(1).tolist() == [True, False]
 
 
 def test_q_values_and_the_choice_of_distribution() -> None:
