@@ -1,8 +1,9 @@
 """AnimaRL environments: recorded animals as a Gymnasium environment suite.
 
-Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0`` and
-``AnimaRL/Silkmoth-v0`` with Gymnasium; ``parallel_env("agent")`` is the same world with all
-individuals acting, as a PettingZoo environment.
+Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0``,
+``AnimaRL/Silkmoth-v0`` and, for your own demonstrations, ``AnimaRL/Custom-v0`` with Gymnasium;
+``parallel_env("agent")`` is the same world with all individuals acting, as a PettingZoo
+environment.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.species import SPECIES
+from animarl_envs.species import CUSTOM, SPECIES
 
 if TYPE_CHECKING:
     from animarl_envs.views import AnimalParallelEnv
@@ -27,14 +28,14 @@ def environment_id(species: str) -> str:
 
 
 def parallel_env(species: str, **options: Any) -> AnimalParallelEnv:
-    """All individuals of a species as a PettingZoo ``ParallelEnv``."""
+    """All individuals of a species, or of ``"custom"`` demonstrations, as a ``ParallelEnv``."""
     from animarl_envs.views import AnimalParallelEnv
 
     return AnimalParallelEnv(species, **options)
 
 
 def _register() -> None:
-    for name in SPECIES:
+    for name in (*SPECIES, CUSTOM):
         gym.register(
             id=environment_id(name),
             entry_point="animarl_envs.views.single:AnimalEnv",

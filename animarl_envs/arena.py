@@ -43,13 +43,15 @@ class Arena:
             raise InputError(
                 f"arena shape {self.shape!r} is unknown: choose one of {', '.join(SHAPE_CODES)}"
             )
-        if not (math.isfinite(self.size) and self.size > 0):
-            raise InputError(f"arena size is {self.size}: it must be a positive number")
+        if not (_is_number(self.size) and math.isfinite(self.size) and self.size > 0):
+            raise InputError(f"arena size is {self.size!r}: it must be a positive number")
+        if not isinstance(self.rebound, bool):
+            raise InputError(f"rebound is {self.rebound!r}: choose True or False")
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
-        elif not self.boundary >= self.size:
+        elif not (_is_number(self.boundary) and self.boundary >= self.size):
             raise InputError(
-                f"arena boundary {self.boundary} lies inside the arena of size {self.size}: "
+                f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
                 "choose a boundary at least as large as the size"
             )
 
@@ -62,3 +64,7 @@ class Arena:
         else:
             extent = np.abs(positions).max(axis=-1)
         return np.asarray(extent <= self.boundary + margin)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+_APPENDED_BY_GYMNASIUM = " was raised from the environment creator for "
+
 
 class InputError(ValueError):
     """Input that cannot be used, said in one sentence: what, where in it, and the mend.
@@ -9,6 +11,11 @@ class InputError(ValueError):
     The command line prints the sentence alone and exits with code 2; from Python it is a
     :class:`ValueError`.
     """
+
+    def __init__(self, message: str) -> None:
+        # Gymnasium raises a TypeError of a constructor anew with all keyword arguments appended,
+        # arrays on many lines among them; the sentence is enough.
+        super().__init__(message.partition(_APPENDED_BY_GYMNASIUM)[0])
 
 
 class UnknownOptionError(InputError, TypeError):
@@ -20,7 +27,15 @@ class UnknownOptionError(InputError, TypeError):
 
 
 class MissingExtraError(ImportError):
-    """An optional dependency is absent; the message names the extra that brings it."""
+    """An optional dependency is absent; the message names the extra that brings it.
 
-    def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs the extra {extra!r}: pip install 'animarl[{extra}]'")
+    ``MissingExtraError(feature, extra)`` makes the sentence; with one argument it is the sentence,
+    since libraries (Gymnasium's process vectors, pickle) raise an error anew with its text alone.
+    """
+
+    def __init__(self, feature: str, extra: str | None = None) -> None:
+        super().__init__(
+            feature
+            if extra is None
+            else f"{feature} needs the extra {extra!r}: pip install 'animarl[{extra}]'"
+        )

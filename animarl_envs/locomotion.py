@@ -61,6 +61,11 @@ class Locomotion:
         """Speed reached under constant thrust, ``u dt / d`` [arena unit / s]."""
         return math.inf if self.damping == 0 else self.thrust * dt / self.damping
 
+    def top_speed(self, dt: float, steps: int, initial: float = 0.0) -> float:
+        """Bound of the speed within ``steps``, from a speed of at most ``initial``."""
+        reached = max(initial, self.terminal_speed(dt))
+        return min(reached, initial + steps * self.thrust * dt)
+
 
 @nb.njit(inline="always")
 def next_velocity(velocity, acceleration, damping, thrust, dt):  # type: ignore[no-untyped-def]

@@ -5,8 +5,9 @@ All views build their world from a scenario, so an option means the same everywh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.pursuers import first_pursuers
 from animarl_envs.errors import InputError
-from animarl_envs.species import Species, get_species
+from animarl_envs.species import CUSTOM, ChaseSpecies, SearchSpecies, Species, get_species
 from animarl_envs.species.options import with_options as with_options
 
 Condition = Literal[0, 1, "demo"]
 Demos = Demonstrations | str | Path | None
+PACKAGED = "packaged"
 
 ACTION, REPLAY, SCRIPTED, COASTING = 0, 1, 2, 3
 DRIVERS: dict[str, int] = {
@@ -52,6 +55,8 @@ class Scenario:
         Standard deviation of Gaussian noise on every observation component [its unit].
     observation_delay
         Age of the observation that is handed out [steps].
+    split
+        Which split the demonstrations are, for the record.
     """
 
     species: Species
@@ -61,21 +66,23 @@ class Scenario:
     drivers: tuple[str, ...]
     observation_noise: float = 0.0
     observation_delay: int = 0
+    split: str | None = None
 
     def __post_init__(self) -> None:
         names = self.species.individuals
-        if self.condition not in (0, 1, "demo"):
+        if isinstance(self.condition, bool) or self.condition not in (0, 1, "demo"):
             raise InputError(f"condition is {self.condition!r}: choose 0, 1 or 'demo'")
         if self.condition == 1 and not self.species.conditions:
             raise InputError(
                 f"condition 1 is not defined for {self.species.name}, which has no conditions: "
                 "leave the option out"
             )
-        if not 0.0 <= self.observation_noise < np.inf:
+        if not (_is_number(self.observation_noise) and 0.0 <= self.observation_noise < np.inf):
             raise InputError(
-                f"observation_noise is {self.observation_noise}: it must be zero or positive"
+                f"observation_noise is {self.observation_noise!r}: it must be zero or positive"
             )
-        if not (isinstance(self.observation_delay, int) and self.observation_delay >= 0):
+        late = self.observation_delay
+        if isinstance(late, bool) or not isinstance(late, int | np.integer) or late < 0:
             raise InputError(
                 f"observation_delay is {self.observation_delay!r}: it must be a whole number "
                 "of steps, zero or more"
@@ -92,8 +99,15 @@ class Scenario:
                 )
             if self.start == "demo" and self.demos is None:
                 raise InputError("start is 'demo' but there are no demonstrations: give demos=")
+            if self.start == "uniform" and isinstance(self.species, ChaseSpecies):
+                self.species.check_uniform_starts()
         else:
-            start = np.array(self.start, dtype=np.float64)
+            try:
+                start = np.array(self.start, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise InputError(
+                    f"start is no array of numbers: give x and y of {len(names)} individuals"
+                ) from None
             if start.shape != (len(names), 2) or not np.isfinite(start).all():
                 raise InputError(
                     f"start has shape {start.shape}: give x and y of {len(names)} individuals"
@@ -149,7 +163,8 @@ def make_scenario(
     Parameters
     ----------
     species
-        A spec or its name.
+        A spec or its name; ``"custom"``: made from the demonstrations, by
+        :func:`animarl_envs.species.custom.species_of`.
     demos
         ``"packaged"``, a file, a :class:`Demonstrations` or ``None``.
     split
@@ -159,17 +174,30 @@ def make_scenario(
     options
         What :func:`~animarl_envs.species.options.with_options` takes: ``num_pursuers``,
         ``arena``, ``contact_radius``, ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
+        With fewer pursuers than recorded, the first ones' recordings are used.
     """
-    spec = get_species(species) if isinstance(species, str) else species
-    loaded = _load_demos(demos, spec, changed=bool(options.get("num_pursuers")))
+    given = None if isinstance(species, str) and species == CUSTOM else species
+    spec = get_species(given) if isinstance(given, str) else given
+    loaded = _load_demos(demos, spec)
+    if loaded is not None and options.get("num_pursuers") is not None:
+        if spec is not None:
+            with_options(spec, num_pursuers=options["num_pursuers"])  # refused as without demos
+        loaded = first_pursuers(loaded, options.pop("num_pursuers"))
+        options.setdefault("individuals", loaded.individuals)
+    if spec is None:
+        from animarl_envs.species.custom import species_of
+
+        if loaded is None:
+            raise InputError(
+                "the custom species is made from demonstrations: give demos=, a file or a "
+                "Demonstrations object"
+            )
+        spec = species_of(loaded)
     if loaded is not None and split is not None:
         loaded = loaded.select(split=split)
-    if loaded is not None and isinstance(demos, str | Path) and demos != "packaged":
+    if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
         options.setdefault("dt", loaded.dt)
         options.setdefault("individuals", loaded.individuals)
-    elif isinstance(demos, Demonstrations):
-        options.setdefault("dt", demos.dt)
-        options.setdefault("individuals", demos.individuals)
     spec = with_options(spec, **options)
     if start is None:
         start = "uniform" if loaded is None else "demo"
@@ -188,17 +216,70 @@ def make_scenario(
         drivers=tuple(drivers.get(name, "action") for name in spec.individuals),
         observation_noise=observation_noise,
         observation_delay=observation_delay,
+        split=None if loaded is None else split,
     )
 
 
-def _load_demos(demos: Demos, species: Species, changed: bool) -> Demonstrations | None:
+def describe(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as plain data, for ``info["scenario"]`` at reset.
+
+    All numbers of the species under their names (``species`` is its name), and the options of
+    :class:`Scenario`; what is infinite or cannot be written as plain data is a text.
+    """
+    spec, demos = scenario.species, scenario.demos
+    numbers = {
+        field.name: plain(getattr(spec, field.name))
+        for field in fields(spec)
+        if field.name not in ("name", "version_history")
+    }
+    if isinstance(spec, SearchSpecies) and not isinstance(spec.plume, str):
+        numbers["plume"] = {"kind": type(spec.plume).__name__} | numbers["plume"]
+    return numbers | {
+        "species": spec.name,
+        "drivers": list(scenario.drivers),
+        "condition": scenario.condition,
+        "start": plain(scenario.start),
+        "demonstrations": None if demos is None else demos.name,
+        "episodes": 0 if demos is None else len(demos),
+        "split": scenario.split,
+        "observation_noise": scenario.observation_noise,
+        "observation_delay": scenario.observation_delay,
+    }
+
+
+def plain(value: Any) -> Any:
+    """Numbers, texts, lists and dictionaries that say the same; an array of frames by its shape."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist()) if value.ndim <= 2 else f"array of shape {value.shape}"
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, str | int | float | None) else str(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _load_demos(demos: Demos, species: Species | None) -> Demonstrations | None:
     if isinstance(demos, Demonstrations) or demos is None:
         return demos
-    if demos == "packaged":
+    if isinstance(demos, str) and demos == PACKAGED:
         from animarl_envs.demos.packaged import load_packaged, packaged_names
 
-        shipped = species.name in packaged_names() and not changed
-        return load_packaged(species.name) if shipped else None
+        shipped = species is not None and species.name in packaged_names()
+        return load_packaged(species.name) if species is not None and shipped else None
+    if not isinstance(demos, str | Path):
+        raise InputError(
+            f"demos is {demos!r}: give 'packaged', a file, a Demonstrations object or None"
+        )
     from animarl_envs.demos.readers import read
 
     return read(demos)

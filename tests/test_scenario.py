@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
@@ -97,7 +98,21 @@ def test_only_the_chosen_split_is_handed_out() -> None:
         assert len(demos) == int((whole.split == split).sum())
 
 
-def test_other_numbers_of_pursuers_start_without_packaged_demonstrations() -> None:
-    scenario = make_scenario("agent", num_pursuers=4)
-    assert scenario.demos is None
+def test_more_pursuers_than_recorded_are_refused() -> None:
+    with pytest.raises(InputError, match="holds 2 pursuers: choose at most 2, or demos=None"):
+        make_scenario("agent", num_pursuers=3)
+    scenario = make_scenario("agent", num_pursuers=5, demos=None)
     assert not scenario.paired
+    assert len(scenario.names) == 6
+
+
+def test_fewer_pursuers_replay_the_first_ones() -> None:
+    whole = load_packaged("agent").select(split="train")
+    demos = make_scenario("agent", num_pursuers=1).demos
+    assert demos is not None
+    assert demos.individuals == ("predator_0", "prey")
+    assert np.array_equal(demos.positions, whole.positions[:, [0, 2]])
+    assert np.array_equal(demos.velocities(), whole.velocities()[:, [0, 2]])
+    left_out = whole.outcome == 2
+    assert (demos.outcome[left_out] == UNFINISHED).all()
+    assert np.array_equal(demos.outcome[~left_out], whole.outcome[~left_out])

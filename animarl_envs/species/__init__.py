@@ -9,8 +9,11 @@ from animarl_envs.species.silkmoth import SILKMOTH
 
 SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH)}
 
+CUSTOM = "custom"
+"""Name of a species made from demonstrations, by :mod:`animarl_envs.species.custom`."""
+
 __all__ = [
-    "AGENT", "FLY", "NEWT", "SILKMOTH", "SPECIES",
+    "AGENT", "CUSTOM", "FLY", "NEWT", "SILKMOTH", "SPECIES",
     "ChaseSpecies", "Recording", "SearchSpecies", "Species", "get_species",
 ]  # fmt: skip
 
@@ -21,5 +24,5 @@ def get_species(name: str) -> Species:
         return SPECIES[name]
     except KeyError:
         raise InputError(
-            f"species {name!r} is unknown: choose one of {', '.join(SPECIES)}"
+            f"species {name!r} is unknown: choose one of {', '.join([*SPECIES, CUSTOM])}"
         ) from None

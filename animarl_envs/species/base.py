@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
@@ -47,6 +50,8 @@ class Species:
     reward_components = ("touch", "elapsed", "boundary")
 
     def __post_init__(self) -> None:
+        if not self.individuals or not all(isinstance(n, str) and n for n in self.individuals):
+            raise InputError(f"individuals are {self.individuals}: give each a name")
         if len(set(self.individuals)) != len(self.individuals):
             raise InputError(f"individuals {self.individuals} are not all different: rename them")
         if len(self.locomotion) != len(self.individuals):
@@ -54,19 +59,33 @@ class Species:
                 f"{len(self.locomotion)} sets of locomotion parameters for "
                 f"{len(self.individuals)} individuals: give one each"
             )
-        for name, value in (("contact_radius", self.contact_radius), ("dt", self.dt)):
-            if not 0 < value < float("inf"):
-                raise InputError(f"{name} is {value}: it must be a positive number")
-        if self.time_limit < 1:
-            raise InputError(f"time_limit is {self.time_limit} steps: it must be at least 1")
-        if not 0 <= self.warmup < self.time_limit:
+        self._positive("contact_radius", "dt")
+        if not _is_whole(self.time_limit) or self.time_limit < 1:
             raise InputError(
-                f"warmup is {self.warmup} steps: it must lie between 0 and the time limit"
+                f"time_limit is {self.time_limit!r} steps: it must be a whole number, at least 1"
             )
+        if not _is_whole(self.warmup) or not 0 <= self.warmup < self.time_limit:
+            raise InputError(
+                f"warmup is {self.warmup!r} steps: it must be a whole number between 0 and the "
+                "time limit"
+            )
+        object.__setattr__(self, "conditions", _names(self.conditions))
+        penalty = self.boundary_penalty
+        if not _is_number(penalty) or not abs(penalty) < float("inf"):
+            raise InputError(f"boundary_penalty is {penalty!r}: it must be a number")
 
     @property
     def num_individuals(self) -> int:
         return len(self.individuals)
+
+    def _positive(self, *names: str, or_zero: bool = False) -> None:
+        """Refuse what is not a finite positive number (or zero, if that will do)."""
+        for name in names:
+            value = getattr(self, name)
+            low = _is_number(value) and (value >= 0 if or_zero else value > 0)
+            if not (low and value < float("inf")):
+                allowed = "zero or positive" if or_zero else "a positive number"
+                raise InputError(f"{name} is {value!r}: it must be {allowed}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +99,25 @@ class ChaseSpecies(Species):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.num_individuals < 2:
-            raise InputError("a chase needs at least one pursuer and a target")
+            raise InputError("a chase needs at least one pursuer and a target: name them both")
+        self._positive("start_half_side")
+        for name in ("senses_centre", "shared_reward"):
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{name} is {getattr(self, name)!r}: choose True or False")
+
+    def check_uniform_starts(self) -> None:
+        """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
+        half = self.start_half_side
+        if not self.arena.contains(np.array([half, half])):
+            raise InputError(
+                f"start_half_side is {half}: a corner of that square is out of bounds "
+                f"({self.arena.shape}, boundary {self.arena.boundary:g}), so make it smaller"
+            )
+        if self.contact_radius > half:
+            raise InputError(
+                f"contact_radius is {self.contact_radius} but starts lie in a square of half side "
+                f"{half}, where all would touch: make it smaller, or start_half_side larger"
+            )
 
     @property
     def num_pursuers(self) -> int:
@@ -110,26 +147,48 @@ class SearchSpecies(Species):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in (
-            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "flow_limit",
-        ):  # fmt: skip
-            if not 0 < getattr(self, name) < float("inf"):
-                raise InputError(f"{name} is {getattr(self, name)}: it must be a positive number")
-        for name in ("antenna_radius", "flow_threshold", "rest_speed"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise InputError(f"{name} is {getattr(self, name)}: it must be zero or positive")
-        if not 0 <= self.odour_baseline < 1:
+        if self.arena.shape != "open":
+            raise InputError(
+                f"arena is a {self.arena.shape} but a search is in the open: give a size to draw, "
+                "or Arena('open', size)"
+            )
+        self._positive(
+            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "flow_limit"
+        )
+        self._positive(
+            "antenna_radius", "flow_threshold", "rest_speed", "odour_baseline", "antenna_angle",
+            or_zero=True,
+        )  # fmt: skip
+        if not self.odour_baseline < 1:
             raise InputError(f"odour_baseline is {self.odour_baseline}: it must lie in [0, 1)")
-        if not 0 <= self.antenna_angle <= 90:
+        if not self.antenna_angle <= 90:
             raise InputError(
                 f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
             )
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)
-            if len(chosen) == 0:
-                raise InputError(f"{name} is empty: name at least one plume pattern, 0 to 4")
+            listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)
+            if not listed or len(chosen) == 0 or not all(_is_whole(p) for p in chosen):
+                raise InputError(
+                    f"{name} is {chosen!r}: name one or more plume patterns, 0 to 4, as a list"
+                )
             object.__setattr__(self, name, tuple(int(p) for p in chosen))
         if self.plume != "model":
             from animarl_envs.worlds.plume import as_plume  # the model itself is made when needed
 
             as_plume(self.plume)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def _names(conditions: Any) -> tuple[str, ...]:
+    listed = isinstance(conditions, Sequence) and not isinstance(conditions, str)
+    if not listed or len(conditions) not in (0, 2):
+        raise InputError(f"conditions are {conditions!r}: give two names, or none")
+    return tuple(str(name) for name in conditions)

@@ -20,17 +20,28 @@ def with_options(species: Species, **options: Any) -> Species:
     num_pursuers
         Number of pursuers of a chase; they are renamed ``<kind>_0, <kind>_1, ...``.
     arena
-        An :class:`Arena`, a shape name, or a size; ``rebound`` and ``boundary`` apply to it.
+        An :class:`Arena`, its fields by name, a shape name, or a size, with which the boundary and
+        the square of starts grow; ``rebound`` and ``boundary`` apply to it.
     locomotion
         One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
         ``{"female": {"thrust": 0.19}}`` or ``{"female": 1.2}`` (a factor on the thrust).
     others
         Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """
+    count = options.pop("num_pursuers", None)
     if "individuals" in options:
-        species = _with_individuals(species, tuple(options.pop("individuals")))
-    if (count := options.pop("num_pursuers", None)) is not None:
+        names = tuple(options.pop("individuals"))
+        if count is not None and count != len(names) - 1:
+            raise InputError(
+                f"num_pursuers is {count!r} but individuals names {len(names) - 1} pursuers and a "
+                "target: give one of the two"
+            )
+        species = _with_individuals(species, names)
+    elif count is not None:
         species = _with_pursuers(species, count)
+    if isinstance(species, ChaseSpecies) and _is_size(options.get("arena")):
+        scaled = species.start_half_side * float(options["arena"]) / species.arena.size
+        options.setdefault("start_half_side", scaled)
     arena = _arena(species.arena, options)
     locomotion = _locomotion(species, options.pop("locomotion", None))
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
@@ -63,7 +74,7 @@ def _with_individuals(species: Species, names: tuple[str, ...]) -> Species:
 def _with_pursuers(species: Species, count: Any) -> ChaseSpecies:
     if not isinstance(species, ChaseSpecies):
         raise InputError(f"num_pursuers does not apply to {species.name}, which has none: drop it")
-    if not isinstance(count, int) or count < 1:
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
         raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
     kind = species.individuals[0].rpartition("_")[0] or "pursuer"
     pursuers, target = species.locomotion[:-1], species.locomotion[-1]
@@ -77,16 +88,31 @@ def _with_pursuers(species: Species, count: Any) -> ChaseSpecies:
 def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
     given = options.pop("arena", None)
     changes = {key: options.pop(key) for key in ("rebound", "boundary") if key in options}
+    if isinstance(given, Mapping):
+        unknown = set(given) - {f.name for f in fields(Arena)}
+        if unknown:
+            raise InputError(
+                f"arena has no {sorted(map(str, unknown))[0]!r}: give shape, size, boundary or "
+                "rebound"
+            )
+        given = replace(arena, **given)
     if isinstance(given, Arena):
         arena = given
     elif isinstance(given, str):
         arena = replace(arena, shape=given)  # type: ignore[arg-type]
-    elif isinstance(given, int | float) and not isinstance(given, bool):
+    elif _is_size(given):
         margin = arena.boundary / arena.size
         arena = replace(arena, size=float(given), boundary=float(given) * margin)
     elif given is not None:
         raise InputError(f"arena is {given!r}: give an Arena, a shape or a size")
+    if arena.shape == "open" and (changes.get("rebound") or "boundary" in changes):
+        which = "rebound" if changes.get("rebound") else "boundary"
+        raise InputError(f"{which} contradicts an open arena, which has no boundary: drop it")
     return replace(arena, **changes) if changes else arena
+
+
+def _is_size(given: Any) -> bool:
+    return isinstance(given, int | float) and not isinstance(given, bool)
 
 
 def _locomotion(species: Species, given: Any) -> tuple[Locomotion, ...]:

@@ -29,6 +29,11 @@ def focal_scenario(
     Returns the scenario, the index of the focal individual, and the policies of those others that
     follow one, by index.
     """
+    if "drivers" in options:
+        raise InputError(
+            "drivers is an option of parallel_env: say with focal who acts and with others what "
+            "moves the rest"
+        )
     scenario = make_scenario(species, **options)
     names = scenario.names
     focal = names[0] if focal is None else focal
@@ -96,26 +101,6 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
         worst = array.max() if array.max() >= num_actions else array.min()
         raise InputError(f"action {worst} is out of range: choose 0 to {num_actions - 1}")
     return array.astype(np.int64, copy=False)
-
-
-def describe(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as plain values, for ``info["scenario"]`` at reset."""
-    species = scenario.species
-    return {
-        "species": species.name,
-        "individuals": list(species.individuals),
-        "drivers": list(scenario.drivers),
-        "condition": scenario.condition,
-        "start": scenario.start if isinstance(scenario.start, str) else scenario.start.tolist(),
-        "demonstrations": None if scenario.demos is None else scenario.demos.name,
-        "arena": dict(vars(species.arena)),
-        "contact_radius": species.contact_radius,
-        "time_limit": species.time_limit,
-        "dt": species.dt,
-        "locomotion": [vars(m) for m in species.locomotion],
-        "observation_noise": scenario.observation_noise,
-        "observation_delay": scenario.observation_delay,
-    }
 
 
 def copy_seeds(seed: int | None, num_copies: int) -> NDArray[np.uint64] | None:

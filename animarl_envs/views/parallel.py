@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import make_scenario
+from animarl_envs.scenario import describe, make_scenario
 from animarl_envs.species import Species
-from animarl_envs.views.common import action_space, describe, observation_space
+from animarl_envs.views.common import action_space, observation_space
 from animarl_envs.worlds import make_world
 
 Observations = dict[str, NDArray[np.float32]]

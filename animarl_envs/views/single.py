@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.scenario import describe
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
     action_space,
-    describe,
     focal_scenario,
     observation_space,
 )

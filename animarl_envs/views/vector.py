@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.scenario import describe
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
     action_space,
     check_actions,
     copy_seeds,
-    describe,
     focal_scenario,
     observation_space,
 )
@@ -63,10 +64,13 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
     ) -> None:
         if render_mode is not None:
             raise InputError("a vector environment does not render: use gym.make for pictures")
-        options.pop("max_episode_steps", None)
+        most = options.pop("max_episode_steps", None)  # of Gymnasium, for which a view truncates
         self.scenario, self.focal_index, self._policies = focal_scenario(
             species, focal, others, options
         )
+        if most is not None and most < self.scenario.species.time_limit:
+            limited = replace(self.scenario.species, time_limit=most)
+            self.scenario = replace(self.scenario, species=limited)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.world = make_world(self.scenario, num_envs)

@@ -117,7 +117,8 @@ def observation_components(
     Its range follows from the boundary and from the top speed: the terminal speed of the fastest
     individual, or ``fastest`` [arena unit / s] if demonstrations are faster.
     """
-    top = max(fastest, *(m.terminal_speed(species.dt) for m in species.locomotion))
+    limit = species.time_limit + 1
+    top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
     edge = species.arena.boundary + top * species.dt  # one step beyond, at the end
     if species.arena.shape == "open":
         edge = species.arena.size + top * species.dt * (species.time_limit + 1)

@@ -156,7 +156,8 @@ def observation_components(
 
     The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are.
     """
-    top = max(fastest, *(m.terminal_speed(species.dt) for m in species.locomotion))
+    limit = species.time_limit + 1
+    top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
     ego = "egocentric, x upwind, y to the left"
     entries = [
         ObservationComponent("velocity ahead", ego, "arena unit / s", -top, top),
