@@ -1,0 +1,297 @@
+"""``AnimaRL/Custom-v0``: any demonstrations become an environment at once."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+
+import animarl_envs
+from animarl_envs import fitting
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstrations
+from animarl_envs.demos.readers import read
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT, SILKMOTH, ChaseSpecies, SearchSpecies
+from animarl_envs.species.custom import contact_radius_of, species_of
+from animarl_envs.views import AnimalVectorEnv
+from animarl_envs.worlds.chase import ChaseWorld
+
+ID = "AnimaRL/Custom-v0"
+CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
+EPISODES, STEPS = 8, 60
+
+
+@pytest.fixture(autouse=True)
+def warnings_are_errors() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+@cache
+def chases(pursuers: int) -> Demonstrations:
+    """Synthetic recordings of so many dogs and a sheep, of known locomotion, without contact."""
+    names = (*(f"dog_{chr(ord('a') + i)}" for i in range(pursuers)), "sheep")
+    species = replace(
+        AGENT,
+        individuals=names,
+        locomotion=(*(CHASER,) * pursuers, PREY),
+        arena=Arena("disc", 2.0, 2.2),
+        contact_radius=1e-6,
+        time_limit=STEPS,
+    )
+    scenario = make_scenario(species, demos=None, drivers=dict.fromkeys(names, "scripted"))
+    world = ChaseWorld(scenario, EPISODES)
+    world.seed(np.arange(EPISODES))
+    world.reset()
+    path = [world.position.copy()]
+    for _ in range(STEPS):
+        world.step(np.zeros((EPISODES, pursuers + 1), dtype=int))
+        path.append(world.position.copy())
+    lengths = np.array([STEPS + 1 - e for e in range(EPISODES)])  # of different lengths
+    positions = np.stack(path)
+    return Demonstrations(
+        species="custom",
+        individuals=names,
+        roles=(*("pursuer",) * pursuers, "target"),
+        dt=AGENT.dt,
+        arena=species.arena,
+        positions=np.concatenate([positions[:n, e] for e, n in enumerate(lengths)]),
+        lengths=lengths,
+        initial_velocity=np.zeros((EPISODES, pursuers + 1, 2)),
+        condition=np.zeros(EPISODES),
+        outcome=np.full(EPISODES, UNFINISHED),
+        split=np.array(["train", "train", "train", "train", "train", "val", "test", "test"]),
+        recording=np.array([f"field {e}" for e in range(EPISODES)]),
+        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
+        name="dogs.npz",
+    )
+
+
+def search(**changes: Any) -> Demonstrations:
+    rng = np.random.default_rng(0)
+    steps = 0.002 * rng.standard_normal((3, 40, 1, 2)) + [-0.004, 0.0]
+    positions = np.array([0.3, 0.0]) + np.cumsum(steps, axis=1)
+    made = Demonstrations(
+        species="custom", individuals=("beetle",), roles=("searcher",), dt=0.4,
+        arena=Arena("open", size=0.4), positions=positions.reshape(120, 1, 2),
+        lengths=np.full(3, 40), initial_velocity=steps[:, 0] / 0.4, condition=[0, 1, 0],
+        outcome=np.full(3, TIME_OUT), split=np.array(["train", "val", "test"]),
+        recording=np.array(["a", "b", "c"]),
+        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
+    )  # fmt: skip
+    return replace(made, **changes)
+
+
+# -- every view, any number of pursuers -----------------------------------------------------------
+
+
+@pytest.mark.parametrize("pursuers", [1, 2, 3, 5])
+def test_registry_custom_works_in_every_view(pursuers: int, tmp_path: Path) -> None:
+    path = str(chases(pursuers).save(tmp_path / "demos.npz"))
+    env = gym.make(ID, demos=path)
+    check_env(env.unwrapped, skip_render_check=True)
+    vector = gym.make_vec(ID, num_envs=3, demos=path)
+    everyone = animarl_envs.parallel_env("custom", demos=path)
+    assert everyone.possible_agents == list(chases(pursuers).individuals)
+    parallel_api_test(everyone, num_cycles=80)
+    rows, _ = vector.reset(seed=5)
+    singles = [gym.make(ID, demos=path) for _ in range(3)]
+    assert np.array_equal(rows, [one.reset(seed=5 + b)[0] for b, one in enumerate(singles)])
+    assert np.array_equal(everyone.reset(seed=5)[0]["dog_a"], rows[0])
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        actions = rng.integers(13, size=3)
+        rows = vector.step(actions)[0]
+        for b, one in enumerate(singles):
+            assert np.array_equal(one.step(actions[b])[0], rows[b])
+
+
+def test_registry_custom_search_has_the_moths_senses() -> None:
+    env = gym.make(ID, demos=search())
+    check_env(env.unwrapped, skip_render_check=True)
+    spec = env.unwrapped.scenario.species  # type: ignore[attr-defined]
+    assert isinstance(spec, SearchSpecies)
+    assert (spec.individuals, spec.dt, spec.arena.size) == (("beetle",), 0.4, 0.4)
+    assert (spec.conditions, spec.warmup) == (SILKMOTH.conditions, 0)
+    assert gym.make_vec(ID, num_envs=2, demos=search()).reset(seed=0)[0].shape == (2, 10)
+
+
+def test_registry_custom_goes_through_json_and_pickle(tmp_path: Path) -> None:
+    path = str(chases(2).save(tmp_path / "demos.npz"))
+    env = gym.make(ID, demos=path, contact_radius=0.01, arena={"shape": "square"})
+    assert env.spec is not None
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert np.array_equal(env.reset(seed=3)[0], again.reset(seed=3)[0])
+    twin = pickle.loads(pickle.dumps(env))
+    for action in (0, 3, 12):
+        assert np.array_equal(env.step(action)[0], twin.step(action)[0])
+    described = env.reset(seed=3)[1]["scenario"]
+    assert json.loads(json.dumps(described)) == described
+    assert described["contact_radius"] == 0.01
+    assert described["arena"]["shape"] == "square"
+
+
+# -- what is taken from where ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pursuers", [1, 3])
+def test_locomotion_is_fitted_from_the_file(pursuers: int) -> None:
+    species = species_of(chases(pursuers))
+    for found, truth in zip(species.locomotion, (CHASER,) * pursuers + (PREY,), strict=True):
+        assert found.damping == pytest.approx(truth.damping, abs=1e-6)
+        assert found.thrust == pytest.approx(truth.thrust, rel=1e-6)
+
+
+def test_the_fit_is_made_once_per_content(monkeypatch: pytest.MonkeyPatch) -> None:
+    demos = chases(1)
+    changed = replace(demos, condition=np.ones(EPISODES))
+    species_of(demos)
+
+    def refuse(*_: Any) -> Any:
+        raise AssertionError("fitted again")
+
+    monkeypatch.setattr(fitting, "fit_joint", refuse)
+    assert species_of(replace(demos, name="a copy")).locomotion == species_of(demos).locomotion
+    with pytest.raises(AssertionError, match="again"):
+        species_of(changed)
+    given = (Locomotion(0.5, 1.0),) * 2
+    assert species_of(changed, fit=given).locomotion == given
+
+
+def test_numbers_are_those_of_the_file() -> None:
+    demos = chases(2)
+    species = species_of(demos)
+    assert isinstance(species, ChaseSpecies)
+    assert species.individuals == demos.individuals
+    assert (species.dt, species.arena, species.warmup) == (demos.dt, demos.arena, 0)
+    assert species.time_limit == STEPS  # the longest episode
+    assert species.recording.frame_rate == pytest.approx(10.0)
+    assert species.conditions == ()
+    assert "synthetic" in species.source
+    kept = {"recipe": {"cutting": {"longest": "inf", "keep_last": 9.0}}}
+    assert species_of(_told(demos, **kept)).time_limit == 90
+
+
+def test_a_named_species_gives_its_numbers() -> None:
+    demos = replace(chases(2), species="newt")
+    species = species_of(demos)
+    assert (species.name, species.contact_radius, species.warmup) == ("newt", 0.15, 10)
+    assert (species.arena, species.individuals) == (demos.arena, demos.individuals)
+    assert species.time_limit == 500
+    assert species_of(chases(2), base="fly").contact_radius == 0.2
+
+
+def test_the_contact_radius_is_as_stated_or_as_seen() -> None:
+    demos = chases(2)
+    distance = np.linalg.norm(demos.positions[:, :-1] - demos.positions[:, -1:], axis=2)
+    assert contact_radius_of(demos) == pytest.approx(min(distance.min(), 0.2))
+    approach = {"mode": "approach", "farther_than": 1.0, "closer_than": 0.25}
+    assert contact_radius_of(_told(demos, recipe={"cutting": approach})) == 0.25
+    whole = {"mode": "whole", "contact": 0.3}
+    assert contact_radius_of(_told(demos, recipe={"cutting": whole})) == 0.3
+    assert contact_radius_of(_told(demos, contact_radius=0.4)) == 0.4
+    touched = replace(demos, outcome=np.where(np.arange(EPISODES) < 6, 1, UNFINISHED))
+    ends = distance[demos.offsets[1:7] - 1, 0]
+    assert contact_radius_of(touched) == pytest.approx(np.quantile(ends, 0.9))
+
+
+def test_without_stated_contact_no_recording_is_cut_short() -> None:
+    demos = chases(3)
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    world = ChaseWorld(make_scenario("custom", demos=demos, split=None, drivers=drivers), EPISODES)
+    world.reset(demo=np.arange(EPISODES))
+    for t in range(1, STEPS + 1):
+        world.step(np.zeros((EPISODES, 4), dtype=int))
+        running = demos.lengths - 1 >= t
+        assert not world.terminated[running].any()
+
+
+def test_conditions_are_labels_that_change_no_reward() -> None:
+    demos = replace(chases(2), condition=np.arange(EPISODES) % 2)
+    species = species_of(demos)
+    assert species.conditions == ("condition 0", "condition 1")
+    named = species_of(_told(demos, conditions=["light", "dark"]))
+    assert named.conditions == ("light", "dark")
+    start = [[0.0, 0.0], [1.0, 0.0], [0.02, 0.0]]
+    paid = []
+    for condition in (0, 1):
+        env = AnimalVectorEnv("custom", 1, demos=demos, condition=condition, start=start,
+                              focal="dog_b", contact_radius=0.1)  # fmt: skip
+        env.reset(seed=0)
+        _, reward, terminated, *_ = env.step(np.array([12]))
+        assert terminated[0]
+        paid.append(reward[0])
+    assert paid == [0.0, 0.0]
+
+
+# -- fewer pursuers, and what is refused ----------------------------------------------------------
+
+
+def test_fewer_pursuers_are_the_first_ones() -> None:
+    env = gym.make(ID, demos=chases(3), num_pursuers=1)
+    scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
+    assert scenario.names == ("dog_a", "sheep")
+    whole = chases(3).select(split="train")
+    assert np.array_equal(scenario.demos.positions, whole.positions[:, [0, 3]])
+
+
+def _told(demos: Demonstrations, **more: Any) -> Demonstrations:
+    return replace(demos, provenance={**demos.provenance, **more})
+
+
+GROUP = {"roles": ("pursuer",) * 3}
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({}, "give demos="),
+    ({"demos": None}, "give demos="),
+    ({"demos": 3}, "demos is 3"),
+    ({"demos": "absent.npz"}, "absent.npz: there is no such file"),
+    ({"demos": chases(2), "num_pursuers": 3}, "dogs.npz holds 2 pursuers: choose at most 2"),
+    ({"demos": chases(2), "num_pursuers": 0}, "num_pursuers is 0"),
+    ({"demos": chases(2), "num_pursuers": 1.5}, "num_pursuers is 1.5"),
+    ({"demos": search(), "num_pursuers": 1}, "num_pursuers does not apply"),
+    ({"demos": replace(chases(2), **GROUP)}, "--target"),
+    ({"demos": replace(chases(2), species="silkmoth")}, "do not fit silkmoth"),
+    ({"demos": search(species="fly")}, "do not fit fly"),
+    ({"demos": chases(2), "condition": 1}, "condition"),
+    ({"demos": chases(2), "colour": 1}, "colour"),
+    ({"demos": chases(2), "contact_radius": -1}, "contact_radius"),
+]
+
+
+@pytest.mark.parametrize(("options", "says"), REFUSED)
+@pytest.mark.parametrize("view", ["single", "vector", "parallel"])
+def test_what_cannot_be_made_is_refused(view: str, options: dict[str, Any], says: str) -> None:
+    make = {
+        "single": lambda **given: gym.make(ID, **given),
+        "vector": lambda **given: gym.make_vec(ID, num_envs=2, **given),
+        "parallel": lambda **given: animarl_envs.parallel_env("custom", **given),
+    }[view]
+    with pytest.raises(InputError) as refusal:
+        make(**options)
+    assert says in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.realdata
+def test_recorded_moths_at_once(data_dir: Path) -> None:
+    runs = read(data_dir / "silkmoth_mothvr" / "raw" / "case11.csv")
+    env = gym.make(ID, demos=runs, split=None)
+    _, info = env.reset(seed=0)
+    assert info["scenario"]["species"] == "silkmoth"
+    assert info["scenario"]["time_limit"] == 600
+    env.step(0)
