@@ -106,6 +106,7 @@ def run_offline_phase(
             progress.history.append({"epoch": float(progress.epoch)} | row)
             for name, value in row.items():
                 model.logger.record(f"offline/{name}", value)
+            model.logger.record("offline/epoch", progress.epoch, exclude="tensorboard")
             model.logger.dump(step=progress.epoch)
             bar.update()
             bar.set_postfix(best=progress.best_epoch, figure=f"{progress.best_figure:.3f}")

@@ -27,6 +27,7 @@ from animarl_algos.evaluation import (
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.figures import shared_bins, trajectory_pair
 from animarl_algos.evaluation.interpretation import advantage, value_map, values_along_path
+from animarl_algos.evaluation.learning import chosen_curves
 from animarl_algos.evaluation.report import render_report
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.style import to_image
@@ -422,6 +423,25 @@ def test_bins_are_shared_and_hold_everything() -> None:
     assert edges[0] == 0.0 and edges[-1] == max(first.max(), second.max())
     assert len(shared_bins(np.zeros(5), np.zeros(3))) == 51
     assert np.histogram(first, edges)[0].sum() == 500
+
+
+def test_learning_curves_are_chosen_and_named() -> None:
+    logged = [
+        ("bc", "offline/val/top_1"), ("bc", "offline/val/top_1/prey"),
+        ("dqdil", "offline/val/top_1"), ("dqdil", "offline/train/td"),
+        ("dqdil", "offline/train/td/prey"), ("dqdil", "offline/train/td/predator_0"),
+        ("dqdil", "offline/train/l2"), ("dqdil", "offline/odd_one"),
+    ]  # fmt: skip
+    rows = [(method, 0, step, name, 1.0) for method, name in logged for step in range(3)]
+    curves = pd.DataFrame(rows, columns=["method", "seed", "step", "quantity", "value"])
+    shown = {c.title: sorted(c.rows["method"].unique()) for c in chosen_curves(curves, "DQDIL")}
+    assert shown == {
+        "Demonstrated action first (share)": ["bc", "dqdil"],
+        "Temporal-difference loss": ["predator_0", "prey"],
+        "odd_one": ["dqdil"],
+    }
+    assert list(shown)[-1] == "odd_one"
+    assert all(len(c.rows) == 6 for c in list(chosen_curves(curves, "DQDIL"))[:2])
 
 
 def test_interpretation_figures() -> None:

@@ -1,4 +1,4 @@
-"""Figures of an evaluation: paths, speeds, distributions, counterfactuals, learning curves.
+"""Figures of an evaluation: paths, speeds, distributions, counterfactuals.
 
 Each function takes arrays or tables and returns one matplotlib figure of one panel or a pair, small
 enough that a page can set several side by side, or below one another on a narrow screen.
@@ -263,7 +263,7 @@ def interval_rows(
         panel.set(xlabel=label, title=title)
         if limits is not None:
             panel.set_xlim(limits)
-        panel.xaxis.set_major_locator(_locator(5))
+        panel.xaxis.set_major_locator(locator(5))
         panel.xaxis.set_major_formatter("{x:g}")
     return figure
 
@@ -322,46 +322,6 @@ def counterfactual_lengths(
     return figure
 
 
-# -- learning -------------------------------------------------------------------------------------
-
-
-def learning_curve(curves: pd.DataFrame, title: str, x_label: str, y_label: str = "") -> Figure:
-    """One quantity over training: a thin line per seed, a thick one for their mean.
-
-    Parameters
-    ----------
-    curves
-        Columns ``method, seed, step, value``.
-    """
-    with style.house_style():
-        figure, panel = style.new_figure(3.1, 2.2)
-        style.light_grid(panel, "y")
-        methods = list(curves.groupby("method", sort=False))
-        for position, (name, rows) in enumerate(methods):
-            colour = style.method_colour(str(name), position)
-            seeds = list(rows.groupby("seed"))
-            for _, one in seeds:
-                alone = len(seeds) == 1
-                panel.plot(
-                    one["step"], one["value"], color=colour, linewidth=1.4 if alone else 0.6,
-                    alpha=1.0 if alone else 0.45,
-                    label=style.method_label(str(name)) if alone else None,
-                )  # fmt: skip
-            if len(seeds) > 1:
-                mean = rows.groupby("step")["value"].mean()
-                panel.plot(
-                    mean.index, mean.to_numpy(), color=colour, linewidth=1.8,
-                    label=style.method_label(str(name)),
-                )  # fmt: skip
-        panel.set(title=title[:1].upper() + title[1:], xlabel=x_label, ylabel=y_label)
-        panel.margins(x=0.01)
-        panel.xaxis.set_major_locator(_locator(5))
-        panel.xaxis.set_major_formatter(_thousands())
-        if len(methods) > 1:
-            panel.legend(loc="best")
-    return figure
-
-
 # -- small things ---------------------------------------------------------------------------------
 
 
@@ -398,13 +358,15 @@ def _spread(count: int) -> Floats:
     return np.asarray((np.arange(count) * 0.6180339887498949) % 1.0)
 
 
-def _locator(bins: int) -> Any:
+def locator(bins: int) -> Any:
+    """Ticks at round numbers, about so many."""
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(bins, steps=[1, 2, 2.5, 5, 10])
 
 
-def _thousands() -> Any:
+def thousands() -> Any:
+    """Ticks as 20k for 20,000."""
     from matplotlib.ticker import FuncFormatter
 
     return FuncFormatter(lambda x, _: f"{x / 1000:g}k" if abs(x) >= 1000 else f"{x:g}")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation import figures, interpretation
 from animarl_algos.evaluation.comparison import COUNTING, factual, interval
 from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.learning import chosen_curves, learning_curve
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
 from animarl_algos.evaluation.report import ReportInputs
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
@@ -153,12 +154,12 @@ def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
     return images
 
 
-def learning_panels(curves: pd.DataFrame, *, offline: bool) -> list[Image]:
+def learning_panels(curves: pd.DataFrame, focus: str, *, offline: bool) -> list[Image]:
     """One panel per quantity."""
     label = "Epoch" if offline else "Environment steps"
     return [
-        to_image(figures.learning_curve(rows, str(quantity), label), f"{quantity} over training")
-        for quantity, rows in curves.groupby("quantity", sort=False)
+        to_image(learning_curve(curve.rows, curve.title, label), f"{curve.title} over training")
+        for curve in chosen_curves(curves, focus)
     ]
 
 

@@ -162,8 +162,9 @@ def _learning(inputs: ReportInputs) -> Iterator[Block]:
     for phase, rows in curves.groupby("phase", sort=False):
         yield Heading(f"{phase} phase".capitalize())
         yield Gallery(
-            panels.learning_panels(rows, offline=phase == "offline"),
-            "One thin line per training seed, thick their mean; a single seed is drawn thick.",
+            panels.learning_panels(rows, inputs.focus, offline=phase == "offline"),
+            "One thin line per training seed, thick their mean; a single seed is drawn thick. "
+            f"Lines by individual are losses of {method_label(inputs.focus)}.",
         )
 
 

@@ -85,8 +85,8 @@ RC: Any = {
 
 
 def method_colour(name: str, position: int = 0) -> str:
-    """The colour of a method; unknown names take the pursuers' hues by position."""
-    known = METHOD_COLOURS.get(name.casefold())
+    """The colour of a method, a quantile twin's that of its recipe; other names by position."""
+    known = METHOD_COLOURS.get(name.casefold().removeprefix("qr-"))
     return to_hex(known if known is not None else palette.pursuer(position))
 
 
