@@ -21,18 +21,22 @@ from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.evaluation import Evaluation, evaluate
 from animarl_algos.evaluation.report import ReportInputs, write_report
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.focal import FocalPolicy, focal_drivers
 from animarl_algos.recipes import named_recipe
-from animarl_algos.run_folder import BEHAVIOUR_CLONING, RunFolder, RunSettings
+from animarl_algos.run_folder import RunFolder
+from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
-from animarl_envs.scenario import make_scenario
+from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds import make_world
 
 PLANNED_FLIPS = {"agent": (0, 1), "silkmoth": (1, 0)}
 DECISIONS = Path("rollouts", "decisions.npz")
+PACKAGED = "packaged"
 UNTRAINED, RANDOM = "untrained", "random"
 
 
@@ -41,21 +45,25 @@ def method_name(algo: str) -> str:
     return algo.upper()
 
 
-def open_run(settings: RunSettings, out: Path, command: str) -> RunFolder:
-    """Read the demonstrations and start (or find again) the run folder."""
-    demos = load_demonstrations(settings)
+def open_run(
+    settings: RunSettings, out: Path, command: str, demos: Demonstrations | None = None
+) -> RunFolder:
+    """Start (or find again) the run folder; what does not fit together is refused before it."""
+    if demos is None:
+        demos = load_demonstrations(settings.file, settings.source, settings.species)
+    checked_species(settings, demos)
     run = RunFolder(out)
     run.start(settings, demos, command)
     return run
 
 
-def load_demonstrations(settings: RunSettings) -> Demonstrations:
-    """The file of the settings, or the packaged demonstrations of ``packaged``."""
-    if settings.file == "packaged":
-        from animarl_envs.demos.packaged import load_packaged
-
-        return load_packaged(settings.species)
-    demos = read(settings.file, settings.source)
+def load_demonstrations(
+    file: str, source: str | None = None, species: str | None = None
+) -> Demonstrations:
+    """A file of recorded episodes, or the demonstrations packaged for a species (``packaged``)."""
+    if file == PACKAGED:
+        return load_packaged(species or "agent")
+    demos = read(file, source)
     for split in SPLITS:
         demos.select(split=split)  # an empty split is refused now, not after an hour
     return demos
@@ -135,19 +143,20 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
     """Stage 4a: every method from each test demonstration's start, and what the learner values."""
     settings, demos = run.settings, run.demos
     species = run.species(demos, fit(run))
-    scenario = make_scenario(species, demos=demos, split="test")
+    drivers = focal_drivers(species.individuals, settings.focal)
+    scenario = make_scenario(species, demos=demos, split="test", drivers=drivers)
     flagged = run.environment(species, demos).condition_flag
     policies = test_policies(run, progress_bar=progress_bar)
     focus = policies[method_name(settings.algo)]
-    assert isinstance(focus, SequenceQLearning)
-    decide_along(focus.policy, species, demos.select(split="test"), condition_flag=flagged).save(
-        run.path / DECISIONS
-    )
+    if settings.focal is None and isinstance(focus, SequenceQLearning):
+        test = demos.select(split="test")
+        along = decide_along(focus.policy, species, test, condition_flag=flagged)
+        along.save(run.path / DECISIONS)
     rollouts = {}
     for name, policy in policies.items():
         rollouts[name] = collect_rollouts(
             partial(make_world, scenario),
-            policy,
+            _for_all(policy, scenario, settings.focal),
             method=name,
             seed=settings.seed,
             repetitions=settings.repetitions,
@@ -155,6 +164,11 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
         )
         rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
     return rollouts
+
+
+def _for_all(policy: Policy, scenario: Scenario, focal: str | None) -> Policy:
+    learned_one = focal is not None and isinstance(policy, SequenceQLearning)
+    return FocalPolicy(policy, scenario, focal) if learned_one and focal else policy
 
 
 def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:

@@ -16,8 +16,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,53 +24,21 @@ import pandas as pd
 import torch
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.presets import learner_settings
 from animarl_algos.recipes import named_recipe
+from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings, check_device
+from animarl_algos.settings import constructed
 from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit
-from animarl_envs.scenario import with_options
-from animarl_envs.species import Species, get_species
+from animarl_envs.species import Species
+from animarl_envs.species.custom import species_of
 
 PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scipy",
     "stable-baselines3", "torch",
 )  # fmt: skip
-BEHAVIOUR_CLONING = "bc"
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunSettings:
-    """What a run was asked for; it decides the run together with the demonstrations.
-
-    ``overrides`` go over the YAML section of the learner; ``test_epsilon`` is the share of random
-    actions when policies are evaluated.
-    """
-
-    file: str
-    source: str | None = None
-    species: str
-    algo: str
-    steps: int
-    seed: int = 0
-    copies: int = 16
-    fit_method: str = "joint"
-    repetitions: int = 5
-    test_epsilon: float = 0.1
-    baselines: bool = True
-    checkpoint_every: int = 20_000
-    overrides: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        named_recipe(self.algo)
-        get_species(self.species)
-        for name in ("steps", "copies", "repetitions", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        if not 0.0 <= self.test_epsilon <= 1.0:
-            raise InputError(f"test_epsilon is {self.test_epsilon}: it must be from 0 to 1")
 
 
 @dataclass(frozen=True)
@@ -88,18 +55,22 @@ class RunFolder:
         InputError
             If the folder holds another run.
         """
+        own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
         resolved = {
             "settings": asdict(settings) | {"overrides": dict(settings.overrides)},
-            "learner": _plain(
-                learner_settings(settings.algo, settings.species, dict(settings.overrides))
-            ),
+            "learner": own.arguments,
+            "baseline": other.arguments,
+            "environment": own.env_kwargs,
             "fingerprint": demos.fingerprint(),
         }
         file = self.path / "settings.json"
         if file.exists():
             before = self._read()
             for key, value in resolved.items():
-                if before.get(key) != _plain(value):
+                if (there := before.get(key)) != (here := _plain(value)):
+                    if isinstance(there, dict) and isinstance(here, dict):
+                        keys = [k for k in here | there if here.get(k) != there.get(k)]
+                        key = f"{key}: {', '.join(keys)}"
                     raise InputError(
                         f"{self.path}: it holds another run (its {key} differ): "
                         "choose another --out, or remove it"
@@ -125,17 +96,29 @@ class RunFolder:
 
     @property
     def record(self) -> dict[str, Any]:
-        """``settings``, ``learner``, ``fingerprint``, ``versions`` and ``command``."""
+        """``settings``, ``learner`` and the ``baseline`` it is compared with, ``environment``,
+        ``fingerprint``, ``versions`` and ``command``.
+        """
         return self._read()
 
     @property
     def settings(self) -> RunSettings:
         """As the run was asked for."""
-        return RunSettings(**self._read()["settings"])
+        try:
+            return RunSettings(**self._read()["settings"])
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"{self.path / 'settings.json'}: it is not of this version of animarl ({error}): "
+                "start the run again"
+            ) from None
 
-    def extend(self, steps: int) -> None:
-        """Raise the number of steps of a run that is to be continued."""
+    def extend(self, steps: int | None = None, device: str | None = None) -> None:
+        """Raise the number of steps of a run that is to be continued; move it to a device."""
         record = self._read()
+        if device is not None:
+            check_device(device)
+            record["settings"]["device"] = device
+        steps = record["settings"]["steps"] if steps is None else steps
         if steps < record["settings"]["steps"]:
             raise InputError(
                 f"{self.path}: the run has {record['settings']['steps']} steps already: "
@@ -157,28 +140,30 @@ class RunFolder:
 
     def species(self, demos: Demonstrations, fit: LocomotionFit) -> Species:
         """The species with the recording's arena and names, and the fitted locomotion."""
-        base = get_species(self.settings.species)
-        longest = int(demos.lengths.max()) - 1
-        return with_options(
-            base,
-            individuals=demos.individuals,
-            dt=demos.dt,
-            arena=demos.arena,
-            locomotion=fit.locomotion,
-            time_limit=max(base.time_limit, longest),
-        )
+        return species_of(demos, fit.locomotion, base=self.settings.species)
 
     def environment(self, species: Species, demos: Demonstrations) -> SlotVecEnv:
-        """The training environment: all individuals learn, episodes start from the train split."""
-        flagged = bool(species.conditions) and len(set(demos.condition.tolist())) == 2
-        return SlotVecEnv(species, self.settings.copies, demos=demos, condition_flag=flagged)
+        """The training environment: episodes start from the train split.
+
+        All individuals learn, or the run's focal one.
+        """
+        settings = self.settings
+        return SlotVecEnv(
+            species,
+            settings.copies,
+            demos=demos,
+            focal=settings.focal,
+            condition_flag=None,
+            **self._read()["environment"],
+        )
 
     def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
-        """A new learner with the run's settings."""
-        settings = self.settings
-        overrides = dict(settings.overrides) if algo == settings.algo else {}
-        arguments = learner_settings(algo, settings.species, overrides)
-        return named_recipe(algo).algorithm(env=env, seed=settings.seed, device="cpu", **arguments)
+        """A new learner with the settings that were recorded when the run began."""
+        settings, record = self.settings, self._read()
+        plain = record["learner" if algo == settings.algo else "baseline"]
+        return named_recipe(algo).algorithm(
+            env=env, seed=settings.seed, device=settings.device, **constructed(plain)
+        )
 
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
         """The final weights, tensors only."""
@@ -189,7 +174,7 @@ class RunFolder:
         """Put the final weights into a learner of the same settings."""
         file = self.path / "policies" / f"{name}.pt"
         try:
-            weights = torch.load(file, weights_only=True)
+            weights = torch.load(file, map_location="cpu", weights_only=True)
             model.policy.q_net.load_state_dict(weights)
             model.policy.q_net_target.load_state_dict(weights)
         except FileNotFoundError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_envs.errors import InputError
@@ -48,3 +49,62 @@ def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
     raise InputError(
         "the environment does not say how long an episode can last: give max_episode_steps"
     )
+
+
+def checked_value(key: str, value: Any, like: Any, place: str) -> Any:
+    """A setting as plain data, of the kind of ``like``, the default of its parameter.
+
+    Numbers may be written ``1e-4``, which YAML itself takes for text. A learning rate may be
+    ``lin_1e-4``: linear to zero over the run, as in rl_zoo3.
+
+    Raises
+    ------
+    InputError
+        If the kind is another; the sentence starts with ``place``.
+    """
+    if isinstance(value, str):
+        if key == "learning_rate" and value.startswith(LINEAR):
+            linear_start(value, place)
+            return value
+        try:
+            value = value if isinstance(like, str) else float(value)
+        except ValueError:
+            raise InputError(f"{place} is {value!r}: give a number, not text") from None
+    if isinstance(like, bool):
+        if not isinstance(value, bool):
+            raise InputError(f"{place} is {value!r}: give true or false")
+        return value
+    if isinstance(like, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float | None):
+            raise InputError(f"{place} is {value!r}: give a number")
+        if isinstance(like, int) and isinstance(value, float):
+            if not value.is_integer():
+                raise InputError(f"{place} is {value!r}: give a whole number")
+            return int(value)
+        if value is not None:
+            return int(value) if isinstance(like, int) else float(value)
+    if isinstance(like, str) and not isinstance(value, str):
+        raise InputError(f"{place} is {value!r}: give a name")
+    if key.endswith("kwargs") and not isinstance(value, dict | None):
+        raise InputError(f"{place} is {value!r}: give a table")
+    return value
+
+
+LINEAR = "lin_"
+
+
+def linear_start(value: str, place: str) -> float:
+    """The first value of ``lin_<number>``."""
+    try:
+        return float(value.removeprefix(LINEAR))
+    except ValueError:
+        raise InputError(f"{place} is {value!r}: write lin_ and a number") from None
+
+
+def constructed(arguments: dict[str, Any]) -> dict[str, Any]:
+    """Plain settings as the algorithms take them: lists as tuples, ``lin_`` rates as schedules."""
+    ready = {k: tuple(v) if isinstance(v, list) else v for k, v in arguments.items()}
+    rate = ready.get("learning_rate")
+    if isinstance(rate, str):
+        ready["learning_rate"] = LinearSchedule(linear_start(rate, "learning_rate"), 0.0, 1.0)
+    return ready

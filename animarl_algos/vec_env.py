@@ -41,7 +41,8 @@ class SlotVecEnv(VecEnv):
     focal
         Only this individual learns; the others replay their demonstration. By default all learn.
     condition_flag, cue
-        Whether the condition is the last observation component, and what is told of it.
+        Whether the condition is the last observation component (``None``: if the species has
+        conditions and the demonstrations hold both), and what is told of it.
     dtw
         ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``,
         and with it the demonstrated action aligned with each state, as ``aligned_action``. The
@@ -66,7 +67,7 @@ class SlotVecEnv(VecEnv):
         demos: Demos = "packaged",
         split: str = "train",
         focal: str | None = None,
-        condition_flag: bool = False,
+        condition_flag: bool | None = False,
         cue: Cue = "actual",
         dtw: str | None = "increment",
         **options: Any,
@@ -88,6 +89,8 @@ class SlotVecEnv(VecEnv):
             drivers=drivers,
             **{k: v for k, v in options.items() if k in _SCENARIO_OPTIONS},
         )
+        if condition_flag is None:
+            condition_flag = has_both_conditions(full.species, full.demos)
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
         self.world = make_world(self.scenario, num_copies)
@@ -191,6 +194,13 @@ class SlotVecEnv(VecEnv):
 
     # -- what learners ask ------------------------------------------------------------------------
 
+    @property
+    def feedback(self) -> tuple[str, ...]:
+        """What comes with a step beside the reward: see :meth:`animarl_algos.slots.provided`."""
+        if self._tracker is None:
+            return ("task_reward",)
+        return ("task_reward", "dtw_penalty", "aligned_action")
+
     def offline_data(self) -> SpeciesDemonstrations:
         """The train and val splits of the demonstrations, for the offline phase."""
         if self.all_demos is None:
@@ -237,6 +247,11 @@ class SlotVecEnv(VecEnv):
         if indices is None:
             return range(self.num_envs)
         return [indices] if isinstance(indices, int) else indices
+
+
+def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
+    """Whether a learner can be told the condition: the species has it, the recordings vary it."""
+    return bool(species.conditions) and demos is not None and len(set(demos.condition)) == 2
 
 
 _SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")

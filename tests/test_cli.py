@@ -81,7 +81,7 @@ def test_from_a_file_to_a_report_and_again(
     record = json.loads((run / "settings.json").read_text())
     assert record["settings"]["steps"] == 300 and record["versions"]["torch"]
     methods = {path.stem for path in (run / "rollouts").glob("*.npz")}
-    assert methods == {"DQDIL-PT"}
+    assert methods == {"DQDIL-PT", "decisions"}
     weights = (run / "policies" / "dqdil-pt.pt").read_bytes()
 
     again = animarl(*command, "--out", "run")

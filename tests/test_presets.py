@@ -1,35 +1,241 @@
-"""The YAML settings build every learner, and nothing in them is misspelt."""
+"""The YAML settings build every learner, hold the paper's numbers, and nothing is misspelt."""
 
 from __future__ import annotations
 
-import pytest
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from animarl_algos.presets import learner_settings, read_section
+import pytest
+import yaml
+
+from animarl_algos.presets import (
+    CONFIGS,
+    PRESETS,
+    known_settings,
+    learner_preset,
+    pipeline_settings,
+)
 from animarl_algos.recipes import RECIPES, named_recipe
+from animarl_algos.settings import constructed
 from animarl_algos.vec_env import SlotVecEnv
-from animarl_envs import SPECIES
+from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
+
+AGENT = "AnimaRL/Agent-v0"
+
+
+# -- every learner --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("algo", RECIPES)
+def test_every_recipe_can_be_made_from_its_settings(algo: str, preset: str) -> None:
+    found = learner_preset(algo, AGENT, preset, {"buffer_size": 2000})
+    env = SlotVecEnv("agent", 2, condition_flag=None, **found.env_kwargs)
+    model = named_recipe(algo).algorithm(env=env, seed=0, **constructed(found.arguments))
+    assert (model.offline_epochs > 0) == named_recipe(algo).pretrained
+    assert (model.policy_kwargs.get("n_quantiles") == 20) == algo.startswith("qr-")
 
 
 @pytest.mark.parametrize("algo", RECIPES)
-def test_every_recipe_can_be_made_from_its_settings(algo: str) -> None:
-    env = SlotVecEnv("agent", 2, condition_flag=True)
-    settings = learner_settings(algo, "agent", {"buffer_size": 2000})
-    model = named_recipe(algo).algorithm(env=env, seed=0, **settings)
-    assert (model.offline_epochs > 0) == named_recipe(algo).pretrained
+def test_a_file_has_sections_for_every_species(algo: str) -> None:
+    for species in SPECIES:
+        paper = learner_preset(algo, environment_id(species), "paper")
+        default = learner_preset(algo, environment_id(species), "default")
+        assert paper.n_timesteps >= 1 and default.n_timesteps >= 1
+        assert paper.arguments.keys() <= known_settings(algo).keys()
+
+
+@pytest.mark.parametrize("algo", [name for name in RECIPES if name.startswith("qr-")])
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_quantile_twin_differs_in_its_quantiles_alone(algo: str, preset: str) -> None:
+    for species in SPECIES:
+        twin = learner_preset(algo, environment_id(species), preset)
+        plain = learner_preset(algo.removeprefix("qr-"), environment_id(species), preset)
+        assert twin.arguments.pop("policy_kwargs") == {"n_quantiles": 20}
+        assert twin == plain
+
+
+def test_files_are_plain_data() -> None:
+    """safe_load takes them, and every string in them is a name that is looked up in a table."""
+    for file in CONFIGS.iterdir():
+        if not file.name.endswith(".yml"):
+            continue
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        assert strings(content) - set(content) <= {
+            *("GruPolicy", "episode", "cumulative", "increment", "onset", "joint"),
+            *(name for name in RECIPES),
+            "pretraining",
+        }
+
+
+def strings(data: Any) -> set[str]:
+    """All string values (not keys) in nested data."""
+    if isinstance(data, dict):
+        return set().union(*map(strings, data.values())) if data else set()
+    if isinstance(data, list):
+        return set().union(*map(strings, data)) if data else set()
+    return {data} if isinstance(data, str) else set()
+
+
+# -- the paper's numbers, typed from its text (DESIGN, section 7) ---------------------------------
+
+
+@dataclass(frozen=True)
+class Paper:
+    """One species."""
+
+    offline_rate: float  # DQDIL, DQCIL offline; all without pretraining online
+    online_rate: float  # after pretraining
+    epsilon: tuple[float, float]
+    epsilon_pretrained: tuple[float, float]
+    epsilon_test: float
+    offline_alpha: float
+    alpha: float
+    offline_lambda3: float
+    lambda3: float
+    offline_lambda2: float | None
+    lambda2: float | None
+
+
+PAPER = {
+    "agent": Paper(1e-6, 1e-6, (0.1, 0.1), (0.3, 0.1), 0.1, 10, 1, 50, 10, 10, 1),
+    "fly": Paper(1e-4, 1e-5, (0.5, 0.3), (0.5, 0.3), 0.5, 0.5, 0.5, 10, 5, None, None),
+    "newt": Paper(1e-4, 1e-5, (0.5, 0.3), (0.5, 0.3), 0.5, 0.5, 1, 10, 0.1, None, None),
+    "silkmoth": Paper(1e-5, 1e-7, (0.5, 0.3), (0.5, 0.3), 0.5, 10, 1, 50, 10, 10, 1),
+}
 
 
 @pytest.mark.parametrize("species", SPECIES)
 @pytest.mark.parametrize("algo", RECIPES)
-def test_every_species_has_settings(algo: str, species: str) -> None:
-    assert learner_settings(algo, species, {})
+def test_the_paper_preset_holds_the_papers_numbers(algo: str, species: str) -> None:
+    numbers, name = PAPER[species], algo.removeprefix("qr-")
+    found = learner_preset(algo, environment_id(species), "paper")
+    settings = found.arguments
+    assert settings["lambda1"] == 1e-5
+    if name != "bc":
+        pretrained = name in ("dqaas", "dqdil-pt", "dqcil-pt")
+        assert found.n_timesteps == 1_005_000
+        rate = numbers.online_rate if pretrained else numbers.offline_rate
+        assert settings["learning_rate"] == rate
+        start, end = numbers.epsilon_pretrained if pretrained else numbers.epsilon
+        assert (settings["exploration_initial_eps"], settings["exploration_final_eps"]) == (
+            start,
+            end,
+        )
+        assert settings["exploration_steps"] == 50_000
+        assert settings["gamma"] == 0.9 and settings["batch_size"] == 32
+        assert settings["target_update_interval"] == [2000, "episode"]
+        assert settings["max_grad_norm"] == 10 and settings["updates_per_episode"] == 1
+        assert settings["replay_buffer_kwargs"] == {"max_episodes": 5000}
+        assert settings["buffer_size"] > found.n_timesteps  # so that 5000 episodes are the bound
+    if name in ("bc", "dqaas", "dqdil-pt", "dqcil-pt"):
+        assert settings["offline_epochs"] == 30 and "offline_patience" not in settings
+        supervised = name in ("bc", "dqaas")
+        assert settings["offline_learning_rate"] == (1e-3 if supervised else numbers.offline_rate)
+        assert settings["offline_batch_size"] == 16 and settings["offline_max_grad_norm"] == 20
+        assert name == "bc" or settings["offline_gamma"] == 0.99
+    else:
+        assert not any(key.startswith("offline") for key in settings)
+    if "dil" in name or "cil" in name:
+        assert settings["alpha"] == numbers.alpha
+        assert found.env_kwargs == {"dtw": "cumulative"}
+        assert settings.get("offline_alpha") == (numbers.offline_alpha if "-pt" in name else None)
+        assert not settings.get("offline_scaled_penalties")  # as in the equation: arena units
+    if "cil" in name:
+        assert settings.get("lambda2") == numbers.lambda2
+        expected = numbers.offline_lambda2 if "-pt" in name else None
+        assert settings.get("offline_lambda2") == expected
+    if name == "dqaas":
+        assert settings["lambda3"] == numbers.lambda3
+        assert settings["offline_lambda3"] == numbers.offline_lambda3
 
 
-def test_a_misspelt_key_is_refused_by_name() -> None:
-    with pytest.raises(InputError, match="learning_rat"):
-        learner_settings("dqn", "agent", {"learning_rat": 1.0})
+def test_the_pipeline_tests_with_the_papers_epsilon() -> None:
+    for species, numbers in PAPER.items():
+        found = pipeline_settings(environment_id(species), "paper")
+        assert found == {"test_epsilon": numbers.epsilon_test, "fit_method": "onset"}
 
 
-def test_an_unknown_file_is_refused() -> None:
-    with pytest.raises(InputError, match="nowhere"):
-        read_section("nowhere", "agent")
+# -- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ({"learning_rat": 1.0}, "'learning_rat' is unknown: choose among"),
+        ({"learning_rate": "fast"}, "'learning_rate' is 'fast': give a number"),
+        ({"learning_rate": "lin_fast"}, "write lin_ and a number"),
+        ({"batch_size": 1.5}, "give a whole number"),
+        ({"batch_size": [1]}, "give a number"),
+        ({"prioritized": "yes"}, "give a number, not text|give true or false"),
+        ({"prioritized": 1}, "give true or false"),
+        ({"policy": 3}, "give a name"),
+        ({"policy_kwargs": "dict(hidden=64)"}, "'policy_kwargs' is 'dict.hidden=64.'"),
+        ({"env_kwargs": [1]}, "give a table"),
+        ({"seed": 1}, "'seed' is unknown"),
+    ],
+)
+def test_bad_settings_are_refused_by_name(overrides: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        learner_preset("dqn", AGENT, "default", overrides)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("AnimaRL/Agent-v0: {default: {learning_rat: 1}}", "Agent-v0: default: 'learning_rat'"),
+        ("AnimaRL/Fly-v0: {default: {alhpa: 1}}", "Fly-v0: default: 'alhpa'"),  # another section
+        ("common: {paper: {gama: 1}}", "common: paper: 'gama'"),  # another preset
+        ("AnimaRL/Agent-v0: {learning_rate: 1}", "it holds 'learning_rate': a section holds"),
+        ("AnimaRL/Agent-v0: {papers: {}}", "it holds 'papers'"),
+        ("AnimaRL/Agent-v0: 3", "it holds 3"),
+        ("AnimaRL/Agent-v0: {default: 3}", "default is 3"),
+        ("- 1", "no sections"),
+        ("a: [", "not valid YAML"),
+        ("base: nowhere", "zoo_configs/nowhere.yml: there is no such configuration"),
+        ("base: 3", "base is 3"),
+        ("common: {default: {n_envs: 1}}", "does not say n_timesteps"),
+        ("common: {default: {gamma: !!python/name:os.system ''}}", "not valid YAML"),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_place(text: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text(text)
+    with pytest.raises(InputError, match=words) as caught:
+        learner_preset("dqdil", AGENT, config=file)
+    assert "nowhere" in words or str(file) in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_file_of_ones_own_builds_on_those_of_the_package(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text(f"base: dqdil\n{AGENT}:\n  default: {{alpha: 3, learning_rate: lin_1e-4}}\n")
+    mine, plain = learner_preset("dqdil", AGENT, config=file), learner_preset("dqdil", AGENT)
+    assert mine.arguments == plain.arguments | {"alpha": 3.0, "learning_rate": "lin_1e-4"}
+    rate = constructed(mine.arguments)["learning_rate"]
+    assert [rate(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([1e-4, 5e-5, 0.0])
+
+
+def test_numbers_that_yaml_takes_for_text_are_numbers() -> None:
+    found = learner_preset("dqn", AGENT, "default", {"learning_rate": "1e-4", "batch_size": "8"})
+    assert found.arguments["learning_rate"] == 1e-4 and found.arguments["batch_size"] == 8
+
+
+def test_other_environments_have_the_default_preset_only() -> None:
+    assert learner_preset("dqn", "CartPole-v1").n_timesteps == 100_000
+    with pytest.raises(InputError, match="'paper' has no numbers for CartPole-v1"):
+        learner_preset("dqn", "CartPole-v1", "paper")
+    with pytest.raises(InputError, match="preset 'fast' is unknown"):
+        learner_preset("dqn", AGENT, "fast")
+
+
+def test_a_file_that_is_its_own_base_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "dqn.yml").write_text("base: dqdil")
+    (tmp_path / "dqdil.yml").write_text("base: dqn")
+    monkeypatch.setattr("animarl_algos.presets.CONFIGS", tmp_path)
+    with pytest.raises(InputError, match="dqn: it is its own base"):
+        learner_preset("dqn", AGENT)

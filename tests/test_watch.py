@@ -115,7 +115,8 @@ class Pusher:
 
 
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
-    from animarl_algos.run_folder import RunFolder, RunSettings
+    from animarl_algos.run_folder import RunFolder
+    from animarl_algos.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
     from animarl_envs.fitting import fit_locomotion
 

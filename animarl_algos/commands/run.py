@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,9 +16,12 @@ from animarl_algos import pipeline
 from animarl_algos.commands.fit import format_fit_table
 from animarl_algos.evaluation.evaluation import Evaluation
 from animarl_algos.evaluation.terminal import evaluation_table
-from animarl_algos.presets import read_section
-from animarl_algos.run_folder import RunFolder, RunSettings
+from animarl_algos.presets import pipeline_settings
+from animarl_algos.run_folder import RunFolder
+from animarl_algos.run_settings import RunSettings, asked_species
+from animarl_envs import environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.species import CUSTOM, SPECIES
 
 File = Annotated[
     str, typer.Argument(help="Recorded episodes, or 'packaged' for those of the species.")
@@ -25,29 +29,61 @@ File = Annotated[
 SourceOption = Annotated[
     str | None, typer.Option(help="Reader; by default found by a look at the file.")
 ]
-SpeciesOption = Annotated[str, typer.Option(help="agent, fly, newt or silkmoth.")]
+EnvOption = Annotated[
+    str | None, typer.Option(help="Environment id, such as AnimaRL/Fly-v0: names the species.")
+]
+SpeciesOption = Annotated[
+    str | None,
+    typer.Option(help="agent, fly, newt, silkmoth or custom; by default what FILE says."),
+]
 AlgoOption = Annotated[
     str, typer.Option(help="dqn, bc, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt, or a qr- twin.")
 ]
-StepsOption = Annotated[int, typer.Option(help="Environment steps of the online phase.")]
+PresetOption = Annotated[
+    str, typer.Option(help="Settings of zoo_configs: paper (its numbers) or default (tuned).")
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option(help="YAML file to read instead of zoo_configs/<algo>.yml.")
+]
+StepsOption = Annotated[
+    int | None,
+    typer.Option(help="Environment steps of the online phase; by default the preset's."),
+]
 SeedOption = Annotated[int, typer.Option(help="Root of all randomness.")]
 OutOption = Annotated[Path, typer.Option(help="Run folder; made if absent, continued if killed.")]
-CopiesOption = Annotated[int, typer.Option(help="Worlds simulated side by side.")]
+CopiesOption = Annotated[
+    int | None, typer.Option(help="Worlds simulated side by side; by default the preset's.")
+]
+FocalOption = Annotated[
+    str | None, typer.Option(help="Only this individual learns, the others replay; default: all.")
+]
+PolicyOption = Annotated[
+    str | None, typer.Option(help="GruPolicy (with a memory, the presets' choice) or MlpPolicy.")
+]
+DeviceOption = Annotated[str | None, typer.Option(help="cpu (default) or cuda.")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", help="A setting of the learner, KEY=VALUE; may be repeated."),
 ]
+OUT = Path("runs/run")
 
 
 def run_command(
-    file: File = "packaged",
-    species: SpeciesOption = "agent",
+    context: typer.Context,
+    file: File = pipeline.PACKAGED,
+    env: EnvOption = None,
+    species: SpeciesOption = None,
     algo: AlgoOption = "dqdil-pt",
-    steps: StepsOption = 100_000,
+    preset: PresetOption = "default",
+    steps: StepsOption = None,
     seed: SeedOption = 0,
-    out: OutOption = Path("runs/run"),
+    out: OutOption = OUT,
     source: SourceOption = None,
-    copies: CopiesOption = 16,
+    copies: CopiesOption = None,
+    focal: FocalOption = None,
+    policy: PolicyOption = None,
+    device: DeviceOption = None,
+    config: ConfigOption = None,
     repetitions: Annotated[int, typer.Option(help="Rollouts per test demonstration.")] = 5,
     baselines: Annotated[
         bool, typer.Option(help="Also train BC and evaluate an untrained network and chance.")
@@ -62,15 +98,14 @@ def run_command(
 
       animarl run packaged --steps 20000 --out runs/first
 
-      animarl run episodes_share.npz --species agent --algo dqdil-pt --seed 0 --out runs/agents
+      animarl run --env AnimaRL/Agent-v0 --algo dqdil --preset paper --out runs/paper
+
+      animarl run episodes_share.npz --algo dqdil-pt --seed 0 --out runs/agents
 
       animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
     """
     console = _console()
-    run = _open(
-        file, species, algo, steps, seed, out, source, copies, settings,
-        repetitions=repetitions, baselines=baselines,
-    )  # fmt: skip
+    run = _open(context.params)
     _say(console, "1/4", "fitting locomotion")
     console.print(format_fit_table(pipeline.fit(run), run.demos))
     _say(console, "2/4", f"training {algo.upper()}")
@@ -84,33 +119,45 @@ def run_command(
 
 
 def train_command(
-    file: File = "packaged",
-    species: SpeciesOption = "agent",
+    context: typer.Context,
+    file: File = pipeline.PACKAGED,
+    env: EnvOption = None,
+    species: SpeciesOption = None,
     algo: AlgoOption = "dqdil-pt",
-    steps: StepsOption = 100_000,
+    preset: PresetOption = "default",
+    steps: StepsOption = None,
     seed: SeedOption = 0,
-    out: OutOption = Path("runs/run"),
+    out: OutOption = OUT,
     resume: Annotated[
         Path | None, typer.Option(help="Continue this run folder, up to --steps.")
     ] = None,
     source: SourceOption = None,
-    copies: CopiesOption = 16,
+    copies: CopiesOption = None,
+    focal: FocalOption = None,
+    policy: PolicyOption = None,
+    device: DeviceOption = None,
+    config: ConfigOption = None,
     settings: SetOption = None,
 ) -> None:
-    """Train only: fit the locomotion and learn.
+    """Train only: fit the locomotion and learn. A run that was killed is resumed exactly.
 
     Examples:
 
       animarl train packaged --algo dqdil --steps 20000 --seed 1 --out runs/second
 
       animarl train --resume runs/second --steps 40000
+
+      animarl train --algo qr-dqcil-pt --env AnimaRL/Agent-v0 --preset paper --steps 20000
+
+      animarl train --env AnimaRL/Agent-v0 --algo dqn --focal prey --policy MlpPolicy
     """
     console = _console()
     if resume is not None:
+        _refuse_beside_resume(context)
         run = RunFolder(resume)
-        run.extend(steps)
+        run.extend(steps, device)
     else:
-        run = _open(file, species, algo, steps, seed, out, source, copies, settings)
+        run = _open(context.params)
     pipeline.train(run, run.settings.algo)
     console.print(f"Trained: {run.path}", soft_wrap=True, highlight=False)
 
@@ -161,31 +208,53 @@ def parse_settings(given: list[str] | None) -> dict[str, Any]:
     return settings
 
 
-def _open(
-    file: str,
-    species: str,
-    algo: str,
-    steps: int,
-    seed: int,
-    out: Path,
-    source: str | None,
-    copies: int,
-    settings: list[str] | None,
-    **more: Any,
-) -> RunFolder:
+def _open(given: dict[str, Any]) -> RunFolder:
+    """The run folder that a command's parameters ask for; refused before it is made."""
+    file, source = given["file"], given["source"]
+    species = asked_species(given["env"], given["species"])
+    demos = pipeline.load_demonstrations(file, source, species)
+    if species is None:
+        species = demos.species if demos.species in SPECIES else CUSTOM
+    overrides = parse_settings(given["settings"])
+    if given["policy"] is not None:
+        overrides["policy"] = given["policy"]
     asked = RunSettings(
         file=file,
         source=source,
         species=species,
-        algo=algo,
-        steps=steps,
-        seed=seed,
-        copies=copies,
-        test_epsilon=float(read_section("evaluation", species)["test_epsilon"]),
-        overrides=parse_settings(settings),
-        **more,
+        algo=given["algo"],
+        preset=given["preset"],
+        config=None if given["config"] is None else str(given["config"]),
+        steps=1 if given["steps"] is None else given["steps"],
+        seed=given["seed"],
+        copies=1 if given["copies"] is None else given["copies"],
+        focal=given["focal"],
+        device=given["device"] or "cpu",
+        overrides=overrides,
+        repetitions=given.get("repetitions", 5),
+        baselines=given.get("baselines", True),
     )
-    return pipeline.open_run(asked, out, shlex.join(["animarl", *sys.argv[1:]]))
+    learner = asked.learner()
+    asked = replace(
+        asked,
+        steps=learner.n_timesteps if given["steps"] is None else asked.steps,
+        copies=learner.n_envs if given["copies"] is None else asked.copies,
+        **pipeline_settings(environment_id(species), asked.preset),
+    )
+    return pipeline.open_run(asked, given["out"], shlex.join(["animarl", *sys.argv[1:]]), demos)
+
+
+def _refuse_beside_resume(context: typer.Context) -> None:
+    """A resumed run has its settings: only ``--steps`` and ``--device`` go with ``--resume``."""
+    for name in context.params:
+        source = context.get_parameter_source(name)
+        set_here = source is not None and source.name == "COMMANDLINE"
+        if set_here and name not in ("resume", "steps", "device"):
+            option = {"file": "FILE", "settings": "--set"}.get(name, f"--{name}")
+            raise InputError(
+                f"{option} does not go with --resume, which keeps the settings of the run: "
+                "give --steps only"
+            )
 
 
 def _console() -> Console:

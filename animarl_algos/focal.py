@@ -1,0 +1,56 @@
+"""A policy of one individual, acting where all are asked for: the others replay, whatever it says.
+
+Used when a run trained a single individual (``focal``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.scenario import Scenario
+
+
+def focal_drivers(names: tuple[str, ...], focal: str | None) -> dict[str, str]:
+    """Who replays its demonstration when only ``focal`` learned: everybody else, or nobody."""
+    return {name: "replay" for name in names if focal not in (None, name)}
+
+
+class FocalPolicy:
+    """``predict`` for all slots of a world from a policy that knows one individual.
+
+    Parameters
+    ----------
+    policy
+        With stable-baselines3's ``predict``; its slots are the copies.
+    scenario
+        Of the world it acts in.
+    focal
+        Whom it drives.
+    """
+
+    def __init__(self, policy: Any, scenario: Scenario, focal: str) -> None:
+        self.policy = policy
+        self.observation_space = policy.observation_space
+        self.individuals = len(scenario.names)
+        self.index = scenario.names.index(focal)
+
+    def predict(
+        self,
+        observation: NDArray[Any],
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        """Actions ``(slots,)`` of slots ``copy * individuals + individual``; 0 for the others."""
+        own = slice(self.index, None, self.individuals)
+        actions = np.zeros(len(observation), dtype=np.int64)
+        actions[own], state = self.policy.predict(
+            observation[own],
+            state,
+            None if episode_start is None else episode_start[own],
+            deterministic,
+        )
+        return actions, state
