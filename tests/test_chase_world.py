@@ -16,7 +16,6 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.readers import read
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY
@@ -354,35 +353,3 @@ def test_the_fly_senses_the_centre() -> None:
     made.reset()
     distance = np.linalg.norm(made.position, axis=2)
     assert made.observation[..., -1] == pytest.approx(distance, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"contact_radius": -1.0}, "contact_radius"),
-        ({"contact_radios": 1.0}, "contact_radios"),
-        ({"num_pursuers": 0}, "num_pursuers"),
-        ({"time_limit": 0}, "time_limit"),
-        ({"arena": "hexagon"}, "hexagon"),
-        ({"boundary": 0.5}, "boundary"),
-        ({"condition": 2}, "condition"),
-        ({"start": "demo"}, "demo"),
-        ({"start": [[0.0, 0.0]]}, "start"),
-        ({"start": [[5.0, 0.0], [0.0, 0.0], [1.0, 0.0]]}, "bounds"),
-        ({"drivers": {"cat": "replay"}}, "cat"),
-        ({"drivers": {"prey": "replay"}}, "replay"),
-        ({"drivers": {"prey": "magic"}}, "magic"),
-        ({"locomotion": {"cat": 1.0}}, "cat"),
-        ({"locomotion": {"prey": {"damping": 2.0}}}, "damping"),
-        ({"observation_noise": -1.0}, "noise"),
-        ({"observation_delay": -1}, "delay"),
-    ],
-)
-def test_bad_options_are_refused_by_name(options: dict[str, Any], word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        make_scenario("agent", demos=None, **options)
-
-
-def test_a_condition_needs_a_species_that_has_some() -> None:
-    with pytest.raises(InputError, match="condition"):
-        make_scenario("fly", demos=None, condition=1)

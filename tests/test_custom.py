@@ -7,7 +7,6 @@ import pickle
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +15,21 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
+from recordings import CHASER, PREY, dogs, search
 
 import animarl_envs
 from animarl_envs import fitting
-from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
 from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import AGENT, SILKMOTH, ChaseSpecies, SearchSpecies
+from animarl_envs.species import SILKMOTH, ChaseSpecies, SearchSpecies
 from animarl_envs.species.custom import contact_radius_of, species_of
 from animarl_envs.views import AnimalVectorEnv
 from animarl_envs.worlds.chase import ChaseWorld
 
 ID = "AnimaRL/Custom-v0"
-CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
 EPISODES, STEPS = 8, 60
 
 
@@ -42,72 +40,17 @@ def warnings_are_errors() -> Iterator[None]:
         yield
 
 
-@cache
-def chases(pursuers: int) -> Demonstrations:
-    """Synthetic recordings of so many dogs and a sheep, of known locomotion, without contact."""
-    names = (*(f"dog_{chr(ord('a') + i)}" for i in range(pursuers)), "sheep")
-    species = replace(
-        AGENT,
-        individuals=names,
-        locomotion=(*(CHASER,) * pursuers, PREY),
-        arena=Arena("disc", 2.0, 2.2),
-        contact_radius=1e-6,
-        time_limit=STEPS,
-    )
-    scenario = make_scenario(species, demos=None, drivers=dict.fromkeys(names, "scripted"))
-    world = ChaseWorld(scenario, EPISODES)
-    world.seed(np.arange(EPISODES))
-    world.reset()
-    path = [world.position.copy()]
-    for _ in range(STEPS):
-        world.step(np.zeros((EPISODES, pursuers + 1), dtype=int))
-        path.append(world.position.copy())
-    lengths = np.array([STEPS + 1 - e for e in range(EPISODES)])  # of different lengths
-    positions = np.stack(path)
-    return Demonstrations(
-        species="custom",
-        individuals=names,
-        roles=(*("pursuer",) * pursuers, "target"),
-        dt=AGENT.dt,
-        arena=species.arena,
-        positions=np.concatenate([positions[:n, e] for e, n in enumerate(lengths)]),
-        lengths=lengths,
-        initial_velocity=np.zeros((EPISODES, pursuers + 1, 2)),
-        condition=np.zeros(EPISODES),
-        outcome=np.full(EPISODES, UNFINISHED),
-        split=np.array(["train", "train", "train", "train", "train", "val", "test", "test"]),
-        recording=np.array([f"field {e}" for e in range(EPISODES)]),
-        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
-        name="dogs.npz",
-    )
-
-
-def search(**changes: Any) -> Demonstrations:
-    rng = np.random.default_rng(0)
-    steps = 0.002 * rng.standard_normal((3, 40, 1, 2)) + [-0.004, 0.0]
-    positions = np.array([0.3, 0.0]) + np.cumsum(steps, axis=1)
-    made = Demonstrations(
-        species="custom", individuals=("beetle",), roles=("searcher",), dt=0.4,
-        arena=Arena("open", size=0.4), positions=positions.reshape(120, 1, 2),
-        lengths=np.full(3, 40), initial_velocity=steps[:, 0] / 0.4, condition=[0, 1, 0],
-        outcome=np.full(3, TIME_OUT), split=np.array(["train", "val", "test"]),
-        recording=np.array(["a", "b", "c"]),
-        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
-    )  # fmt: skip
-    return replace(made, **changes)
-
-
 # -- every view, any number of pursuers -----------------------------------------------------------
 
 
 @pytest.mark.parametrize("pursuers", [1, 2, 3, 5])
 def test_registry_custom_works_in_every_view(pursuers: int, tmp_path: Path) -> None:
-    path = str(chases(pursuers).save(tmp_path / "demos.npz"))
+    path = str(dogs(pursuers).save(tmp_path / "demos.npz"))
     env = gym.make(ID, demos=path)
     check_env(env.unwrapped, skip_render_check=True)
     vector = gym.make_vec(ID, num_envs=3, demos=path)
     everyone = animarl_envs.parallel_env("custom", demos=path)
-    assert everyone.possible_agents == list(chases(pursuers).individuals)
+    assert everyone.possible_agents == list(dogs(pursuers).individuals)
     parallel_api_test(everyone, num_cycles=80)
     rows, _ = vector.reset(seed=5)
     singles = [gym.make(ID, demos=path) for _ in range(3)]
@@ -132,7 +75,7 @@ def test_registry_custom_search_has_the_moths_senses() -> None:
 
 
 def test_registry_custom_goes_through_json_and_pickle(tmp_path: Path) -> None:
-    path = str(chases(2).save(tmp_path / "demos.npz"))
+    path = str(dogs(2).save(tmp_path / "demos.npz"))
     env = gym.make(ID, demos=path, contact_radius=0.01, arena={"shape": "square"})
     assert env.spec is not None
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
@@ -151,14 +94,14 @@ def test_registry_custom_goes_through_json_and_pickle(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("pursuers", [1, 3])
 def test_locomotion_is_fitted_from_the_file(pursuers: int) -> None:
-    species = species_of(chases(pursuers))
+    species = species_of(dogs(pursuers))
     for found, truth in zip(species.locomotion, (CHASER,) * pursuers + (PREY,), strict=True):
         assert found.damping == pytest.approx(truth.damping, abs=1e-6)
         assert found.thrust == pytest.approx(truth.thrust, rel=1e-6)
 
 
 def test_the_fit_is_made_once_per_content(monkeypatch: pytest.MonkeyPatch) -> None:
-    demos = chases(1)
+    demos = dogs(1)
     changed = replace(demos, condition=np.ones(EPISODES))
     species_of(demos)
 
@@ -174,7 +117,7 @@ def test_the_fit_is_made_once_per_content(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_numbers_are_those_of_the_file() -> None:
-    demos = chases(2)
+    demos = dogs(2)
     species = species_of(demos)
     assert isinstance(species, ChaseSpecies)
     assert species.individuals == demos.individuals
@@ -188,16 +131,16 @@ def test_numbers_are_those_of_the_file() -> None:
 
 
 def test_a_named_species_gives_its_numbers() -> None:
-    demos = replace(chases(2), species="newt")
+    demos = replace(dogs(2), species="newt")
     species = species_of(demos)
     assert (species.name, species.contact_radius, species.warmup) == ("newt", 0.15, 10)
     assert (species.arena, species.individuals) == (demos.arena, demos.individuals)
     assert species.time_limit == 500
-    assert species_of(chases(2), base="fly").contact_radius == 0.2
+    assert species_of(dogs(2), base="fly").contact_radius == 0.2
 
 
 def test_the_contact_radius_is_as_stated_or_as_seen() -> None:
-    demos = chases(2)
+    demos = dogs(2)
     distance = np.linalg.norm(demos.positions[:, :-1] - demos.positions[:, -1:], axis=2)
     assert contact_radius_of(demos) == pytest.approx(min(distance.min(), 0.2))
     approach = {"mode": "approach", "farther_than": 1.0, "closer_than": 0.25}
@@ -211,7 +154,7 @@ def test_the_contact_radius_is_as_stated_or_as_seen() -> None:
 
 
 def test_without_stated_contact_no_recording_is_cut_short() -> None:
-    demos = chases(3)
+    demos = dogs(3)
     drivers = dict.fromkeys(demos.individuals, "replay")
     world = ChaseWorld(make_scenario("custom", demos=demos, split=None, drivers=drivers), EPISODES)
     world.reset(demo=np.arange(EPISODES))
@@ -222,7 +165,7 @@ def test_without_stated_contact_no_recording_is_cut_short() -> None:
 
 
 def test_conditions_are_labels_that_change_no_reward() -> None:
-    demos = replace(chases(2), condition=np.arange(EPISODES) % 2)
+    demos = replace(dogs(2), condition=np.arange(EPISODES) % 2)
     species = species_of(demos)
     assert species.conditions == ("condition 0", "condition 1")
     named = species_of(_told(demos, conditions=["light", "dark"]))
@@ -243,10 +186,10 @@ def test_conditions_are_labels_that_change_no_reward() -> None:
 
 
 def test_fewer_pursuers_are_the_first_ones() -> None:
-    env = gym.make(ID, demos=chases(3), num_pursuers=1)
+    env = gym.make(ID, demos=dogs(3), num_pursuers=1)
     scenario = env.unwrapped.scenario  # type: ignore[attr-defined]
     assert scenario.names == ("dog_a", "sheep")
-    whole = chases(3).select(split="train")
+    whole = dogs(3).select(split="train")
     assert np.array_equal(scenario.demos.positions, whole.positions[:, [0, 3]])
 
 
@@ -260,16 +203,16 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"demos": None}, "give demos="),
     ({"demos": 3}, "demos is 3"),
     ({"demos": "absent.npz"}, "absent.npz: there is no such file"),
-    ({"demos": chases(2), "num_pursuers": 3}, "dogs.npz holds 2 pursuers: choose at most 2"),
-    ({"demos": chases(2), "num_pursuers": 0}, "num_pursuers is 0"),
-    ({"demos": chases(2), "num_pursuers": 1.5}, "num_pursuers is 1.5"),
+    ({"demos": dogs(2), "num_pursuers": 3}, "dogs.npz holds 2 pursuers: choose at most 2"),
+    ({"demos": dogs(2), "num_pursuers": 0}, "num_pursuers is 0"),
+    ({"demos": dogs(2), "num_pursuers": 1.5}, "num_pursuers is 1.5"),
     ({"demos": search(), "num_pursuers": 1}, "num_pursuers does not apply"),
-    ({"demos": replace(chases(2), **GROUP)}, "--target"),
-    ({"demos": replace(chases(2), species="silkmoth")}, "do not fit silkmoth"),
+    ({"demos": replace(dogs(2), **GROUP)}, "--target"),
+    ({"demos": replace(dogs(2), species="silkmoth")}, "do not fit silkmoth"),
     ({"demos": search(species="fly")}, "do not fit fly"),
-    ({"demos": chases(2), "condition": 1}, "condition"),
-    ({"demos": chases(2), "colour": 1}, "colour"),
-    ({"demos": chases(2), "contact_radius": -1}, "contact_radius"),
+    ({"demos": dogs(2), "condition": 1}, "condition"),
+    ({"demos": dogs(2), "colour": 1}, "colour"),
+    ({"demos": dogs(2), "contact_radius": -1}, "contact_radius"),
 ]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,44 +13,6 @@ from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, SPECIES
 from animarl_envs.species.options import with_options
-
-REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"colour": "red"}, "colour"),
-    ({"contact_radius": -0.1}, "contact_radius"),
-    ({"num_pursuers": 0}, "num_pursuers"),
-    ({"num_pursuers": 2.5}, "num_pursuers"),
-    ({"condition": 2}, "condition"),
-    ({"start": "somewhere"}, "start"),
-    ({"start": np.zeros((2, 2))}, "start"),
-    ({"start": np.full((3, 2), 5.0)}, "out of bounds"),
-    ({"demos": None, "start": "demo"}, "demos="),
-    ({"demos": None, "drivers": {"prey": "replay"}}, "cannot replay"),
-    ({"drivers": {"prey": "dance"}}, "dance"),
-    ({"drivers": {"wolf": "coast"}}, "wolf"),
-    ({"locomotion": {"wolf": 1.2}}, "wolf"),
-    ({"locomotion": {"prey": "fast"}}, "prey"),
-    ({"locomotion": {"prey": -1.0}}, "thrust"),
-    ({"arena": [1, 2]}, "arena"),
-    ({"arena": "triangle"}, "triangle"),
-    ({"observation_noise": -1.0}, "observation_noise"),
-    ({"observation_delay": 1.5}, "observation_delay"),
-    ({"split": "holdout"}, "holdout"),
-    ({"dt": 0.2, "demos": load_packaged("agent")}, "dt"),
-]
-
-
-@pytest.mark.parametrize(("options", "word"), REFUSED)
-def test_a_bad_option_is_refused_in_one_sentence(options: dict[str, Any], word: str) -> None:
-    with pytest.raises(InputError) as refusal:
-        make_scenario("agent", **options)
-    assert word in str(refusal.value)
-    assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize("name", [n for n, s in SPECIES.items() if not s.conditions])
-def test_condition_1_needs_a_species_that_has_conditions(name: str) -> None:
-    with pytest.raises(InputError, match="no conditions"):
-        make_scenario(name, demos=None, start="uniform", condition=1)
 
 
 def test_pursuers_do_not_apply_to_a_lone_searcher() -> None:

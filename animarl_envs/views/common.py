@@ -103,6 +103,31 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
     return array.astype(np.int64, copy=False)
 
 
+def chosen_demos(
+    options: Mapping[str, Any] | None, scenario: Scenario, num_copies: int
+) -> NDArray[np.int64] | None:
+    """``demo`` of the options of ``reset``: one number for all copies, or one each (-1: any).
+
+    Raises
+    ------
+    InputError
+        If a demonstration does not exist.
+    """
+    wanted = (options or {}).get("demo")
+    if wanted is None:
+        return None
+    count = len(scenario.demos) if scenario.demos is not None and scenario.paired else 0
+    array = np.asarray(wanted)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (num_copies,)):
+        raise InputError(f"demo is {wanted!r}: give a whole number, or {num_copies} of them")
+    lowest = -1 if array.ndim else 0
+    if array.min() < lowest or array.max() >= count:
+        worst = array.max() if array.max() >= count else array.min()
+        there = f"choose 0 to {count - 1}" if count else "episodes start without any"
+        raise InputError(f"demo {worst} does not exist: {there}")
+    return np.array(np.broadcast_to(array, (num_copies,)), dtype=np.int64)
+
+
 def copy_seeds(seed: int | None, num_copies: int) -> NDArray[np.uint64] | None:
     """Copy ``b`` gets ``seed + b``, so that it equals a single environment with that seed."""
     if seed is None:

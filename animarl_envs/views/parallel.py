@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from pettingzoo import ParallelEnv
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import describe, make_scenario
 from animarl_envs.species import Species
-from animarl_envs.views.common import action_space, observation_space
+from animarl_envs.views.common import action_space, chosen_demos, observation_space
 from animarl_envs.worlds import make_world
 
 Observations = dict[str, NDArray[np.float32]]
@@ -74,13 +75,13 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
-        """Start a new episode of all individuals."""
+        """Start a new episode of all; ``options={"demo": i}`` chooses the demonstration."""
         if seed is not None:
             self.world.seed([seed])
         elif not self._started:
             self.world.seed(np.random.SeedSequence().generate_state(1, np.uint64))
         self._started = True
-        self.world.reset()
+        self.world.reset(demo=chosen_demos(options, self.scenario, 1))
         self.agents = list(self.possible_agents)
         if self.render_mode is not None:
             self._record().start()
@@ -98,11 +99,21 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         if not self.agents:
             raise InputError("step was called before reset or after the end: call reset first")
         world = self.world
+        if len(actions) > len(self.agents):
+            stranger = next(agent for agent in actions if agent not in self.agents)
+            raise InputError(
+                f"there is an action for {stranger!r}: choose among {', '.join(self.agents)}"
+            )
         for i, agent in enumerate(self.possible_agents):
             try:
-                action = int(actions[agent])
+                action = index(actions[agent])
             except KeyError:
                 raise InputError(f"there is no action for {agent}: give one to each") from None
+            except TypeError:
+                raise InputError(
+                    f"action {actions[agent]!r} of {agent} is no whole number: choose 0 to "
+                    f"{world.num_actions - 1}"
+                ) from None
             if not 0 <= action < world.num_actions:
                 raise InputError(
                     f"action {action} of {agent} is out of range: choose 0 to "

@@ -14,6 +14,7 @@ from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
     action_space,
+    chosen_demos,
     focal_scenario,
     observation_space,
 )
@@ -96,14 +97,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
             self.world.seed([seed])
         elif fresh:
             self.world.seed(self.np_random.integers(2**63, size=1))
-        demo = (options or {}).get("demo")
-        if demo is not None:
-            count = len(self.scenario.demos) if self.scenario.demos and self.scenario.paired else 0
-            if not 0 <= demo < count:
-                raise InputError(f"demo {demo} does not exist: choose 0 to {count - 1}")
-            self.world.reset(demo=np.array([demo]))
-        else:
-            self.world.reset()
+        self.world.reset(demo=chosen_demos(options, self.scenario, 1))
         self._running = True
         if self.render_mode is not None:
             self._record().start()

@@ -18,6 +18,7 @@ from animarl_envs.views.common import (
     Others,
     action_space,
     check_actions,
+    chosen_demos,
     copy_seeds,
     focal_scenario,
     observation_space,
@@ -64,6 +65,8 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
     ) -> None:
         if render_mode is not None:
             raise InputError("a vector environment does not render: use gym.make for pictures")
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+            raise InputError(f"num_envs is {num_envs!r}: it must be a whole number, at least 1")
         most = options.pop("max_episode_steps", None)  # of Gymnasium, for which a view truncates
         self.scenario, self.focal_index, self._policies = focal_scenario(
             species, focal, others, options
@@ -71,7 +74,13 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         if most is not None and most < self.scenario.species.time_limit:
             limited = replace(self.scenario.species, time_limit=most)
             self.scenario = replace(self.scenario, species=limited)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            raise InputError(
+                f"autoreset_mode is {autoreset_mode!r}: choose one of "
+                f"{', '.join(mode.value for mode in AutoresetMode)}"
+            ) from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.world = make_world(self.scenario, num_envs)
         self.num_envs = num_envs
@@ -88,7 +97,9 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start new episodes; ``options={"reset_mask": mask}`` in those copies only."""
+        """Start new episodes; ``options={"reset_mask": mask}`` in those copies only, and
+        ``{"demo": i}`` from that demonstration (one number, or one per copy, -1 for any).
+        """
         if isinstance(seed, list):
             if len(seed) != self.num_envs or None in seed:
                 raise InputError(
@@ -105,7 +116,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         mask = np.array((options or {}).get("reset_mask", self._all), dtype=bool)
         if mask.shape != (self.num_envs,):
             raise InputError(f"reset_mask has shape {mask.shape}: give ({self.num_envs},)")
-        self.world.reset(mask)
+        self.world.reset(mask, demo=chosen_demos(options, self.scenario, self.num_envs))
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False

@@ -1,0 +1,106 @@
+"""Small synthetic recordings of any species, for tests that need demonstrations of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstrations
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT, SILKMOTH, SPECIES, ChaseSpecies
+from animarl_envs.worlds.chase import ChaseWorld
+
+CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
+SPLITS = ("train", "train", "train", "train", "val", "test")
+SYNTHETIC = {"source": "made by the test", "licence": "none", "synthetic": True}
+
+
+def scripted_chase(
+    species: ChaseSpecies, lengths: NDArray[np.int64], **what: Any
+) -> Demonstrations:
+    """Episodes of so many frames, everybody following the script, none ended by contact."""
+    lone = replace(species, contact_radius=1e-6)
+    drivers = dict.fromkeys(species.individuals, "scripted")
+    episodes = len(lengths)
+    world = ChaseWorld(make_scenario(lone, demos=None, drivers=drivers), episodes)
+    world.seed(np.arange(episodes))
+    world.reset()
+    path = [world.position.copy()]
+    for _ in range(lengths.max() - 1):
+        world.step(np.zeros((episodes, species.num_individuals), dtype=int))
+        path.append(world.position.copy())
+    positions = np.stack(path)
+    several = {
+        "species": species.name,
+        "condition": np.zeros(episodes),
+        "outcome": np.full(episodes, UNFINISHED),
+        "split": np.resize(SPLITS, episodes),
+        "recording": np.array([f"field {e}" for e in range(episodes)]),
+    }
+    return Demonstrations(
+        individuals=species.individuals,
+        roles=(*("pursuer",) * species.num_pursuers, "target"),
+        dt=species.dt,
+        arena=species.arena,
+        positions=np.concatenate([positions[:n, e] for e, n in enumerate(lengths)]),
+        lengths=lengths,
+        initial_velocity=np.zeros((episodes, species.num_individuals, 2)),
+        provenance=SYNTHETIC,
+        **several | what,
+    )
+
+
+@cache
+def dogs(pursuers: int) -> Demonstrations:
+    """Eight episodes of so many dogs and a sheep of known locomotion; no species of the suite."""
+    names = (*(f"dog_{chr(ord('a') + i)}" for i in range(pursuers)), "sheep")
+    species = replace(
+        AGENT, name="custom", individuals=names, locomotion=(*(CHASER,) * pursuers, PREY),
+        arena=Arena("disc", 2.0, 2.2), time_limit=60,
+    )  # fmt: skip
+    return scripted_chase(species, 61 - np.arange(8), name="dogs.npz")
+
+
+def search(**changes: Any) -> Demonstrations:
+    """Three random walks upwind of a searcher of no known species, without odour."""
+    return replace(_walks("custom", "beetle", 0.4, 3, 0.4), **changes)
+
+
+@cache
+def recordings_of(name: str) -> Demonstrations:
+    """Six short episodes of a species of the suite, in both conditions where there are two."""
+    species = SPECIES[name]
+    condition = np.arange(6) % 2 if species.conditions else np.zeros(6)
+    if isinstance(species, ChaseSpecies):
+        return scripted_chase(species, np.full(6, 40), condition=condition)
+    rng = np.random.default_rng(0)
+    patterns = [0, 1, 2, 0, 3, 4]
+    signals = {
+        "odour_left": rng.random(240) < 0.3,
+        "odour_right": rng.random(240) < 0.3,
+        "heading": np.full(240, np.pi),
+        "plume": np.repeat(patterns, 40),
+        "plume_step": np.concatenate([np.arange(40) + 7 * e for e in range(6)]),
+    }
+    walks = _walks(name, *species.individuals, species.dt, 6, SILKMOTH.arena.size)
+    return replace(walks, condition=condition, signals=signals)
+
+
+def _walks(species: str, name: str, dt: float, episodes: int, size: float) -> Demonstrations:
+    rng = np.random.default_rng(0)
+    steps = 0.002 * rng.standard_normal((episodes, 40, 1, 2)) + [-0.004, 0.0]
+    positions = np.array([0.3, 0.0]) + np.cumsum(steps, axis=1)
+    return Demonstrations(
+        species=species, individuals=(name,), roles=("searcher",), dt=dt,
+        arena=Arena("open", size=size), positions=positions.reshape(-1, 1, 2),
+        lengths=np.full(episodes, 40), initial_velocity=steps[:, 0] / dt,
+        condition=np.arange(episodes) % 2, outcome=np.full(episodes, TIME_OUT),
+        split=np.resize(["train", "val", "test"] if episodes == 3 else SPLITS, episodes),
+        recording=np.array([f"run {e}" for e in range(episodes)]), provenance=SYNTHETIC,
+    )  # fmt: skip

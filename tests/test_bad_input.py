@@ -1,0 +1,256 @@
+"""Bad input to an environment: one sentence that names it, in each of the three views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import animarl_envs
+from animarl_envs.arena import Arena
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError, UnknownOptionError
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.worlds.plume import Plume
+
+MAKE: dict[str, Callable[..., Any]] = {
+    "single": lambda name, **given: gym.make(animarl_envs.environment_id(name), **given),
+    "vector": lambda name, **given: gym.make_vec(
+        animarl_envs.environment_id(name), num_envs=3, **given
+    ),
+    "parallel": animarl_envs.parallel_env,
+}
+every_view = pytest.mark.parametrize("view", MAKE)
+NAN = float("nan")
+
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    # unknown options
+    ("agent", {"colour": "red"}, "option 'colour' is unknown for agent"),
+    ("silkmoth", {"num_puffs": 3}, "option 'num_puffs' is unknown for silkmoth"),
+    ("silkmoth", {"shared_reward": True}, "option 'shared_reward' is unknown for silkmoth"),
+    ("fly", {"plume": "off"}, "option 'plume' is unknown for fly"),
+    # contradictory options
+    ("agent", {"demos": None, "start": "demo"}, "give demos="),
+    ("agent", {"demos": None, "num_pursuers": 1, "start": np.zeros((3, 2))}, "of 2 individuals"),
+    ("agent", {"demos": None, "individuals": ["a", "b"], "num_pursuers": 2}, "one of the two"),
+    ("agent", {"demos": None, "arena": "open", "rebound": True}, "rebound contradicts"),
+    ("agent", {"demos": None, "arena": "open", "boundary": 2.0}, "boundary contradicts"),
+    ("agent", {"boundary": 0.5}, "boundary 0.5 lies inside the arena"),
+    ("agent", {"warmup": 20, "time_limit": 10}, "warmup is 20"),
+    ("agent", {"dt": 0.2}, "dt is 0.1 s, that of agent 0.2 s"),
+    ("agent", {"demos": None, "contact_radius": 0.9}, "start_half_side"),
+    ("agent", {"demos": None, "start_half_side": 1.5}, "start_half_side is 1.5"),
+    ("silkmoth", {"demos": None, "arena": "disc"}, "a search is in the open"),
+    # a condition for a species that has none
+    ("fly", {"demos": None, "condition": 1}, "fly, which has no conditions"),
+    ("newt", {"demos": None, "condition": 1}, "newt, which has no conditions"),
+    ("agent", {"condition": 2}, "condition is 2: choose 0, 1 or 'demo'"),
+    ("agent", {"condition": True}, "condition is True"),
+    ("agent", {"conditions": ("one",)}, "give two names, or none"),
+    # numbers out of their range or of no number
+    *(
+        ("agent", {name: value}, name)
+        for name in ("contact_radius", "dt", "start_half_side", "observation_noise")
+        for value in (-0.1, NAN, float("inf"), "wide", None)
+    ),
+    *(
+        ("agent", {name: value}, name)
+        for name in ("time_limit", "warmup", "observation_delay", "num_pursuers")
+        for value in (-1, 2.5, "long", True)
+    ),
+    ("agent", {"boundary_penalty": NAN}, "boundary_penalty is nan"),
+    ("agent", {"arena": -1.0}, "arena size is -1.0"),
+    ("agent", {"arena": "triangle"}, "'triangle' is unknown"),
+    ("agent", {"arena": {"form": "disc"}}, "arena has no 'form'"),
+    ("agent", {"arena": [1, 2]}, "arena is [1, 2]"),
+    ("agent", {"rebound": "yes"}, "rebound is 'yes'"),
+    ("fly", {"senses_centre": 1}, "senses_centre is 1"),
+    # locomotion
+    ("agent", {"locomotion": {"wolf": 1.2}}, "locomotion names 'wolf'"),
+    ("agent", {"locomotion": {"prey": -1.0}}, "thrust is -3.0"),
+    ("agent", {"locomotion": {"prey": {"damping": 2.0}}}, "damping is 2.0"),
+    ("agent", {"locomotion": {"prey": "fast"}}, "locomotion of prey is 'fast'"),
+    ("agent", {"locomotion": (Locomotion(0.1, 1.0),) * 2}, "give one Locomotion"),
+    # demonstrations
+    ("agent", {"num_pursuers": 3}, "holds 2 pursuers: choose at most 2, or demos=None"),
+    ("silkmoth", {"num_pursuers": 2}, "num_pursuers does not apply to silkmoth"),
+    ("agent", {"split": "holdout"}, "split 'holdout' is unknown"),
+    ("agent", {"demos": "absent.npz"}, "absent.npz: there is no such file"),
+    ("agent", {"demos": 7}, "demos is 7"),
+    ("silkmoth", {"demos": load_packaged("agent")}, "silkmoth has one individual"),
+    ("agent", {"start": "somewhere"}, "start is 'somewhere'"),
+    ("agent", {"start": np.full((3, 2), 5.0)}, "start lies out of bounds"),
+    ("agent", {"start": [["x", "y"]]}, "start is no array of numbers"),
+    # the odour
+    ("silkmoth", {"plume": "windy"}, "'model', 'off', 'continuous'"),
+    ("silkmoth", {"odour_baseline": 1.0}, "odour_baseline is 1.0"),
+    ("silkmoth", {"antenna_radius": -1.0}, "antenna_radius is -1.0"),
+    ("silkmoth", {"train_plumes": (9,)}, "pattern 9 does not exist"),
+    ("silkmoth", {"test_plumes": 3}, "test_plumes is 3"),
+    # rendering
+    ("agent", {"render_mode": "ascii"}, "render"),
+]
+
+
+@every_view
+@pytest.mark.parametrize(("name", "options", "says"), REFUSED)
+def test_refused_options(view: str, name: str, options: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        MAKE[view](name, **options)
+    assert says in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    assert "keyword argument" not in str(refusal.value) or isinstance(
+        refusal.value, UnknownOptionError
+    )
+
+
+@pytest.mark.parametrize("view", ["single", "vector"])
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"focal": "wolf"}, "focal is 'wolf'"),
+        ({"others": "dance"}, "'dance'"),
+        ({"others": {"wolf": "coast"}}, "others names 'wolf'"),
+        ({"others": {"predator_0": "coast"}}, "others names 'predator_0'"),
+        ({"others": {"prey": 3}}, "the rule 3"),
+        ({"demos": None, "others": "replay"}, "cannot replay"),
+        ({"drivers": {"prey": "coast"}}, "drivers is an option of parallel_env"),
+    ],
+)
+def test_refused_roles(view: str, options: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        MAKE[view]("agent", **options)
+    assert says in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"focal": "prey"}, "option 'focal' is unknown"),
+        ({"drivers": {"wolf": "coast"}}, "individual 'wolf' is unknown"),
+        ({"drivers": {"prey": "dance"}}, "prey is driven by 'dance'"),
+        ({"demos": None, "drivers": {"prey": "replay"}}, "cannot replay"),
+    ],
+)
+def test_refused_drivers(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        MAKE["parallel"]("agent", **options)
+    assert says in str(refusal.value)
+
+
+def test_refused_vectors() -> None:
+    for options, says in (
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"num_envs": 1.5}, "num_envs is 1.5"),
+        ({"num_envs": 2, "autoreset_mode": "Never"}, "NextStep"),
+    ):
+        with pytest.raises(InputError, match=says):
+            gym.make_vec("AnimaRL/Agent-v0", **options)  # type: ignore[arg-type]
+
+
+# -- movies of a plume ----------------------------------------------------------------------------
+
+MOVIE: dict[str, Any] = {"mm_per_pixel": 1.0, "source_pixel": (2, 0), "frame_rate": 10.0}
+
+
+@pytest.mark.parametrize("shape", [(4,), (4, 5), (4, 5, 6, 3), (0, 5, 6)])
+def test_refused_movies_in_memory(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="give grey frames as \\(frames, height, width\\)"):
+        Plume.from_array(np.zeros(shape), **MOVIE)
+
+
+@every_view
+@pytest.mark.parametrize("shape", [(4, 5), (4, 5, 6, 3), (0, 5, 6)])
+def test_refused_movie_files(view: str, shape: tuple[int, ...], tmp_path: Path) -> None:
+    np.save(tmp_path / "movie.npy", np.zeros(shape))
+    plume = Plume.from_movie(tmp_path / "movie.npy", **MOVIE)
+    with pytest.raises(InputError) as refusal:
+        MAKE[view]("silkmoth", plume=plume)
+    assert f"movie.npy has shape {shape}: give (frames, height, width)" in str(refusal.value)
+
+
+# -- the order of calls, and actions --------------------------------------------------------------
+
+
+def _actions(view: str, env: Any, action: Any) -> Any:
+    if view == "vector":
+        return np.array([0, 0, action])
+    return action if view == "single" else dict.fromkeys(env.possible_agents, action)
+
+
+def _bare(view: str, **options: Any) -> Any:
+    return MAKE[view]("agent", demos=None, **options).unwrapped
+
+
+@every_view
+def test_refused_step_before_reset(view: str) -> None:
+    env = _bare(view)
+    with pytest.raises(InputError, match="step was called before reset"):
+        env.step(_actions(view, env, 0))
+
+
+@every_view
+def test_refused_step_after_the_end(view: str) -> None:
+    more = {"autoreset_mode": "Disabled"} if view == "vector" else {}
+    env = _bare(view, time_limit=2, **more)
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(_actions(view, env, 12))
+    with pytest.raises(InputError, match="end"):
+        env.step(_actions(view, env, 12))
+    env.reset()
+    env.step(_actions(view, env, 12))
+
+
+@every_view
+@pytest.mark.parametrize("action", [13, -1, 3.7, NAN, "left", None])
+def test_refused_actions(view: str, action: Any) -> None:
+    env = _bare(view)
+    env.reset(seed=0)
+    before = env.world.position.copy()
+    with pytest.raises(InputError) as refusal:
+        env.step(_actions(view, env, action))
+    assert "0 to 12" in str(refusal.value) or "whole numbers" in str(refusal.value)
+    assert np.array_equal(env.world.position, before)
+
+
+def test_refused_action_shapes_and_names() -> None:
+    vector, everyone = _bare("vector"), _bare("parallel")
+    vector.reset(seed=0)
+    everyone.reset(seed=0)
+    for bad in ([0], [[0, 0, 0]], 0, [0, 0, 0, 0]):
+        with pytest.raises(InputError, match=r"give \(3,\)"):
+            vector.step(np.array(bad))
+    with pytest.raises(InputError, match="no action for"):
+        everyone.step({"prey": 0})
+    with pytest.raises(InputError, match="an action for 'wolf'"):
+        everyone.step({**dict.fromkeys(everyone.agents, 0), "wolf": 1})
+
+
+@every_view
+@pytest.mark.parametrize("demo", [400, -1, 1.5, "first"])
+def test_refused_demonstration_at_reset(view: str, demo: Any) -> None:
+    env = MAKE[view]("agent")
+    with pytest.raises(InputError, match="demo"):
+        env.reset(seed=0, options={"demo": demo})
+
+
+def test_a_demonstration_is_chosen_in_every_view() -> None:
+    rows = [MAKE[view]("agent").reset(seed=0, options={"demo": 7}) for view in MAKE]
+    (one, info), (many, infos), (named, spoken) = rows
+    assert info["demo"] == spoken["prey"]["demo"] == 7
+    assert infos["demo"].tolist() == [7, 7, 7]
+    assert np.array_equal(one, named["predator_0"])
+    assert all(np.array_equal(one, row) for row in many)
+    some = MAKE["vector"]("agent")
+    assert some.reset(seed=0, options={"demo": [3, -1, 5]})[1]["demo"][[0, 2]].tolist() == [3, 5]
+
+
+def test_an_arena_may_be_named_by_its_fields() -> None:
+    fields = {"shape": "disc", "size": 2.0, "boundary": 2.5, "rebound": True}
+    env = MAKE["single"]("agent", demos=None, arena=fields).unwrapped
+    assert env.scenario.species.arena == Arena(**fields)  # type: ignore[arg-type]
