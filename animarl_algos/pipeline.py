@@ -19,7 +19,8 @@ from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.evaluation import Evaluation, evaluate
-from animarl_algos.evaluation.report import ReportInputs, write_report
+from animarl_algos.evaluation.inputs import ReportInputs
+from animarl_algos.evaluation.report import write_report
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.focal import FocalPolicy, focal_drivers
 from animarl_algos.recipes import named_recipe

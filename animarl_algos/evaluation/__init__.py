@@ -2,8 +2,9 @@
 
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.evaluation import Evaluation, evaluate
+from animarl_algos.evaluation.inputs import ReportInputs
 from animarl_algos.evaluation.metrics import measure, measure_recordings
-from animarl_algos.evaluation.report import ReportInputs, write_report
+from animarl_algos.evaluation.report import write_report
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.terminal import evaluation_table
 

@@ -9,8 +9,8 @@ from animarl_algos.evaluation import panels, wording
 from animarl_algos.evaluation.blocks import Block, Gallery, Group, Heading, Row, Table, Text
 from animarl_algos.evaluation.comparison import COUNTING, interval
 from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WORLD_SHIFT
+from animarl_algos.evaluation.inputs import ReportInputs
 from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
-from animarl_algos.evaluation.report import ReportInputs
 from animarl_algos.evaluation.style import method_label
 from animarl_algos.evaluation.wording import (
     NOTHING,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation import figures, interpretation
 from animarl_algos.evaluation.comparison import COUNTING, factual, interval
 from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.inputs import ReportInputs
 from animarl_algos.evaluation.learning import chosen_curves, learning_curve
 from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
-from animarl_algos.evaluation.report import ReportInputs
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.style import Image, method_label, to_image

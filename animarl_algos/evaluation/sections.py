@@ -20,7 +20,7 @@ from animarl_algos.evaluation.blocks import (
     Table,
     Text,
 )
-from animarl_algos.evaluation.report import ReportInputs
+from animarl_algos.evaluation.inputs import ReportInputs
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.style import method_label
 from animarl_algos.evaluation.wording import NOTHING, number, with_interval
