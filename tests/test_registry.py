@@ -24,8 +24,10 @@ from recordings import dogs, recordings_of
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import animarl_envs
-from animarl_envs.demos.packaged import packaged_names
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.worlds import make_world
 from animarl_envs.wrappers import (
     ConditionFlag,
     ConditionFlagParallel,
@@ -354,6 +356,22 @@ def test_registry_packaged_demonstrations_are_the_default(name: str) -> None:
     for k in range(200):
         assert vector.observation_space.contains(observations)
         observations, *_ = vector.step(np.full(8, k // 10 % 13))
+
+
+@pytest.mark.parametrize("name", packaged_names())
+def test_registry_packaged_demonstrations_end_as_recorded(name: str) -> None:
+    """Replayed in their world, all of them, at the recorded step and with the recorded outcome."""
+    demos = load_packaged(name)
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    world = make_world(make_scenario(name, split=None, drivers=drivers), len(demos))
+    world.reset(demo=np.arange(len(demos)))
+    steps = demos.lengths - 1
+    for t in range(1, int(steps.max()) + 1):
+        world.step(np.zeros((len(demos), demos.num_individuals), dtype=int))
+        running = steps >= t
+        over = world.terminated | world.truncated
+        assert np.array_equal(over[running], steps[running] == t)
+        assert np.array_equal(world.outcome[steps == t], demos.outcome[steps == t])
 
 
 @pytest.mark.parametrize("name", SPECIES)

@@ -1,0 +1,117 @@
+"""What importing the environments brings along, and what is said where an extra is missing."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError, MissingExtraError, UnknownOptionError
+
+HEAVY = ("torch", "matplotlib", "pandas", "scipy", "stable_baselines3", "animarl_algos", "pygame",
+         "imageio", "yaml", "h5py", "minari", "sleap_io", "movement")  # fmt: skip
+# numba looks for yaml and scipy's BLAS by itself, where they are installed; not ours to change.
+NUMBA = "import numba; numba.njit(lambda x: x + 1)(1)"
+
+USE_ALL = """
+import gymnasium as gym
+import animarl_envs
+for name in animarl_envs.SPECIES:
+    env = gym.make(animarl_envs.environment_id(name))
+    env.reset(seed=0)
+    env.step(0)
+    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=2)
+    vector.reset(seed=0)
+    vector.step(vector.action_space.sample())
+    everyone = animarl_envs.parallel_env(name)
+    everyone.reset(seed=0)
+    everyone.step(dict.fromkeys(everyone.agents, 0))
+"""
+CUSTOM = """
+import sys
+import gymnasium as gym
+import animarl_envs
+gym.make("AnimaRL/Custom-v0", demos=sys.argv[1]).reset(seed=0)
+"""
+
+
+def loaded_after(program: str, *arguments: str) -> set[str]:
+    """Modules of heavy packages that a fresh interpreter has loaded after a program."""
+    report = "\nimport json, sys; print(json.dumps(list(sys.modules)))"
+    done = subprocess.run(
+        [sys.executable, "-c", program + report, *arguments],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return {m for m in json.loads(done.stdout) if m.partition(".")[0] in HEAVY}
+
+
+@pytest.fixture(scope="module")
+def numbas_own() -> set[str]:
+    return loaded_after(NUMBA)
+
+
+@pytest.mark.parametrize("program", ["import animarl_envs", USE_ALL], ids=["import", "use"])
+def test_the_environments_need_no_heavy_package(program: str, numbas_own: set[str]) -> None:
+    assert loaded_after(program) - numbas_own == set()
+    assert numbas_own.isdisjoint({"torch", "matplotlib", "pandas"})
+
+
+def test_the_custom_species_needs_no_heavy_package(tmp_path: Path, numbas_own: set[str]) -> None:
+    demos = load_packaged("agent").select(split="train", condition=0)
+    assert loaded_after(CUSTOM, str(demos.save(tmp_path / "demos.npz"))) - numbas_own == set()
+
+
+# -- the sentence of a missing extra --------------------------------------------------------------
+
+WITHOUT = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("pygame", "imageio", "pandas", "yaml", "h5py", "scipy"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Absent())
+import gymnasium as gym, animarl_envs
+from animarl_envs.errors import MissingExtraError
+"""
+NEEDS = {
+    "render": "e = gym.make('AnimaRL/Agent-v0', render_mode='rgb_array'); e.reset(); e.render()",
+    "data": "from animarl_envs.demos.readers import read; read(sys.argv[1], source='sleap')",
+}
+
+
+@pytest.mark.parametrize("extra", NEEDS)
+def test_a_missing_extra_is_named_in_a_sentence(extra: str, tmp_path: Path) -> None:
+    (tmp_path / "tracks.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
+    program = f"{WITHOUT}\ntry:\n    {NEEDS[extra]}\nexcept MissingExtraError as e:\n    print(e)"
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "tracks.h5")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.count("\n") == 1
+    assert f"pip install 'animarl[{extra}]'" in done.stdout
+
+
+def test_a_missing_extra_can_be_raised_anew() -> None:
+    """Gymnasium's process vectors and pickle make an error again from its text."""
+    error = MissingExtraError("rendering", "render")
+    sentence = "rendering needs the extra 'render': pip install 'animarl[render]'"
+    assert str(error) == sentence
+    for twin in (type(error)(str(error)), pickle.loads(pickle.dumps(error)), copy.copy(error)):
+        assert isinstance(twin, MissingExtraError)
+        assert str(twin) == sentence
+
+
+@pytest.mark.parametrize("kind", [InputError, UnknownOptionError])
+def test_gymnasium_appends_nothing_to_the_sentence(kind: Any) -> None:
+    """Gymnasium raises a constructor's TypeError anew with all keyword arguments appended."""
+    sentence = "start has shape (2, 2): give x and y of 3 individuals"
+    again = kind(f"{sentence} was raised from the environment creator for X with kwargs ([[0\n0]])")
+    assert str(again) == sentence
+    assert str(pickle.loads(pickle.dumps(again))) == sentence
