@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from test_readers import write_agents, write_long, write_native, write_slp, write_trex
+from tracker_files import write_agents, write_long, write_native, write_slp, write_trex
 from typer.testing import CliRunner
 
 from animarl_algos.commands import data

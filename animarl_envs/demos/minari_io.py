@@ -87,9 +87,12 @@ def import_minari(folder: str | Path) -> Demonstrations:
     _minari()
     from minari import MinariDataset
 
+    from animarl_envs.demos.readers.hdf import open_hdf
+
     folder = Path(folder).resolve()
     if not (folder / "data" / DATA_FILE).is_file():
         raise InputError(f"{folder}: it holds no data/{DATA_FILE}: name the dataset's folder")
+    open_hdf(folder / "data" / DATA_FILE).close()  # refuses damage that the library trips over
     try:
         dataset = MinariDataset(folder / "data")
         meta = json.loads(dataset.storage.metadata[METADATA_KEY])

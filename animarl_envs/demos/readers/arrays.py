@@ -29,6 +29,7 @@ DEFAULT_AXES = {
     "NumPy arrays (.npy, .npz); option axes, such as [frame, individual, xy]",
     sniff=lambda path: path.suffix.lower() == ".npy" or _lone_array(path),
     extensions=(".npy", ".npz"),
+    generic=True,
 )
 def read_numpy(
     path: Path,
@@ -58,6 +59,7 @@ def read_numpy(
     "MATLAB arrays (.mat, all versions); option axes as for numpy",
     sniff=lambda path: path.suffix.lower() == ".mat",
     extensions=(".mat",),
+    generic=True,
 )
 def read_matlab(
     path: Path,

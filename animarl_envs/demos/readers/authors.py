@@ -247,7 +247,7 @@ def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64
 def read_authors_silkmoth(path: Path) -> list[Tracks]:
     """No header: time, x, y [mm], angle, left odour, right odour, vision, wind sector; 30 Hz."""
     try:
-        table = np.loadtxt(path, delimiter=",", ndmin=2)
+        table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
     except (ValueError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: a line is not eight numbers ({error}): mend it") from None
     if table.shape[1] != 8 or len(table) < 2:

@@ -8,6 +8,7 @@ pickle, which is opened by the restricted unpickler only.
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.demos.readers.registry import register_track_reader
-from animarl_envs.demos.readers.tabular import first_line
+from animarl_envs.demos.readers.tabular import column_names
 from animarl_envs.demos.readers.unpickle import load_plain
 from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
@@ -29,7 +30,7 @@ Column = tuple[str, str, str]  # individual, body part, coordinate
     "deeplabcut",
     "DeepLabCut predictions (.csv, .h5), single- or multi-animal",
     sniff=lambda path: (
-        first_line(path).split(",")[0] == "scorer"
+        column_names(path)[:1] == ["scorer"]
         or any(key.startswith("df_with_missing") for key in hdf_keys(path))
     ),
     extensions=(".csv", ".h5"),
@@ -84,12 +85,19 @@ def _csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
                     "copy the file again"
                 )
             try:
-                values.append([float(cell) if cell else np.nan for cell in row[1:]])
+                values.append([_number(cell) for cell in row[1:]])
             except ValueError as error:
                 raise InputError(f"{path}: line {number}: {error}: mend it") from None
     if not values:
         raise InputError(f"{path}: it has a header but no rows: check the file")
     return columns, np.array(values)
+
+
+def _number(cell: str) -> float:
+    """A cell's number, empty ones NaN; Python's own ``1_000`` is none."""
+    if "_" in cell:
+        raise ValueError(f"could not convert {cell!r} to a number")
+    return float(cell) if cell else math.nan
 
 
 def _hdf(path: Path) -> tuple[list[Column], NDArray[np.float64]]:

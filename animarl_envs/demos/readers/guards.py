@@ -35,6 +35,15 @@ def check_size(path: Path, size: int, what: str) -> None:
         )
 
 
+def refuse_empty(path: Path, column: str, empty: NDArray[np.bool_], first_row: int) -> None:
+    """Refuse a table whose text ``column`` is empty somewhere; rows are counted from 1."""
+    if empty.any():
+        raise InputError(
+            f"{path}: row {first_row + int(empty.argmax()) + 1} has no {column}: fill it in, or "
+            "leave the row out"
+        )
+
+
 @contextlib.contextmanager
 def refusing(path: Path, source: str) -> Iterator[None]:
     """Turn what a library raises over a damaged file into one sentence."""
@@ -75,13 +84,14 @@ def check_npz(path: Path) -> None:
                 check_size(path, total, "its content")
                 with archive.open(member) as file:
                     shape, dtype = npy_header(path, file)
+                    held = member.file_size - file.tell()
                 if dtype.hasobject:
                     continue
                 size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-                if size > member.file_size:
+                if size != held:
                     raise InputError(
-                        f"{path}: {member.filename} announces {size:,} bytes but holds "
-                        f"{member.file_size:,}: copy the file again"
+                        f"{path}: {member.filename} announces {size:,} bytes and holds {held:,}: "
+                        "copy the file again"
                     )
     except InputError:
         raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.readers.guards import check_size
+from animarl_envs.demos.readers.hdf_texts import check_heaps, check_texts
 from animarl_envs.errors import InputError, MissingExtraError
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
+HEAD = 96  # the longest header of a file [bytes]
+END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # where it says the file's length, by its version
 MATLAB_OFFSET = 512  # MATLAB writes a header of its own before the HDF5 one
 
 
@@ -33,11 +37,28 @@ def open_hdf(path: Path) -> Any:
         raise MissingExtraError("reading HDF5", "data") from error
     if not is_hdf(path):
         raise InputError(f"{path}: it is no HDF5 file: check --source, or copy the file again")
+    _check_end(path)
+    check_heaps(path)
     try:
         return h5py.File(path, "r")
     except (OSError, RuntimeError, ValueError) as error:
         first = str(error).splitlines()[0][:160]
         raise InputError(f"{path}: the HDF5 file is damaged ({first}): copy it again") from None
+
+
+def _check_end(path: Path) -> None:
+    """Refuse a file that goes on beyond the end its header names (a shorter one fails to open)."""
+    with path.open("rb") as file:
+        head = file.read(MATLAB_OFFSET + HEAD)
+    start = 0 if head.startswith(MAGIC) else MATLAB_OFFSET
+    version, widths = head[start + 8], head[start + 13 : start + 15]
+    if version in END_AT and (version > 1 or widths[:1] == b"\x08"):
+        (end,) = struct.unpack_from("<Q", head.ljust(MATLAB_OFFSET + HEAD), start + END_AT[version])
+        if path.stat().st_size > end:
+            raise InputError(
+                f"{path}: the HDF5 file is longer ({path.stat().st_size:,} bytes) than its header "
+                f"says ({end:,}): copy it again"
+            )
 
 
 def hdf_keys(path: Path) -> set[str]:
@@ -60,4 +81,5 @@ def read_dataset(path: Path, file: Any, key: str) -> NDArray[Any]:
         raise InputError(f"{path}: {key!r} is a group, not an array: name an array")
     size = int(np.prod([int(n) for n in dataset.shape], dtype=object)) * dataset.dtype.itemsize
     check_size(path, size, f"dataset {key!r}")
+    check_texts(path, key, dataset)
     return np.asarray(dataset[()])

@@ -16,7 +16,7 @@ import numpy as np
 
 from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED
 from animarl_envs.demos.readers.registry import register_track_reader
-from animarl_envs.demos.readers.tabular import first_line, read_columns
+from animarl_envs.demos.readers.tabular import column_names, read_columns
 from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
 
@@ -42,7 +42,7 @@ DEFAULTS = {
 @register_track_reader(
     "mothvr",
     "silkmoth runs of the MothVR set-up (case*.csv)",
-    sniff=lambda path: first_line(path).split(",") == list(HEADER),
+    sniff=lambda path: column_names(path) == list(HEADER),
     extensions=(".csv",),
     defaults=DEFAULTS,
 )

@@ -9,7 +9,9 @@ import numpy as np
 
 from animarl_envs.demos.readers.guards import check_size
 from animarl_envs.demos.readers.hdf import hdf_keys, open_hdf, read_dataset
+from animarl_envs.demos.readers.lines import check_lines
 from animarl_envs.demos.readers.registry import register_track_reader
+from animarl_envs.demos.readers.tabular import column_names, separator_of
 from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError, MissingExtraError
 
@@ -96,6 +98,10 @@ def read_movement(
         from movement.io import load_dataset
     except ImportError as error:
         raise MissingExtraError("reading with movement", "tracking") from error
+    if path.suffix.lower() == ".csv":
+        check_lines(path, separator_of(path), len(column_names(path)))
+    elif path.suffix.lower() in {".h5", ".hdf5", ".nwb", ".slp"}:
+        open_hdf(path).close()  # which refuses damage that the library would trip over
     dataset = load_dataset(path, source_software=software, fps=fps)
     array = dataset["position"]
     keypoints: tuple[str, ...] = ("centroid",)

@@ -31,7 +31,8 @@ class Reader:
 
     ``sniff`` says from a look at the file whether it is of this source; it never raises. Either
     ``read_demonstrations`` or ``read_tracks`` is given; both take the path and options.
-    ``defaults`` are recipe entries that fit what the source is.
+    ``defaults`` are recipe entries that fit what the source is. ``generic`` readers of arrays and
+    tables are asked last, so that a tracker's own layout is recognised first.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Reader:
     read_demonstrations: ReadDemonstrations | None = None
     read_tracks: ReadTracks | None = None
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    generic: bool = False
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -72,6 +74,7 @@ def register_track_reader(
     sniff: Sniff,
     extensions: Sequence[str],
     defaults: Mapping[str, Any] | None = None,
+    generic: bool = False,
 ) -> Callable[[ReadTracks], ReadTracks]:
     """Decorator: make a function ``read(path, **options) -> list[Tracks]`` known by ``name``.
 
@@ -79,11 +82,8 @@ def register_track_reader(
     """
 
     def register(function: ReadTracks) -> ReadTracks:
-        _add(
-            Reader(
-                name, description, tuple(extensions), sniff, None, function, dict(defaults or {})
-            )
-        )
+        entries = dict(defaults or {})
+        _add(Reader(name, description, tuple(extensions), sniff, None, function, entries, generic))
         return function
 
     return register
@@ -112,7 +112,7 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
         raise InputError(f"{path}: there is no such file: check the path")
     if source is not None:
         return get_reader(source)
-    for reader in available_readers():
+    for reader in sorted(available_readers(), key=lambda reader: reader.generic):
         if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
             return reader
     raise InputError(

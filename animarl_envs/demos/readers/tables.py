@@ -1,7 +1,8 @@
 """Long tables (a row per frame and individual) and wide ones (a row per frame); CSV and Parquet.
 
 Columns are named by options. A long table may hold several recordings, told apart by a column. The
-frame rate comes from ``fps``, or from a column of times in seconds.
+frame rate comes from ``fps``, or from a column of times in seconds. Separators are comma, tab (in a
+``.tsv``) or semicolon (where the header has no comma); ``decimal`` may be a comma.
 """
 
 from __future__ import annotations
@@ -14,33 +15,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.readers.clocks import even_rate, frames_at
 from animarl_envs.demos.readers.guards import check_size
 from animarl_envs.demos.readers.registry import register_track_reader
 from animarl_envs.demos.readers.tabular import column_names, pieces
 from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
 
+LONE = "individual_0"  # of a table with one x and one y
 EXTENSIONS = (".csv", ".tsv", ".parquet", ".pq")
 Progress = Callable[[float], None] | None
 # Frame numbers, codes of recording and individual, positions (rows, 2), confidence.
 _Part = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any] | None]
 
 
-def _separator(path: Path) -> str:
-    return "\t" if path.suffix.lower() == ".tsv" else ","
-
-
-def _is_long(path: Path) -> bool:
-    if path.suffix.lower() in {".parquet", ".pq"}:
-        return False
-    return {"frame", "id", "x", "y"} <= set(column_names(path, _separator(path)))
-
-
 @register_track_reader(
     "long-table",
     "a row per frame and individual (CSV, TSV, Parquet); columns frame, id, x, y by option",
-    sniff=_is_long,
+    sniff=lambda path: {"frame", "id", "x", "y"} <= set(column_names(path)),
     extensions=EXTENSIONS,
+    generic=True,
 )
 def read_long_table(
     path: Path,
@@ -50,33 +44,53 @@ def read_long_table(
     y: str = "y",
     confidence: str | None = None,
     recording: str | None = None,
+    time: str | None = None,
     fps: float | None = None,
     unit: str = "px",
     y_down: bool = False,
+    decimal: str = ".",
     progress: Progress = None,
 ) -> list[Tracks]:
-    """One or more recordings; frames are whole numbers, missing rows are gaps."""
-    columns = [frame, individual, x, y]
+    """One or more recordings; frames are whole numbers, missing rows are gaps.
+
+    ``time`` names a column of seconds that stands in for ``frame``; without ``fps`` it gives the
+    frame rate as well.
+    """
+    columns = [time or frame, individual, x, y]
     columns += [name for name in (confidence, recording) if name is not None]
     text = [name for name in (individual, recording) if name is not None]
     codes: dict[tuple[str, str], int] = {}
     parts: list[_Part] = []
-    for piece in pieces(path, columns, text, progress, _separator(path)):
-        frames = piece[frame]
-        bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < 2**31))
-        if bad.any():
-            raise InputError(
-                f"{path}: column {frame!r} holds {frames[bad.argmax()]}: give frame numbers from 0"
-            )
+    for piece in pieces(path, columns, text, progress, decimal):
         names = piece[individual].astype(str)
         sets = piece[recording].astype(str) if recording is not None else None
         which = _codes(codes, names, sets, path.stem)
         values = np.column_stack([piece[x], piece[y]])
         weight = piece[confidence] if confidence is not None else None
-        parts.append((frames.astype(np.int32), which, values, weight))
+        if time is None:
+            when: NDArray[Any] = _frame_numbers(path, frame, piece[frame])
+        else:
+            when = piece[time]
+        parts.append((when, which, values, weight))
     if not parts or not codes:
         raise InputError(f"{path}: it has a header but no rows: check the file")
+    if time is not None:
+        rate, numbers = frames_at(path, np.concatenate([part[0] for part in parts]), fps)
+        edges = np.cumsum([len(part[0]) for part in parts])[:-1]
+        parts = [
+            (own, *part[1:]) for own, part in zip(np.split(numbers, edges), parts, strict=True)
+        ]
+        fps = rate
     return _spread(path, codes, parts, fps, unit, y_down)
+
+
+def _frame_numbers(path: Path, column: str, frames: NDArray[np.float64]) -> NDArray[np.int32]:
+    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < 2**31))
+    if bad.any():
+        raise InputError(
+            f"{path}: column {column!r} holds {frames[bad.argmax()]:g}: give whole numbers from 0"
+        )
+    return frames.astype(np.int32)
 
 
 def _codes(
@@ -160,11 +174,9 @@ def _spread(
 @register_track_reader(
     "wide-table",
     "a row per frame (CSV, TSV, Parquet); columns x_NAME and y_NAME, or pairs by option",
-    sniff=lambda path: (
-        path.suffix.lower() in {".csv", ".tsv"}
-        and len(_wide_columns(column_names(path, _separator(path)))) > 0
-    ),
+    sniff=lambda path: len(_wide_columns(column_names(path))) > 0,
     extensions=EXTENSIONS,
+    generic=True,
 )
 def read_wide_table(
     path: Path,
@@ -173,6 +185,7 @@ def read_wide_table(
     fps: float | None = None,
     unit: str = "px",
     y_down: bool = False,
+    decimal: str = ".",
     progress: Progress = None,
 ) -> list[Tracks]:
     """One recording. ``columns`` maps each individual to its x and y column.
@@ -180,7 +193,7 @@ def read_wide_table(
     Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
     A column ``time`` [s] gives the frame rate and must run evenly.
     """
-    found = columns or _wide_columns(column_names(path, _separator(path)))
+    found = columns or _wide_columns(column_names(path))
     if not found or any(len(pair) != 2 for pair in found.values()):
         raise InputError(
             f"{path}: it has no pairs of x and y columns: name them, such as "
@@ -188,7 +201,7 @@ def read_wide_table(
         )
     wanted = [name for pair in found.values() for name in pair] + ([time] if time else [])
     parts, clock = [], []
-    for piece in pieces(path, wanted, (), progress, _separator(path)):
+    for piece in pieces(path, wanted, (), progress, decimal):
         parts.append(
             np.stack([np.column_stack([piece[a], piece[b]]) for a, b in found.values()], axis=1)
         )
@@ -197,7 +210,7 @@ def read_wide_table(
     if not parts:
         raise InputError(f"{path}: it has a header but no rows: check the file")
     if time is not None and fps is None:
-        fps = _rate(path, np.concatenate(clock))
+        fps = even_rate(path, np.concatenate(clock))
     return [
         Tracks(
             recording=path.stem, individuals=tuple(found),
@@ -220,21 +233,7 @@ def _wide_columns(names: list[str]) -> dict[str, list[str]]:
             if partner in names and partner != name:
                 found[match.group(1)] = [name, partner]
                 break
-    return found
-
-
-def _rate(path: Path, time: NDArray[np.float64]) -> float:
-    step = np.diff(time)
-    if len(step) == 0 or not np.isfinite(step).all() or not (step > 0).all():
-        raise InputError(f"{path}: the times do not rise from row to row: mend them or give --fps")
-    usual = float(np.median(step))
-    if np.abs(step - usual).max() > 0.5 * usual:
-        at = int(np.abs(step - usual).argmax())
-        raise InputError(
-            f"{path}: the time step at row {at + 2} is {step[at]:.4g} s, not {usual:.4g} s: "
-            "fill missing rows, or use a long table with frame numbers"
-        )
-    return round(1.0 / float(step.mean()), 6)
+    return found or ({LONE: ["x", "y"]} if {"x", "y"} <= set(names) else {})
 
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:

@@ -1,8 +1,9 @@
-"""Columns of CSV and Parquet files, in pieces, so that large tables fit in memory."""
+"""Columns of CSV, TSV and Parquet files, in pieces, so that large tables fit in memory."""
 
 from __future__ import annotations
 
-import importlib
+import csv
+import io
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,20 +11,42 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.readers.guards import refuse_empty
+from animarl_envs.demos.readers.lines import BLOCK, CheckedLines
+from animarl_envs.demos.readers.parquet import is_parquet, parquet_names, parquet_pieces
 from animarl_envs.errors import InputError, MissingExtraError
 
 PIECE_ROWS = 500_000
-LONGEST_LINE = 65536
+LONGEST_LINE = 2**20
 
 
 def first_line(path: Path) -> str:
-    """First line of a text file without quotes, empty if it is not text."""
+    """First line of a text file, empty if it is not text."""
     try:
         with path.open("rb") as file:
             line = file.readline(LONGEST_LINE)
-        return line.decode("utf-8-sig").strip().replace('"', "")
+        return line.decode("utf-8-sig").strip("\r\n")
     except (OSError, UnicodeDecodeError):
         return ""
+
+
+def separator_of(path: Path) -> str:
+    """Tab in a ``.tsv``; else comma, or semicolon where the header has only those."""
+    if path.suffix.lower() == ".tsv":
+        return "\t"
+    header = first_line(path)
+    return ";" if ";" in header and "," not in header else ","
+
+
+def column_names(path: Path) -> list[str]:
+    """Names in the header of a table; none where it cannot be read."""
+    if is_parquet(path):
+        return parquet_names(path)
+    try:
+        cells = next(csv.reader([first_line(path)], delimiter=separator_of(path)), [])
+    except csv.Error:
+        return []
+    return [name.strip() for name in cells]
 
 
 def pieces(
@@ -31,37 +54,16 @@ def pieces(
     columns: Sequence[str],
     text: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
-    separator: str = ",",
+    decimal: str = ".",
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """The named columns, ``PIECE_ROWS`` rows at a time; numbers as float64, empty cells as NaN."""
-    if path.suffix.lower() in {".parquet", ".pq"}:
-        yield from _parquet_pieces(path, columns, text, progress)
-        return
-    pandas = _pandas()
-    header = [name.strip() for name in first_line(path).split(separator)]
-    for name in columns:
-        if header.count(name) != 1:
-            raise InputError(
-                f"{path}: it has {header.count(name)} columns {name!r} (header: "
-                f"{', '.join(header)[:200]}): name the column by an option"
-            )
-    kinds = {name: str if name in text else np.float64 for name in columns}
-    size = max(path.stat().st_size, 1)
-    try:
-        with (
-            path.open("rb") as file,
-            pandas.read_csv(
-                file, usecols=list(columns), dtype=kinds, chunksize=PIECE_ROWS,
-                skipinitialspace=True, keep_default_na=True, sep=separator, encoding="utf-8-sig",
-            ) as reader,
-        ):  # fmt: skip
-            for piece in reader:
-                yield {name: piece[name].to_numpy() for name in columns}
-                if progress is not None:
-                    progress(min(file.tell() / size, 1.0))
-    except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
-        first = str(error).splitlines()[0][:200]
-        raise InputError(f"{path}: a cell or line cannot be read ({first}): mend it") from None
+    """The named columns, ``PIECE_ROWS`` rows at a time.
+
+    Numbers are float64, empty cells NaN; ``text`` columns are strings and must not be empty.
+    """
+    if is_parquet(path):
+        yield from parquet_pieces(path, columns, text, PIECE_ROWS, progress)
+    else:
+        yield from _text_pieces(path, columns, text, progress, decimal)
 
 
 def read_columns(
@@ -74,45 +76,45 @@ def read_columns(
     return {name: np.concatenate([part[name] for part in parts]) for name in columns}
 
 
-def column_names(path: Path, separator: str = ",") -> list[str]:
-    """Names in the header of a CSV or Parquet file."""
-    if path.suffix.lower() in {".parquet", ".pq"}:
-        return [str(name) for name in _parquet(path).schema_arrow.names]
-    return [name.strip() for name in first_line(path).split(separator)]
-
-
-def _parquet_pieces(
+def _text_pieces(
     path: Path,
     columns: Sequence[str],
     text: Sequence[str],
     progress: Callable[[float], None] | None,
+    decimal: str,
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    file = _parquet(path)
-    names = file.schema_arrow.names
+    pandas = _pandas()
+    header, separator = column_names(path), separator_of(path)
     for name in columns:
-        if name not in names:
+        if header.count(name) != 1:
             raise InputError(
-                f"{path}: it has no column {name!r} ({', '.join(names)[:200]}): "
-                "name the column by an option"
+                f"{path}: it has {header.count(name)} columns {name!r} (header: "
+                f"{', '.join(header)[:200]}): name the column by an option"
             )
-    rows, total = 0, max(file.metadata.num_rows, 1)
-    for batch in file.iter_batches(batch_size=PIECE_ROWS, columns=list(columns)):
-        piece = {}
-        for name in columns:
-            values = batch.column(name).to_numpy(zero_copy_only=False)
-            piece[name] = values.astype(str if name in text else np.float64)
-        rows += batch.num_rows
-        yield piece
-        if progress is not None:
-            progress(rows / total)
-
-
-def _parquet(path: Path) -> Any:
+    place = {name: header.index(name) for name in columns}
+    kinds = {at: str if name in text else np.float64 for name, at in place.items()}
+    size, row = max(path.stat().st_size, 1), 0
     try:
-        parquet = importlib.import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise MissingExtraError("reading Parquet", "data") from error
-    return parquet.ParquetFile(path)
+        with path.open("rb") as file:
+            lines = CheckedLines(file, path, separator, len(header))
+            with pandas.read_csv(
+                io.BufferedReader(lines, BLOCK), names=range(len(header)), header=0,
+                usecols=list(kinds), index_col=False, dtype=kinds, chunksize=PIECE_ROWS,
+                skipinitialspace=True, sep=separator, decimal=decimal, encoding="utf-8-sig",
+                float_precision="round_trip",
+            ) as reader:  # fmt: skip
+                for piece in reader:
+                    for name in text:
+                        refuse_empty(path, name, piece[place[name]].isna().to_numpy(), row)
+                    row += len(piece)
+                    yield {name: piece[at].to_numpy() for name, at in place.items()}
+                    if progress is not None:
+                        progress(min(lines.seen / size, 1.0))
+    except InputError:
+        raise
+    except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
+        first = str(error).splitlines()[0][:200]
+        raise InputError(f"{path}: a cell or line cannot be read ({first}): mend it") from None
 
 
 def _pandas() -> Any:

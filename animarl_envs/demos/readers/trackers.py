@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.readers.clocks import even_rate
 from animarl_envs.demos.readers.guards import guarded_npz, npz_members
 from animarl_envs.demos.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.demos.readers.registry import register_track_reader
@@ -124,11 +125,8 @@ def _idtracker_csv(path: Path) -> tuple[NDArray[np.float64], float | None]:
     count = sum(1 for name in names if re.fullmatch(r"x\d+", name))
     columns = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
     table = read_columns(path, ["time", *columns])
-    step = np.diff(table["time"])
-    if len(step) == 0 or not (step > 0).all():
-        raise InputError(f"{path}: its times do not rise from row to row: check the file")
     values = np.column_stack([table[name] for name in columns])
-    return values.reshape(len(values), count, 2), round(1 / float(step.mean()), 6)
+    return values.reshape(len(values), count, 2), even_rate(path, table["time"])
 
 
 def _number(value: Any) -> float | None:

@@ -126,10 +126,14 @@ def load_object_npy(raw: bytes, path: Path, member: str = "") -> Any:
     except Exception as error:
         raise InputError(f"{place}: it is no npy array ({error}): copy it again") from None
     if not dtype.hasobject:
+        start = stream.tell()
         stream.seek(0)
         size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-        if size > len(raw):
-            raise InputError(f"{place}: it announces {size:,} bytes: copy it again")
+        held = len(raw) - start
+        if size != held:
+            raise InputError(
+                f"{place}: its header announces {size:,} bytes and it holds {held:,}: copy it again"
+            )
         return np.load(stream, allow_pickle=False)
     value = load_plain(raw[stream.tell() :], place)
     if isinstance(value, np.ndarray) and value.shape != tuple(shape):

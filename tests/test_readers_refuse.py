@@ -1,0 +1,241 @@
+"""Readers refuse what is damaged, absurd, hostile or incomplete, in one sentence."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tracker_files import agents_arrays, write_native, write_npy
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.readers import read, read_tracks
+from animarl_envs.demos.readers.unpickle import load_object_npy, load_plain
+from animarl_envs.errors import InputError
+
+
+def _spoilt(tmp_path: Path, **changes: Any) -> Path:
+    arrays = agents_arrays() | changes
+    np.savez(tmp_path / "bad.npz", **arrays)
+    return tmp_path / "bad.npz"
+
+
+def _gap(arrays: dict[str, NDArray[Any]]) -> NDArray[Any]:
+    pos = arrays["pos"].copy()
+    pos[8, 1] = np.nan
+    return pos
+
+
+BAD_AGENTS: dict[str, tuple[Callable[[dict[str, NDArray[Any]]], dict[str, Any]], str]] = {
+    "gap": (lambda a: {"pos": _gap(a)}, r"episode 1, frame 2, predator_1.*fill the gap"),
+    "lengths": (lambda a: {"pos": a["pos"][:-1]}, r"pos has 19 frames, n_steps ask for 20"),
+    "one frame": (lambda a: {"n_steps": np.array([0, 8, 9])}, r"episode 0 has no step"),
+    "no frames": (
+        lambda a: {k: a[k][:0] for k in ("pos", "actions", "n_steps", "outcome")}, "no step",
+    ),
+    "individuals": (lambda a: {"pos": a["pos"][:, :1]}, r"two individuals or more"),
+    "dt": (lambda a: {"meta": np.array('{"cond": "x_share", "dt": 0}')}, r"dt is 0.0 s"),
+    "outside": (lambda a: {"pos": a["pos"] * 100}, r"lies outside the arena.*scale the tracks"),
+    "twice": (lambda a: {"pos": a["pos"][:, [0, 0, 2]]}, r"same track: drop the duplicate"),
+    "meta": (lambda a: {"meta": np.array("x")}, r"meta is not the JSON"),
+    "action": (lambda a: {"actions": a["actions"] + 5}, r"outside 0 to 12"),
+    "pickle": (lambda a: {"pos": np.array([{"a": 1}], dtype=object)}, r"pickle|object"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", BAD_AGENTS)
+def test_agents_reader_refuses(kind: str, tmp_path: Path) -> None:
+    changes, message = BAD_AGENTS[kind]
+    path = _spoilt(tmp_path, **changes(agents_arrays()))
+    with pytest.raises(InputError, match=message) as caught:
+        read(path, "agents")
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_readers_refuse_text_truncation_folders_and_absence(tmp_path: Path) -> None:
+    (tmp_path / "text.npz").write_text("not an archive")
+    whole = write_native(tmp_path)
+    (tmp_path / "cut.npz").write_bytes(whole.read_bytes()[:-200])
+    for name in ("text.npz", "cut.npz"):
+        for source in (None, "animarl", "agents", "numpy", "trex"):
+            with pytest.raises(InputError, match=name):
+                read(tmp_path / name, source)
+    with pytest.raises(InputError, match="no such file"):
+        read(tmp_path / "absent.npz")
+    with pytest.raises(InputError):
+        read(tmp_path, "animarl")
+    with pytest.raises(InputError, match="source 'nonsense' is unknown"):
+        read(whole, "nonsense")
+    with pytest.raises(InputError, match="holds no episode"):
+        read(whole).select(split="train", condition=1)
+
+
+def test_readers_refuse_headers_that_ask_for_too_much(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        buffer, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3, 2)}
+    )
+    (tmp_path / "huge.npy").write_bytes(buffer.getvalue() + bytes(64))
+    with pytest.raises(InputError, match="announces"):
+        read_tracks(tmp_path / "huge.npy", "numpy")
+    with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive:
+        archive.writestr("a.npy", buffer.getvalue() + bytes(64))
+    with pytest.raises(InputError, match="announces"):
+        read_tracks(tmp_path / "huge.npz", "numpy")
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", bytes(200 * 2**20))
+    with pytest.raises(InputError, match="more than 64 times"):
+        read_tracks(tmp_path / "bomb.npz", "numpy")
+    (tmp_path / "far.csv").write_text("frame,id,x,y\n0,a,0,0\n2000000000,a,1,1\n")
+    with pytest.raises(InputError, match="more than 64 times"):
+        read_tracks(tmp_path / "far.csv", "long-table")
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_only_plain_objects_are_unpickled(protocol: int, tmp_path: Path) -> None:
+    plain = {"a": [1, (2.5, "x")], "b": np.arange(6.0).reshape(2, 3), "c": np.float64(2.0)}
+    found = load_plain(pickle.dumps(plain, protocol=protocol), "file")
+    np.testing.assert_array_equal(found["b"], plain["b"])
+    assert found["a"] == [1, (2.5, "x")] and found["c"] == 2.0
+    for hostile in (os.system, Path("x"), Arena(), io.StringIO("x")):
+        with pytest.raises(InputError, match="pickle that is damaged or not of numbers and lists"):
+            load_plain(pickle.dumps({"a": hostile}, protocol=max(protocol, 2)), "file")
+
+
+class _Allocates:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return np.ndarray, ((10**12,),)
+
+
+def test_unpickling_calls_no_constructor_that_allocates() -> None:
+    with pytest.raises(InputError, match="pickle"):
+        load_plain(pickle.dumps(_Allocates()), "file")
+    many = b"\x80\x05\x96" + (2**40).to_bytes(8, "little") + b"."
+    with pytest.raises(InputError, match="pickle"):
+        load_plain(many, "file")
+
+
+def test_a_pickle_that_repeats_itself_is_refused(tmp_path: Path) -> None:
+    laugh: list[Any] = [0.0]
+    for _ in range(30):
+        laugh = [laugh] * 10
+    path = tmp_path / "pos_val_rep_2on1_indiv_equal_K_0.npz"
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        buffer, {"descr": "|O", "fortran_order": False, "shape": ()}
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("pos.npy", buffer.getvalue() + pickle.dumps(laugh))
+    with pytest.raises(InputError, match="repeats itself"):
+        read(path)
+    assert load_object_npy(buffer.getvalue() + pickle.dumps([1]), path) == [1]
+
+
+BAD_TABLES = {
+    "letters": ("frame,id,x,y\n0,a,1,2\n1,a,oops,2\n", "cannot be read"),
+    "duplicate": ("frame,id,x,y\n0,a,1,2\n0,a,1,2\n", "frame 0, a has two rows"),
+    "no rows": ("frame,id,x,y\n", "no rows"),
+    "negative": ("frame,id,x,y\n-1,a,1,2\n", "whole numbers from 0"),
+    "columns": ("frame,who,x,y\n0,a,1,2\n", "0 columns 'id'"),
+    "short line": ("frame,id,x,y\n0,a,1,2\n1,a,1\n", "line 3 has 3 cells, the header 4"),
+    "long line": ("frame,id,x,y\n0,a,1,2\n1,a,1,2,3\n", "line 3 has 5 cells, the header 4"),
+    "cut last line": ("frame,id,x,y\n0,a,1,2\n1,a", "line 3 has 2 cells"),
+    "nameless": ("frame,id,x,y\n0,a,1,2\n1,,1,2\n", "row 2 has no id"),
+    "quote": ('frame,id,x,y\n0,"a,1,2\n1,a,1,2\n', "a quote is never closed"),
+    "returns": ("frame,id,x,y\n0,a,1,2\r1,a,1,2\n", "carriage return stands alone"),
+    "binary": ("frame,id,x,y\n0,a,1,2\0\n", "NUL bytes"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_TABLES)
+def test_long_table_reader_refuses(kind: str, tmp_path: Path) -> None:
+    text, message = BAD_TABLES[kind]
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_tracks(tmp_path / "bad.csv", "long-table")
+
+
+def test_a_frame_rate_is_asked_for_where_the_file_has_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="give it with --fps"):
+        read(write_npy(tmp_path))
+
+
+def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) -> None:
+    """A table of several blocks whose lines end as on Windows, with separators inside quotes."""
+    rows = [f'{t},"a, the {i}",{t}.5,{i}.25\r\n' for t in range(30_000) for i in range(2)]
+    text = "frame,id,x,y\r\n" + "".join(rows)
+    assert len(text) > 2 * 2**20 - 400_000
+    (tmp_path / "t.csv").write_bytes(text.encode())
+    (tracks,) = read_tracks(tmp_path / "t.csv")
+    assert tracks.individuals == ("a, the 0", "a, the 1")
+    np.testing.assert_array_equal(tracks.bodies[:, 1, 0], np.arange(30_000) + 0.5)
+    spoilt = text.replace("25000.5,1.25", "25000.5;1.25")
+    (tmp_path / "t.csv").write_bytes(spoilt.encode())
+    with pytest.raises(InputError, match="line 50003 has 3 cells, the header 4"):
+        read_tracks(tmp_path / "t.csv")
+
+
+BAD_TIMES = {
+    "missing": ("t,id,x,y\n0,a,1,2\n,a,1,2\n", "row 2 has no time"),
+    "one": ("t,id,x,y\n0,a,1,2\n0,b,1,2\n", "all rows have the same time"),
+    "between": (
+        "t,id,x,y\n0,a,1,2\n0.1,a,1,2\n0.2,a,1,2\n0.35,a,1,2\n0.45,a,1,2\n",
+        "time of row 4 lies between frames at 10 Hz",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_TIMES)
+def test_long_table_reader_refuses_times(kind: str, tmp_path: Path) -> None:
+    text, message = BAD_TIMES[kind]
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_tracks(tmp_path / "bad.csv", "long-table", time="t")
+
+
+def test_parquet_reader_refuses(tmp_path: Path) -> None:
+    import pandas as pd
+
+    path = tmp_path / "t.parquet"
+
+    def refused(message: str, **columns: Any) -> None:
+        rows = {"frame": [0, 1], "id": ["a", "a"], "x": [0.0, 1.0], "y": [0.0, 1.0]}
+        pd.DataFrame(rows | columns).to_parquet(path)
+        with pytest.raises(InputError, match=message):
+            read_tracks(path, "long-table")
+
+    refused("row 2 has no id", id=["a", None])
+    refused("column 'x' is not numbers", x=["1", "one"])
+    refused("column 'x' is not numbers", x=[{"a": 1}, {"a": 2}])
+    refused("column 'x' is not numbers", x=[0, 2**53 + 1])  # no float64 holds it
+    refused("give whole numbers from 0", frame=[0, -1])
+    refused("frame 0, a has two rows", frame=[0, 0])
+    (tmp_path / "t.parquet").write_bytes(b"PAR1" + bytes(40) + b"PAR1")
+    with pytest.raises(InputError, match=r"t\.parquet"):
+        read_tracks(path, "long-table")
+    pd.DataFrame({"frame": [0], "x": [0.0], "y": [1.0]}).to_parquet(path)
+    with pytest.raises(InputError, match="0 columns 'id'"):
+        read_tracks(path, "long-table")
+
+
+def test_parquet_reader_refuses_rows_beyond_what_the_file_may_ask_for(tmp_path: Path) -> None:
+    """40 million equal rows shrink to a few kilobytes: no tracks do, so it is a bomb."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path, zeros = tmp_path / "bomb.parquet", pa.array(np.zeros(1_000_000))
+    columns = {name: zeros for name in ("frame", "x", "y")}
+    columns["id"] = pa.array(["a"] * 1_000_000).dictionary_encode()
+    table = pa.table(columns)
+    with pq.ParquetWriter(path, table.schema) as writer:
+        for _ in range(40):
+            writer.write_table(table)
+    with pytest.raises(InputError, match="more than 64 times the file"):
+        read_tracks(path, "long-table")
