@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.readers import read
-from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
+from animarl_envs.locomotion import COAST, Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY
 from animarl_envs.worlds.chase import ChaseWorld
@@ -128,70 +126,6 @@ def test_recorded_actions_reproduce_recorded_episodes(data_dir: Path, condition:
         assert np.array_equal(over[running], ends[running])
         assert np.array_equal(made.outcome[ends], demos.outcome[ends])
     assert worst < 1e-5
-
-
-# -- invariance -----------------------------------------------------------------------------------
-
-
-def rotation(angle: float) -> Array:
-    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-
-
-def follow(start: Array, actions: Array, **options: Any) -> tuple[Array, Array]:
-    """Positions and observations of one copy from a fixed start."""
-    made = world(1, start=start, contact_radius=1e-6, **options)
-    seen = [(made.position[0].copy(), made.observation[0].copy())]
-    for row in actions:
-        made.step(row[None])
-        seen.append((made.position[0].copy(), made.observation[0].copy()))
-    return np.stack([p for p, _ in seen]), np.stack([o for _, o in seen])
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.sampled_from(["disc", "open"]))
-def test_invariance_rotation_turns_the_paths(seed: int, angle: float, shape: str) -> None:
-    rng = np.random.default_rng(seed)
-    start, actions = rng.uniform(-0.4, 0.4, (3, 2)), rng.integers(13, size=(15, 3))
-    turn = rotation(angle)
-    paths, seen = follow(start, actions, arena=shape)
-    turned, seen_turned = follow(start @ turn.T, actions, arena=shape)
-    assert turned == pytest.approx(paths @ turn.T, abs=1e-6)
-    egocentric = [2, 3, *range(6, 18)]
-    assert seen_turned[..., egocentric] == pytest.approx(seen[..., egocentric], abs=1e-3)
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_invariance_mirroring_the_world_mirrors_the_paths(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    start, actions = rng.uniform(-0.4, 0.4, (3, 2)), rng.integers(13, size=(15, 3))
-    mirrored_actions = np.where(actions == COAST, COAST, (12 - actions) % 12)
-    mirror = np.array([1.0, -1.0])
-    paths, seen = follow(start, actions)
-    mirrored, seen_mirrored = follow(start * mirror, mirrored_actions)
-    assert mirrored == pytest.approx(paths * mirror, abs=1e-6)
-    left = [1, 3, 5, 7, 9, 11, 13, 15, 17]
-    sign = np.ones(18)
-    sign[left] = -1.0
-    difference = np.abs(seen_mirrored - seen * sign)
-    difference[..., 17] %= 2 * math.pi  # straight behind, left and right are one bearing
-    difference[..., 17] = np.minimum(difference[..., 17], 2 * math.pi - difference[..., 17])
-    assert difference.max() < 1e-3
-
-
-def test_invariance_relabelling_the_pursuers_permutes_what_they_do() -> None:
-    rng = np.random.default_rng(0)
-    start, actions = rng.uniform(-0.4, 0.4, (4, 2)), rng.integers(13, size=(20, 4))
-    order = [2, 0, 1, 3]
-    paths, seen = follow(start, actions, num_pursuers=3)
-    permuted, seen_permuted = follow(start[order], actions[:, order], num_pursuers=3)
-    assert permuted == pytest.approx(paths[:, order], abs=1e-12)
-    assert np.array_equal(seen_permuted, seen[:, order])
-
-
-def test_mirrored_actions_are_mirrored_vectors() -> None:
-    for k in range(12):
-        assert np.array_equal(ACTION_VECTORS[(12 - k) % 12], ACTION_VECTORS[k] * [1.0, -1.0])
 
 
 # -- ends and rewards -----------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
-from animarl_envs.worlds.plume import ModelPlume, Plume, hit_table
+from animarl_envs.worlds.plume import ModelPlume, hit_table
 from animarl_envs.worlds.search import SearchWorld, antennae_at, demonstration_observations
 
 ODOUR, FLOW, WIND = slice(3, 5), 5, slice(6, 10)
@@ -245,29 +245,6 @@ def test_a_body_at_rest_keeps_its_heading() -> None:
 
 
 # -- symmetry, ends, determinism ------------------------------------------------------------------
-
-
-def test_mirrored_world_gives_the_mirrored_path_and_swapped_antennae() -> None:
-    rng = np.random.default_rng(3)
-    frames = rng.random((40, 61, 320)) < 0.05
-    worlds = [
-        make_world(plume=Plume.from_array(movie, mm_per_pixel=1.0, source_pixel=(30, 0),
-                                          frame_rate=4.0))
-        for movie in (frames, frames[:, ::-1])
-    ]  # fmt: skip
-    actions = random_actions(200, 1, seed=5)
-    mirrored = np.where(actions == COAST, COAST, (12 - actions) % 12)
-    one, two = rollout(worlds[0], actions)[:, 0], rollout(worlds[1], mirrored)[:, 0]
-    assert (one[:, ODOUR] == 1.0).any()
-    np.testing.assert_allclose(worlds[0].position, worlds[1].position * [1.0, -1.0], atol=1e-12)
-    np.testing.assert_allclose(one[:, 0], two[:, 0], atol=1e-7)
-    np.testing.assert_allclose(one[:, 1], -two[:, 1], atol=1e-7)
-    np.testing.assert_allclose(np.cos(one[:, 2]), np.cos(two[:, 2]), atol=1e-6)
-    np.testing.assert_allclose(np.sin(one[:, 2]), -np.sin(two[:, 2]), atol=1e-6)
-    np.testing.assert_array_equal(one[:, [3, 4]], two[:, [4, 3]])
-    np.testing.assert_allclose(one[:, FLOW], -two[:, FLOW], atol=1e-5)
-    np.testing.assert_array_equal(one[:, [FRONT, RIGHT, LEFT, BACK]],
-                                  two[:, [FRONT, LEFT, RIGHT, BACK]])  # fmt: skip
 
 
 def test_time_limit_truncates_and_never_terminates() -> None:
