@@ -252,3 +252,30 @@ def test_parquet_columns_of_every_kind_give_the_same_numbers(tmp_path: Path) -> 
         (tracks,) = read_tracks(tmp_path / "t.parquet")
         assert tracks.individuals == ("7", "10")
         np.testing.assert_array_equal(tracks.bodies, expected)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_reader_agrees_with_scipy(packed: bool, tmp_path: Path) -> None:
+    from scipy.io import loadmat, savemat
+
+    from animarl_envs.demos.readers.matlab import read_mat5
+
+    numbers = {
+        "paths": BODIES, "pixels": np.arange(300, dtype=np.uint8).reshape(3, 50, 2), "one": 3.5,
+        "short": np.array([[-1, 2**15 - 1]], dtype=np.int16), "single": np.float32([[0.1, 0.2]]),
+        "seen": np.array([[True, False]]), "none": np.zeros((0, 3)),
+    }  # fmt: skip
+    others = {
+        "text": "abc", "complex": np.array([1 + 2j]), "structure": {"x": 1.0},
+        "cell": np.array([1, "x"], dtype=object),
+    }  # fmt: skip
+    savemat(tmp_path / "all.mat", numbers | others, do_compression=packed)
+    found, expected = read_mat5(tmp_path / "all.mat"), loadmat(tmp_path / "all.mat")
+    assert found.keys() == numbers.keys()
+    for name, array in found.items():
+        assert array.dtype == expected[name].dtype
+        np.testing.assert_array_equal(array, expected[name])
+    (tracks,) = read_tracks(tmp_path / "all.mat", key="paths")
+    np.testing.assert_array_equal(tracks.bodies, BODIES)
+    with pytest.raises(InputError, match=r"all\.mat: it holds .*name the one with the positions"):
+        read_tracks(tmp_path / "all.mat")

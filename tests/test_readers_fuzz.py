@@ -29,6 +29,7 @@ from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
 
 FEW, MANY = 8, 80  # damaged files of each kind in the normal and in the slow run
+PACKED = 3  # numbers that share a byte, where a table stores places in a list of values
 HEAD = 512  # headers lie at the start [bytes]
 STATUS = Path("/proc/self/status")  # of this process, on Linux
 
@@ -113,8 +114,8 @@ def assert_true_to_the_file(kind: Kind, path: Path, found: Values, clean: Values
     assert by > 0, "a piece that was lost or repeated has shifted the numbers"
     for key in found.keys() & clean.keys():
         if found[key].shape == clean[key].shape:
-            equal = (found[key] == clean[key]) | np.isnan(found[key]) & np.isnan(clean[key])
-            assert np.count_nonzero(~equal) <= by, f"{key}: more numbers than bytes have changed"
+            other = np.isfinite(found[key]) & (found[key] != clean[key])
+            assert np.count_nonzero(other) <= PACKED * by, f"{key}: too many numbers have changed"
 
 
 def second_reading(path: Path) -> list[list[float]]:
@@ -137,7 +138,11 @@ def entries(positions: NDArray[np.float64]) -> Iterator[tuple[int, int, tuple[fl
 
 
 def x_y_in(row: list[float], x: float, y: float) -> bool:
-    return (x, y) in list(pairwise(row))
+    """Up to the last bit, in which the parser that movement uses may err."""
+    return any(
+        math.isclose(x, a, rel_tol=1e-15) and math.isclose(y, b, rel_tol=1e-15)
+        for a, b in pairwise(row)
+    )
 
 
 class Peak:
@@ -219,7 +224,7 @@ def test_the_judge_notices_what_it_is_there_for(tmp_path: Path) -> None:
         assert_true_to_the_file(KINDS["npy"], path, wrong, clean, 0)
     assert_true_to_the_file(KINDS["npy"], path, wrong, clean, 1)
     shifted: dict[Any, Any] = {key: np.roll(value, 1) for key, value in clean.items()}
-    with pytest.raises(AssertionError, match="more numbers than bytes"):
+    with pytest.raises(AssertionError, match="too many numbers"):
         assert_true_to_the_file(KINDS["npy"], path, shifted, clean, 1)
     with pytest.raises(AssertionError, match="is not in the file"):
         assert_true_to_the_file(KINDS["long"], path, shifted, clean, 1)

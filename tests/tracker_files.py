@@ -144,6 +144,13 @@ def write_mat(folder: Path) -> Path:
     return folder / "bodies.mat"
 
 
+def write_packed_mat(folder: Path) -> Path:
+    from scipy.io import savemat
+
+    savemat(folder / "packed.mat", {"bodies": BODIES}, do_compression=True)
+    return folder / "packed.mat"
+
+
 def write_mat73(folder: Path) -> Path:
     import h5py
 
@@ -351,6 +358,7 @@ KINDS: dict[str, Kind] = {
     "npy": Kind(write_npy, "numpy", "bodies", "structure"),
     "npz": Kind(write_npz, "numpy", "bodies", "checksum"),
     "mat": Kind(write_mat, "matlab", "bodies", "structure"),
+    "packed_mat": Kind(write_packed_mat, "matlab", "bodies", "checksum"),
     "mat73": Kind(write_mat73, "matlab", "bodies", "structure"),
     "idtracker_npy": Kind(write_idtracker_npy, "idtracker", "bodies", "structure"),
     "idtracker_h5": Kind(write_idtracker_h5, "idtracker", "bodies", "structure"),

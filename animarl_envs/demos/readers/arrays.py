@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.readers.guards import check_size, guarded_npz, npz_members
+from animarl_envs.demos.readers.guards import guarded_npz, npz_members
 from animarl_envs.demos.readers.hdf import is_hdf, open_hdf, read_dataset
+from animarl_envs.demos.readers.matlab import read_mat5
 from animarl_envs.demos.readers.registry import register_track_reader
 from animarl_envs.demos.readers.unpickle import load_object_npy
 from animarl_envs.demos.tracks import CENTROID, Tracks
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError
 
 AXES = ("frame", "individual", "keypoint", "xy")
 DEFAULT_AXES = {
@@ -84,23 +85,7 @@ def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
         with open_hdf(path) as file:
             names = [n for n in file if not n.startswith("#") and hasattr(file[n], "shape")]
             return {name: read_dataset(path, file, name).T for name in names}
-    try:
-        from scipy.io import loadmat, whosmat
-    except ImportError as error:
-        raise MissingExtraError("reading MATLAB files", "data") from error
-    try:
-        contents = whosmat(path)
-        for name, shape, _ in contents:
-            size = int(np.prod([int(n) for n in shape], dtype=object))
-            check_size(path, size, f"variable {name}")
-        found = loadmat(path, variable_names=[name for name, _, _ in contents])
-    except InputError:
-        raise
-    except Exception as error:  # its parser raises whatever a damaged file leads to
-        raise InputError(
-            f"{path}: it is no MATLAB file, or damaged ({type(error).__name__}): copy it again"
-        ) from None
-    return {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+    return read_mat5(path)
 
 
 def _recordings(

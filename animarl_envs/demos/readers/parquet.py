@@ -110,6 +110,7 @@ def _open(path: Path) -> Any:
         path,
         buffer_size=BUFFER,
         pre_buffer=False,
+        page_checksum_verification=True,  # where the writer made checksums
         thrift_string_size_limit=max(limit, 1),
         thrift_container_size_limit=max(limit, 1),
     )

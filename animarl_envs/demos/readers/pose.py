@@ -95,6 +95,7 @@ def read_movement(
 ) -> list[Tracks]:
     """Poses of a ``movement`` dataset; ``software`` is its ``source_software``."""
     try:
+        from loguru import logger
         from movement.io import load_dataset
     except ImportError as error:
         raise MissingExtraError("reading with movement", "tracking") from error
@@ -102,7 +103,11 @@ def read_movement(
         check_lines(path, separator_of(path), len(column_names(path)))
     elif path.suffix.lower() in {".h5", ".hdf5", ".nwb", ".slp"}:
         open_hdf(path).close()  # which refuses damage that the library would trip over
-    dataset = load_dataset(path, source_software=software, fps=fps)
+    logger.disable("movement")  # what it says is in the message already
+    try:
+        dataset = load_dataset(path, source_software=software, fps=fps)
+    finally:
+        logger.enable("movement")
     array = dataset["position"]
     keypoints: tuple[str, ...] = ("centroid",)
     if "keypoint" in array.dims or "keypoints" in array.dims:
