@@ -7,7 +7,6 @@ individuals gives each the gradient it would have if trained alone. Axes: (indiv
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import torch
 from torch.nn import functional
@@ -124,29 +123,9 @@ def _per_step(condition: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
     return condition.unsqueeze(1).expand_as(like) if condition.dim() == 2 else condition
 
 
-class _SquaredL2(torch.autograd.Function):
-    """One node for all parameters: with a node each, starting them costs more than the sums."""
-
-    @staticmethod
-    def forward(ctx: Any, *parameters: torch.Tensor) -> torch.Tensor:
-        ctx.save_for_backward(*parameters)
-        return torch.cat([p.flatten(1) for p in parameters], dim=1).square().sum(1)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable  # type: ignore[misc]
-    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        parameters = ctx.saved_tensors
-        flat = torch.cat([p.flatten(1) for p in parameters], dim=1)
-        parts = (2.0 * grad_outputs[0].unsqueeze(1) * flat).split(  # type: ignore[no-untyped-call]
-            [p[0].numel() for p in parameters], dim=1
-        )
-        return tuple(part.view_as(p) for part, p in zip(parts, parameters, strict=True))
-
-
 def squared_l2(parameters: Iterable[torch.Tensor]) -> torch.Tensor:
     """Sum of all squared parameters of each individual, (K,); parameters are (K, ...)."""
-    norm: torch.Tensor = _SquaredL2.apply(*parameters)  # type: ignore[no-untyped-call]
-    return norm
+    return torch.cat([p.flatten(1) for p in parameters], dim=1).square().sum(1)
 
 
 @torch.no_grad()
@@ -173,8 +152,8 @@ def clip_grad_norm_per_individual(
         return torch.zeros(0)
     together = torch.cat([g.flatten(1) for g in gradients], dim=1)
     total: torch.Tensor = torch.linalg.vector_norm(together, dim=1)
-    scale = (max_norm / (total + 1e-6)).clamp(max=1.0)
-    if scale.min() < 1:
+    if total.max() + 1e-6 > max_norm:
+        scale = (max_norm / (total + 1e-6)).clamp(max=1.0)
         for gradient in gradients:
             gradient.mul_(scale.view(-1, *[1] * (gradient.dim() - 1)))
     return total

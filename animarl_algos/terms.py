@@ -255,7 +255,10 @@ class TreatmentAdversary:
 
 @dataclass(frozen=True)
 class WeightDecay:
-    """``J_l2``: squared norm of all weights of the individual's network."""
+    """``J_l2``: squared norm of all weights of the individual's network.
+
+    Its value carries no gradient: :func:`animarl_algos.updates.update` adds that in closed form.
+    """
 
     name: str = "l2"
     needs_target: bool = False
@@ -263,5 +266,6 @@ class WeightDecay:
     def weight(self, phase: Phase) -> float:
         return phase.lambda1
 
+    @torch.no_grad()
     def __call__(self, evaluation: Evaluation) -> torch.Tensor:
         return squared_l2(evaluation.parameters)

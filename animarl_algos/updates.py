@@ -13,7 +13,7 @@ from animarl_algos.losses import clip_grad_norm_per_individual
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.recurrent.gru import Packing
 from animarl_algos.recurrent.networks import StackedQNetwork
-from animarl_algos.terms import Evaluation, LossTerm, Phase
+from animarl_algos.terms import Evaluation, LossTerm, Phase, WeightDecay
 from animarl_algos.values import ValueDistribution
 from animarl_envs.errors import InputError
 
@@ -90,12 +90,19 @@ def update(
     phase = evaluation.phase
     active = [term for term in terms if term.weight(phase) > 0]
     losses = {term.name: term(evaluation) for term in active}
-    total = sum(term.weight(phase) * losses[term.name].sum() for term in active)
+    total = sum(
+        term.weight(phase) * losses[term.name].sum()
+        for term in active
+        if not isinstance(term, WeightDecay)
+    )
     if not isinstance(total, torch.Tensor):
         raise InputError(f"all weights of the {phase.name} loss are 0: give one that is not")
     for parameter in evaluation.parameters:
         parameter.grad = None
     total.backward()  # type: ignore[no-untyped-call]
+    decay = sum(term.weight(phase) for term in active if isinstance(term, WeightDecay))
+    if decay:
+        _add_decay_gradient(evaluation.parameters, decay)
     if phase.max_grad_norm is not None:
         clip_grad_norm_per_individual(evaluation.parameters, phase.max_grad_norm)
     optimizer.step()
@@ -103,6 +110,19 @@ def update(
         losses={name: loss.detach() for name, loss in losses.items()},
         priorities=sequence_priorities(evaluation) if prioritized else None,
     )
+
+
+@torch.no_grad()
+def _add_decay_gradient(parameters: Sequence[torch.Tensor], weight: float) -> None:
+    """Add ``weight`` times the gradient of the squared norm, which is 2 w.
+
+    Through autograd this would take a third of the time of a small update.
+    """
+    for parameter in parameters:
+        if parameter.grad is None:
+            parameter.grad = torch.zeros_like(parameter)
+    gradients = [parameter.grad for parameter in parameters]
+    torch._foreach_add_(gradients, list(parameters), alpha=2.0 * weight)  # type: ignore[arg-type]
 
 
 def sequence_priorities(evaluation: Evaluation) -> NDArray[np.float64] | None:

@@ -198,6 +198,7 @@ class BatchBuffers:
         self._num_scored = num_scored
         self._pinned = pinned
         self._memory: dict[str, torch.Tensor] = {}
+        self._views: tuple[tuple[int, int], dict[str, torch.Tensor], BatchArrays] | None = None
 
     @property
     def nbytes(self) -> int:
@@ -215,29 +216,10 @@ class BatchBuffers:
     ) -> SequenceBatch:
         """The batch of the sequences in ``slots`` ``(K, B)``, sorted by decreasing length."""
         burn_in, trained = extent(sequences, slots)
-        steps, columns, k = burn_in + trained, slots.shape[1], self._individuals
-        each, plus = (k, steps, columns), (k, steps + 1, columns)
-        tensors = {
-            "observations": self._tensor("observations", (*plus, self._dim), torch.float32),
-            "previous_actions": self._tensor("previous_actions", plus, torch.int64),
-            "actions": self._tensor("actions", each, torch.int64),
-            "rewards": self._tensor("rewards", each, torch.float32),
-            "penalties": self._tensor("penalties", each, torch.float32),
-            "terminated": self._tensor("terminated", each, torch.float32),
-            "mask": self._tensor("mask", each, torch.float32),
-            "starts": self._tensor("starts", (k, columns), torch.int64),
-            "lengths": self._tensor("lengths", (k, columns), torch.int64),
-            "labels": self._tensor("labels", each, torch.int64),
-            "condition": self._tensor("condition", (k, columns), torch.float32),
-            "initial_state": self._tensor(
-                "initial_state", (k, columns, self._state_size), torch.float32
-            ),
-            "action_penalties": self._tensor(
-                "action_penalties", (*each, self._num_scored), torch.float32
-            ),
-        }
+        steps = burn_in + trained
+        named, arrays = self._shaped(steps, slots.shape[1])
+        tensors = dict(named)
         active = np.empty(steps + 1, dtype=np.int64)
-        arrays = BatchArrays(**{name: tensor.numpy() for name, tensor in tensors.items()})
         gather(
             frames, action_penalties, sequences, slots, burn_in, self._num_actions, arrays, active
         )
@@ -251,6 +233,32 @@ class BatchBuffers:
             initial_state=initial_state if self._state_size else None,
             action_penalties=scored if self._num_scored else None,
         )
+
+    def _shaped(self, steps: int, columns: int) -> tuple[dict[str, torch.Tensor], BatchArrays]:
+        """The memory as tensors of this size, and the same as arrays; kept for the next time."""
+        if self._views is not None and self._views[0] == (steps, columns):
+            return self._views[1:]
+        k = self._individuals
+        each, plus = (k, steps, columns), (k, steps + 1, columns)
+        shapes: dict[str, tuple[tuple[int, ...], torch.dtype]] = {
+            "observations": ((*plus, self._dim), torch.float32),
+            "previous_actions": (plus, torch.int64),
+            "actions": (each, torch.int64),
+            "rewards": (each, torch.float32),
+            "penalties": (each, torch.float32),
+            "terminated": (each, torch.float32),
+            "mask": (each, torch.float32),
+            "starts": ((k, columns), torch.int64),
+            "lengths": ((k, columns), torch.int64),
+            "labels": (each, torch.int64),
+            "condition": ((k, columns), torch.float32),
+            "initial_state": ((k, columns, self._state_size), torch.float32),
+            "action_penalties": ((*each, self._num_scored), torch.float32),
+        }
+        tensors = {name: self._tensor(name, *shape) for name, shape in shapes.items()}
+        arrays = BatchArrays(**{name: tensor.numpy() for name, tensor in tensors.items()})
+        self._views = ((steps, columns), tensors, arrays)
+        return tensors, arrays
 
     def _tensor(self, name: str, shape: tuple[int, ...], dtype: torch.dtype) -> torch.Tensor:
         """A contiguous tensor at the front of the memory called ``name``, which grows if needed."""

@@ -19,6 +19,7 @@ import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,18 +40,36 @@ class QOutput:
     ----------
     values : Tensor (K, T, B, actions, quantiles)
         Action values, or their quantiles; one "quantile" where the expected value is learned.
-    hidden : Tensor (K, T, B, H)
-        Hidden state after each step.
-    final_state : Tensor (K, B, H)
-        Hidden state after each sequence's last valid step.
     treatment_logits : Tensor (K, T, B) or None
         Logit of treatment 1, predicted from the hidden state through gradient reversal.
+    features : Tensor (K, row, H)
+        What the heads see, packed: the hidden states, without a GRU the encoded observations.
+    initial_state : Tensor (K, B, H)
+        Hidden state before the first step.
+    packing
+        Of the features.
+    recurrent
+        Whether the features are states.
     """
 
     values: torch.Tensor
-    hidden: torch.Tensor
-    final_state: torch.Tensor
     treatment_logits: torch.Tensor | None
+    features: torch.Tensor
+    initial_state: torch.Tensor
+    packing: Packing
+    recurrent: bool
+
+    @property
+    def hidden(self) -> torch.Tensor:
+        """The features of each step, (K, T, B, H)."""
+        return self.packing.unpack(self.features)
+
+    @property
+    def final_state(self) -> torch.Tensor:
+        """Hidden state after each sequence's last valid step, (K, B, H)."""
+        if not self.recurrent:
+            return self.initial_state
+        return self.packing.final(self.features, self.initial_state)
 
 
 def individual_generators(individuals: Sequence[str], seed: int) -> list[torch.Generator]:
@@ -114,6 +133,43 @@ class StackedGRU(nn.Module):
         )
 
 
+class _FoldedDueling(torch.autograd.Function):
+    """One node with its gradient in closed form; as a dozen nodes it outweighs a small update."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        value_weight: torch.Tensor,
+        value_bias: torch.Tensor,
+        advantage_weight: torch.Tensor,
+        advantage_bias: torch.Tensor,
+        num_actions: int,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        individuals, units, quantiles = value_weight.shape
+        ctx.shape = (individuals, -1, num_actions, quantiles)
+        weight = value_weight.new_empty((individuals, 2 * units, num_actions, quantiles))
+        weight[:, :units] = value_weight.unsqueeze(2)
+        advantage = advantage_weight.view(ctx.shape)
+        torch.sub(advantage, advantage.mean(2, keepdim=True), out=weight[:, units:])
+        advantage = advantage_bias.view(ctx.shape)
+        bias = advantage - advantage.mean(2, keepdim=True) + value_bias.unsqueeze(2)
+        return weight.flatten(2), bias.flatten(2)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable  # type: ignore[misc]
+    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        # V enters every action alike; centring is its own transpose.
+        weight, bias = (gradient.view(ctx.shape) for gradient in grad_outputs)
+        to_value, to_advantage = weight.chunk(2, dim=1)
+        return (
+            to_value.sum(2),
+            bias.sum(2),
+            (to_advantage - to_advantage.mean(2, keepdim=True)).flatten(2),
+            (bias - bias.mean(2, keepdim=True)).flatten(2),
+            None,
+        )
+
+
 class DuelingHead(nn.Module):
     """Q = V + A - mean over actions of A, per quantile.
 
@@ -139,19 +195,11 @@ class DuelingHead(nn.Module):
 
     def combined(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Weight (K, 2H, actions * quantiles) and bias (K, 1, same) from hidden units to Q."""
-        weight, bias = self.advantage.weight, self.advantage.bias
-        shape = (self.num_actions, self.num_quantiles)
-        advantage = weight.view(*weight.shape[:-1], *shape)
-        centred = (advantage - advantage.mean(-2, keepdim=True)).flatten(-2)
-        value = self._for_each_action(self.value.weight)
-        advantage_bias = bias.view(*bias.shape[:-1], *shape)
-        centred_bias = (advantage_bias - advantage_bias.mean(-2, keepdim=True)).flatten(-2)
-        value_bias = self._for_each_action(self.value.bias)
-        return torch.cat((value, centred), dim=1), value_bias + centred_bias
-
-    def _for_each_action(self, tensor: torch.Tensor) -> torch.Tensor:
-        """(K, rows, quantiles) to (K, rows, actions * quantiles); cheaper than ``repeat``."""
-        return tensor.unsqueeze(2).expand(-1, -1, self.num_actions, -1).flatten(2)
+        value, advantage = self.value, self.advantage
+        folded: tuple[torch.Tensor, torch.Tensor] = _FoldedDueling.apply(  # type: ignore[no-untyped-call]
+            value.weight, value.bias, advantage.weight, advantage.bias, self.num_actions
+        )
+        return folded
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """(K, row, in) to (K, row, actions * quantiles)."""
@@ -278,10 +326,8 @@ class StackedQNetwork(nn.Module):
             state = self.initial_state(batch)
         packed = packing.pack(observations)
         features = self._encode(packed, packing.pack(previous_actions))
-        final_state = state
         if self.gru is not None:
             features = self.gru(features, state, packing)
-            final_state = packing.final(features, state)
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(
@@ -291,9 +337,11 @@ class StackedQNetwork(nn.Module):
         shape = (*values.shape[:-1], self.num_actions, self.num_quantiles)
         return QOutput(
             values=values.view(shape),
-            hidden=packing.unpack(features),
-            final_state=final_state,
             treatment_logits=logits,
+            features=features,
+            initial_state=state,
+            packing=packing,
+            recurrent=self.recurrent,
         )
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
