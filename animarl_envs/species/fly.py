@@ -1,4 +1,7 @@
-"""Two males courting a female fruit fly in a round chamber (paper, "Fly dataset")."""
+"""Two males courting a female fruit fly in a round chamber (paper, "Fly dataset").
+
+The packaged demonstrations are synthetic, not recorded: see ``docs/data/packaged_courtship.md``.
+"""
 
 from animarl_envs.arena import Arena
 from animarl_envs.locomotion import Locomotion

@@ -2,6 +2,8 @@
 
 The published d and u were computed with 30 Hz differences over 0.1 s, which makes them about three
 times too slow; they are kept as the defaults because nothing better is public. Fit your own.
+
+The packaged demonstrations are synthetic, not recorded: see ``docs/data/packaged_courtship.md``.
 """
 
 from animarl_envs.arena import Arena
