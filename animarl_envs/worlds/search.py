@@ -263,7 +263,8 @@ def _recorded_senses(
             if strange:
                 raise InputError(
                     f"{demos.name}: signal 'plume' names pattern {strange[0]}, which is neither in "
-                    f"train_plumes nor in test_plumes: choose among {patterns}"
+                    "train_plumes nor in test_plumes: add it, or pass demos=None to search "
+                    f"patterns {patterns} only"
                 )
             pattern = np.searchsorted(patterns, numbers).astype(np.int64)
             if "plume_step" in signals:
