@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.recipe import Recipe
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.slots import Feedback, SlotLayout
+from animarl_algos.slots import Feedback, SlotLayout, provided
 from animarl_envs.errors import InputError
 
 
@@ -25,6 +25,34 @@ class Ended:
     @property
     def count(self) -> int:
         return int((self.terminated | self.truncated).sum())
+
+
+def check_environment(env: VecEnv, layout: SlotLayout, recipe: Recipe) -> None:
+    """Refuse an environment that does not give what a recipe learns from.
+
+    Raises
+    ------
+    InputError
+        Before the first step, and before an offline phase.
+    """
+    given = provided(env)
+    if recipe.needs_distance and "dtw_penalty" not in given:
+        raise _lacking(recipe, "the distance to a demonstration", "dtw_penalty")
+    if recipe.needs_alignment and "aligned_action" not in given:
+        raise _lacking(recipe, "aligned demonstrated actions", "aligned_action")
+    if recipe.needs_condition and not layout.condition_flag:
+        raise InputError(
+            f"recipe {recipe.name} needs the condition flag as the last observation component and "
+            "the environment has none: wrap it in the condition-flag wrapper"
+        )
+
+
+def _lacking(recipe: Recipe, what: str, name: str) -> InputError:
+    return InputError(
+        f"recipe {recipe.name} needs {what} and the environment declares none ({name!r} in its "
+        "attribute feedback): learn in a SlotVecEnv with demonstrations, or wrap a single "
+        "environment in the DTW reward"
+    )
 
 
 class Recorder:
@@ -69,15 +97,9 @@ class Recorder:
         label = feedback.get("aligned_action")
         warmup = feedback.get("warmup")
         if self._recipe.needs_distance and penalty is None:
-            raise InputError(
-                f"recipe {self._recipe.name} needs the distance to a demonstration and the "
-                "environment gives none ('dtw_penalty'): wrap it in the DTW reward"
-            )
+            raise _lacking(self._recipe, "the distance to a demonstration", "dtw_penalty")
         if self._recipe.needs_alignment and label is None:
-            raise InputError(
-                f"recipe {self._recipe.name} needs aligned demonstrated actions and the "
-                "environment gives none ('aligned_action'): wrap it in the DTW reward"
-            )
+            raise _lacking(self._recipe, "aligned demonstrated actions", "aligned_action")
         ended = self._ended(dones)
         successors = feedback.successors(next_observation, dones)
         condition = feedback.get("condition")

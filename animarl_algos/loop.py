@@ -22,7 +22,7 @@ from stable_baselines3.common.type_aliases import (
 from stable_baselines3.common.utils import polyak_update, safe_mean, should_collect_more_steps
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.collection import Recorder
+from animarl_algos.collection import Recorder, check_environment
 from animarl_algos.exploration import LinearDecay
 from animarl_algos.losses import balanced_accuracy
 from animarl_algos.progress import ProgressBar
@@ -139,11 +139,7 @@ class OnlineLoop(OffPolicyAlgorithm):
             raise InputError(
                 "there is no environment to learn in: give env=, or call set_env first"
             )
-        if self.recipe.needs_condition and not self.layout.condition_flag:
-            raise InputError(
-                f"recipe {self.recipe.name} needs the condition flag as the last observation "
-                "component and the environment has none: wrap it in the condition-flag wrapper"
-            )
+        check_environment(self.env, self.layout, self.recipe)
         fresh = reset_num_timesteps or self._last_obs is None
         if fresh:
             self.memory: Memory = self.policy.initial_state(self.n_envs)

@@ -19,6 +19,7 @@ from tqdm.auto import tqdm
 
 from animarl_algos.losses import balanced_accuracy
 from animarl_algos.recurrent.batch import SequenceBatch
+from animarl_algos.terms import ScoredActionsTemporalDifference
 from animarl_algos.updates import evaluate, update
 from animarl_envs.errors import InputError
 
@@ -139,6 +140,13 @@ def _refuse_foreign(model: SequenceQLearning, data: DemonstrationData) -> None:
             raise InputError(
                 f"the {name} demonstrations hold action {highest}, the environment has "
                 f"{model.policy.num_actions}: make them for this environment"
+            )
+        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in model.recipe.offline)
+        if scores and scored is None:
+            raise InputError(
+                f"the {name} demonstrations carry no penalties of all actions, which "
+                f"{model.recipe.name} learns from offline: make the dataset with the fitted "
+                "dynamics of their species"
             )
 
 

@@ -34,13 +34,16 @@ def as_frequency(value: int | tuple[int, str] | list[Any] | TrainFreq, name: str
 def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
     """The time limit [steps]: as ``given``, or as the environment declares it.
 
-    Looked for are the VecEnv attribute ``max_episode_steps`` or ``time_limit`` and the Gymnasium
-    spec.
+    Looked for are ``max_episode_steps`` or ``time_limit`` of the VecEnv or its environments, and
+    the Gymnasium spec.
     """
     if given is not None or env is None:
         return given
     for name in ("max_episode_steps", "time_limit"):
         declared = getattr(env, name, None)
+        if declared is None and env.has_attr(name):
+            each = env.get_attr(name)
+            declared = None if None in each else max(each)
         if declared is not None:
             return int(declared)
     specs = [spec for spec in env.get_attr("spec") if spec is not None]

@@ -55,12 +55,23 @@ class SlotLayout:
 
 
 def _condition_flag(env: VecEnv) -> bool:
-    if hasattr(env, "condition_flag"):
-        return bool(env.condition_flag)
-    try:
-        return bool(env.get_attr("condition_flag", indices=0)[0])
-    except AttributeError:
-        return False
+    return bool(_declared(env, "condition_flag"))
+
+
+def provided(env: VecEnv) -> tuple[str, ...]:
+    """What comes with each step beside the reward, as the environment declares in ``feedback``.
+
+    ``dtw_penalty`` is the distance to a demonstration, ``aligned_action`` the demonstrated action
+    aligned with each state.
+    """
+    return tuple(_declared(env, "feedback") or ())
+
+
+def _declared(env: VecEnv, name: str) -> Any:
+    """An attribute of the VecEnv or of its environments, None if neither has it."""
+    if hasattr(env, name):
+        return getattr(env, name)
+    return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
 
 
 class Feedback:

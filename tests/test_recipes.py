@@ -454,7 +454,7 @@ def test_what_a_recipe_needs_is_asked_for_before_training() -> None:
     with pytest.raises(InputError, match="2 individuals with 4"):
         DQDIL(
             "GruPolicy",
-            toys.Recall(2),
+            toys.Lock(2),
             demonstrations=demonstrations(),
             offline_epochs=1,
             **SETTINGS,

@@ -24,6 +24,7 @@ class Toy(VecEnv):
 
     STATE: tuple[str, ...] = ()
     individuals: tuple[str, ...] = ("agent",)
+    feedback: tuple[str, ...] = ()
     num_observations = 1
     num_actions = 2
     time_limit = 10
@@ -161,6 +162,7 @@ class Lock(Toy):
     STATE = ("place",)
     KEY = np.array([2, 0, 1, 1, 2, 1, 0, 0, 2, 1, 2, 0])
     LENGTH = len(KEY)
+    feedback = ("dtw_penalty",)
     num_observations = LENGTH
     num_actions = 3
     time_limit = 20
@@ -199,6 +201,7 @@ class GridWalk(Toy):
     """
 
     STATE = ("position", "row", "minimum")
+    feedback = ("dtw_penalty", "aligned_action")
     num_observations = 3
     num_actions = 4
     time_limit = 20
@@ -267,6 +270,7 @@ class Confounded(Toy):
     """
 
     STATE = ("condition", "noise")
+    feedback = ("dtw_penalty", "condition")
     num_observations = 3
     num_actions = 2
     time_limit = 4
@@ -302,6 +306,7 @@ class Pair(Toy):
 
     STATE = ("place",)
     individuals = ("seeker", "avoider")
+    feedback = ("dtw_penalty", "aligned_action")
     num_observations = 4
     num_actions = 3
     time_limit = 12

@@ -87,6 +87,11 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._recorder: Any = None
         self._renderer: Any = None
 
+    @property
+    def time_limit(self) -> int:
+        """Longest episode [steps], which truncates it."""
+        return int(self.scenario.species.time_limit)
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:

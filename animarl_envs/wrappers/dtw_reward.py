@@ -58,6 +58,9 @@ class DTWReward(
         If the environment is not one of this package or has no demonstrations.
     """
 
+    feedback = ("task_reward", "dtw_penalty")
+    """What learners that need it look for before they start."""
+
     def __init__(
         self, env: gym.Env[Any, Any], alpha: float = 1.0, penalty: str = "increment"
     ) -> None:

@@ -1,0 +1,236 @@
+"""What does not fit together is refused in one sentence, before any training starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import toys
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+from test_recipes import SETTINGS, FlaggedPair, Split, demonstrations
+
+import animarl_envs
+from animarl_algos.checkpoint import load_checkpoint, save_checkpoint
+from animarl_algos.dqaas import DQAAS
+from animarl_algos.dqcil import DQCIL
+from animarl_algos.dqdil import DQDIL
+from animarl_algos.dqn import DQN
+from animarl_algos.offline_data import OfflineDataset
+from animarl_algos.qrdqn import QRDQN
+from animarl_algos.run_settings import RunSettings, asked_species, checked_species
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.wrappers import DTWReward
+
+assert animarl_envs  # registers the ids
+
+
+def unscored() -> Split:
+    """Demonstrations of the pair whose actions nobody has scored."""
+    scored = demonstrations()
+    rng = np.random.default_rng(0)
+    plain = OfflineDataset(
+        rng.normal(size=(5, 2, 4)), np.array([[0, 1]] * 4 + [[-1, -1]]), np.array([5]), 3
+    )
+    return Split(plain, scored.val)
+
+
+def other_actions() -> Split:
+    """Demonstrations with more actions than the pair has."""
+    rng = np.random.default_rng(0)
+    made = OfflineDataset(
+        rng.normal(size=(5, 2, 4)),
+        np.array([[7, 1]] * 4 + [[-1, -1]]),
+        np.array([5]),
+        9,
+        action_penalties=rng.random((5, 2, 9)),
+    )
+    return Split(made, made)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A learner that cannot learn, and words of the sentence that says why."""
+
+    words: str
+    learner: Callable[..., Any]
+    env: Callable[[], Any]
+    more: Callable[[], dict[str, Any]] = dict
+
+
+def offline(data: Callable[[], Split]) -> Callable[[], dict[str, Any]]:
+    return lambda: {"demonstrations": data(), "offline_epochs": 1}
+
+
+CASES = {
+    "no distance": Case("'dtw_penalty'", DQDIL, lambda: toys.Recall(2)),
+    "no distance, any environment": Case("'dtw_penalty'", DQDIL, lambda: gym.make("CartPole-v1")),
+    "no distance, with pretraining": Case(
+        "'dtw_penalty'",
+        DQDIL,
+        lambda: SlotVecEnv("agent", 2, dtw=None),
+        lambda: {"offline_epochs": 1},
+    ),
+    "no alignment": Case("'aligned_action'", DQAAS, lambda: toys.Lock(2)),
+    "no alignment in a single environment": Case(
+        "'aligned_action'", DQAAS, lambda: DTWReward(gym.make("AnimaRL/Agent-v0"))
+    ),
+    "no condition": Case("condition flag", DQCIL, lambda: toys.Pair(2)),
+    "no condition in a world": Case("condition flag", DQCIL, lambda: SlotVecEnv("agent", 2)),
+    "no demonstrations": Case(
+        "was given demonstrations", DQDIL, lambda: toys.Pair(2), lambda: {"offline_epochs": 1}
+    ),
+    "other individuals": Case(
+        "2 individuals with 4", DQDIL, lambda: toys.Lock(2), offline(demonstrations)
+    ),
+    "other observations": Case(
+        "with 4 observation components, the environment 2 with 5",
+        DQDIL,
+        lambda: FlaggedPair(2),
+        offline(demonstrations),
+    ),
+    "other actions": Case(
+        "hold action 8, the environment has 3", DQDIL, lambda: toys.Pair(2), offline(other_actions)
+    ),
+    "no scored actions": Case(
+        "no penalties of all actions", DQDIL, lambda: toys.Pair(2), offline(unscored)
+    ),
+    "no offline phase": Case(
+        "learns without demonstrations", DQN, lambda: toys.Pair(2), lambda: {"offline_epochs": 1}
+    ),
+    "continuous actions": Case("does not suit", DQN, lambda: gym.make("Pendulum-v1")),
+    "continuous actions, quantiles": Case("does not suit", QRDQN, lambda: gym.make("Pendulum-v1")),
+    "observations that are no vector": Case(
+        "not a Box", DQN, lambda: gym.make("Taxi-v4"), lambda: {"max_episode_steps": 5}
+    ),
+    "episodes without end": Case("give max_episode_steps", DQN, lambda: gym.make("Blackjack-v1")),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_learner_that_cannot_learn_says_so_before_it_starts(name: str) -> None:
+    case, updates = CASES[name], []
+    with pytest.raises(InputError, match=case.words) as caught:
+        model = case.learner("GruPolicy", case.env(), **SETTINGS | case.more())
+        model.policy.optimizer.step = lambda *_: updates.append(1)
+        model.learn(20)
+    assert not updates
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_actions_missing_from_demonstrations_are_refused_at_the_door() -> None:
+    actions = np.array([[0, 1], [-1, 1], [0, 1], [-1, -1]])
+    with pytest.raises(InputError, match="action"):
+        OfflineDataset(np.zeros((4, 2, 4)), actions, np.array([4]), 3)
+
+
+@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
+def test_the_wrapper_is_seen_through_a_vector_of_environments(kind: type) -> None:
+    """The DTW reward around a single environment is enough for DQDIL, also in a subprocess."""
+    env = kind([wrapped_agent])
+    model = DQDIL("GruPolicy", env, **SETTINGS | {"batch_size": 1}).learn(30)
+    assert model.num_timesteps == 30
+    env.close()
+
+
+def wrapped_agent() -> gym.Env[Any, Any]:
+    return DTWReward(gym.make("animarl_envs:AnimaRL/Agent-v0"))
+
+
+# -- a run's demonstrations -----------------------------------------------------------------------
+
+
+def settings(**more: Any) -> RunSettings:
+    asked = {"file": "packaged", "species": "agent", "algo": "dqdil", "steps": 1}
+    return RunSettings(**asked | more)
+
+
+def one_condition() -> Any:
+    return load_packaged("agent").select(condition=1)
+
+
+@pytest.mark.parametrize(
+    ("asked", "demos", "words"),
+    [
+        ({"species": "fly"}, "agent", "demonstrations of agent, not of fly"),
+        ({"species": "silkmoth"}, "agent", "demonstrations of agent, not of silkmoth"),
+        ({"species": "fly", "algo": "dqcil"}, "fly", "needs two experimental conditions and fly"),
+        ({"algo": "qr-dqcil-pt"}, "one condition", "all are of condition 1: choose qr-dqdil-pt"),
+        ({"focal": "wolf"}, "agent", "focal is 'wolf': choose one of predator_0"),
+    ],
+)
+def test_demonstrations_that_do_not_fit_the_run(
+    asked: dict[str, Any], demos: str, words: str
+) -> None:
+    given = one_condition() if demos == "one condition" else load_packaged(demos)
+    with pytest.raises(InputError, match=words):
+        checked_species(settings(**asked), given)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"device": "abacus"}, "'abacus' is unknown: choose cpu or cuda"),
+        ({"device": "meta"}, "'meta' is not supported"),
+        ({"preset": "fast"}, "preset 'fast' is unknown"),
+        ({"fit_method": "guess"}, "'guess' is unknown"),
+        ({"seed": -1}, "seed is -1"),
+        ({"copies": 0}, "copies is 0"),
+        ({"test_epsilon": 2.0}, "test_epsilon is 2.0"),
+        ({"algo": "sarsa"}, "'sarsa' is unknown"),
+        ({"species": "dodo"}, "'dodo' is unknown"),
+    ],
+)
+def test_bad_run_settings(asked: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        settings(**asked)
+
+
+def test_environment_and_species_must_agree() -> None:
+    assert asked_species("AnimaRL/Fly-v0", None) == "fly"
+    assert asked_species("AnimaRL/Custom-v0", "custom") == "custom"
+    assert asked_species(None, None) is None
+    with pytest.raises(InputError, match="contradict each other"):
+        asked_species("AnimaRL/Fly-v0", "newt")
+    for foreign in ("CartPole-v1", "AnimaRL/Dodo-v0"):
+        with pytest.raises(InputError, match="none of AnimaRL's"):
+            asked_species(foreign, None)
+
+
+# -- checkpoints ----------------------------------------------------------------------------------
+
+
+def learner(kind: Any = DQN, **more: Any) -> Any:
+    return kind("GruPolicy", toys.Pair(2), **SETTINGS | more)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: learner(QRDQN), "algorithm is 'DQN' there, 'QRDQN' here"),
+        (lambda: learner(policy_kwargs={"hidden": 16}), "parameters is"),
+        (lambda: DQN("GruPolicy", toys.Pair(4), **SETTINGS), "num_copies is 2 there, 4 here"),
+        (lambda: DQN("MlpPolicy", toys.Pair(2), **SETTINGS), "policy is 'GruPolicy' there"),
+    ],
+)
+def test_a_foreign_checkpoint_is_refused(
+    other: Callable[[], Any], words: str, tmp_path: Path
+) -> None:
+    save_checkpoint(learner().learn(20), tmp_path)
+    with pytest.raises(InputError, match=words):
+        load_checkpoint(other(), tmp_path)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"PK\x03\x04", b"{}", b"[1, 2]"])
+@pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz", "state.json"])
+def test_a_corrupt_checkpoint_is_refused(name: str, content: bytes, tmp_path: Path) -> None:
+    checkpoint = save_checkpoint(learner().learn(20), tmp_path)
+    (checkpoint / name).write_bytes(content)
+    with pytest.raises(InputError, match="damaged"):
+        load_checkpoint(learner(), tmp_path)
