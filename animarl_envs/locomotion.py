@@ -1,6 +1,7 @@
 """Locomotion: v' = (1 - d) v + u a dt, its 13 actions, and the way back from tracks to actions.
 
-One definition serves the simulators, the inverse dynamics and the figures.
+One definition serves the simulators, the inverse dynamics and the figures; the kernels' form of the
+equation is :mod:`animarl_envs.worlds.transition`.
 
 Frames. Positions and velocities are in the arena frame. Each individual has an *egocentric frame*
 towards its focus: x axis along the unit vector ``focus`` (towards the focus), y axis to its left.
@@ -13,7 +14,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,12 +65,6 @@ class Locomotion:
         """Bound of the speed within ``steps``, from a speed of at most ``initial``."""
         reached = max(initial, self.terminal_speed(dt))
         return min(reached, initial + steps * self.thrust * dt)
-
-
-@nb.njit(inline="always")
-def next_velocity(velocity, acceleration, damping, thrust, dt):  # type: ignore[no-untyped-def]
-    """One component of ``v' = (1 - d) v + u a dt`` (paper, eq. 1); the position follows with v'."""
-    return (1.0 - damping) * velocity + thrust * acceleration * dt
 
 
 def velocities(

@@ -1,7 +1,8 @@
 """The equations of the chase world, as loops over copies.
 
 Arrays have the copy last: positions ``(K, 2, B)``, observations ``(K, n, B)``. Each innermost loop
-runs over the copies, has no branch and writes one row, so that it compiles to vector instructions.
+runs over all copies and has no branch, so that it compiles to vector instructions. Rows are chosen
+by index, not cut out as views, which would cost more than the row when there is one copy only.
 ``field`` is ``(shape code, size, boundary)``.
 """
 
@@ -14,11 +15,12 @@ import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
-from animarl_envs.locomotion import ACTION_VECTORS, COAST, next_velocity
+from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.arctangent import angle_of
-from animarl_envs.worlds.rules import scripted_action
+from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
+from animarl_envs.worlds.transition import next_velocity
 
 SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
@@ -30,6 +32,7 @@ AHEAD = np.ascontiguousarray(ACTION_VECTORS[:, 0])
 LEFT = np.ascontiguousarray(ACTION_VECTORS[:, 1])
 
 jit = nb.njit(cache=True, error_model="numpy")
+part = nb.njit(cache=True, error_model="numpy", forceinline=True)  # of one of the kernels
 
 
 # -- starting -------------------------------------------------------------------------------------
@@ -85,11 +88,12 @@ def advance(  # type: ignore[no-untyped-def]
     (
         dt, contact_radius, penalty, time_limit, warmup, field, rebounds, senses_centre,
     ) = numbers  # fmt: skip
-    B = len(step_count)
-    for i in range(len(actions)):
+    K, _, B = position.shape
+    for i in range(K):
         for b in range(B):
             actions[i, b] = asked[b, i]
-    step_count += 1
+    for b in range(B):
+        step_count[b] += 1
     if driven:
         drive(drivers, actions, position, velocity, towards, damping, thrust, dt, field)
     move(actions, towards, damping, thrust, dt, position, velocity)
@@ -110,41 +114,39 @@ def advance(  # type: ignore[no-untyped-def]
 # -- moving ---------------------------------------------------------------------------------------
 
 
-@jit
+@part
 def drive(drivers, actions, position, velocity, towards, damping, thrust, dt, field):  # type: ignore[no-untyped-def]
     """Put the actions of those whom the caller does not drive into ``actions`` ``(K, B)``."""
     for i in range(len(drivers)):
         if drivers[i] == COASTING or drivers[i] == REPLAY:
-            actions[i] = COAST
-        elif drivers[i] == SCRIPTED:
             for b in range(actions.shape[1]):
-                actions[i, b] = scripted_action(
-                    b, i, position, velocity, towards, damping[i], thrust[i], dt, field[0], field[1]
-                )
+                actions[i, b] = COAST
+        elif drivers[i] == SCRIPTED:
+            decide(
+                i, position, velocity, towards, damping[i], thrust[i], dt, field[0], field[1],
+                actions,
+            )  # fmt: skip
 
 
-@jit
+@part
 def move(actions, towards, damping, thrust, dt, position, velocity):  # type: ignore[no-untyped-def]
     """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all individuals."""
-    for i in range(len(actions)):
-        _move_one(actions[i], towards[i], damping[i], thrust[i], dt, position[i], velocity[i])
-
-
-@jit
-def _move_one(action, towards, damping, thrust, dt, position, velocity):  # type: ignore[no-untyped-def]
-    B = len(action)
-    for b in range(B):
-        a = AHEAD[action[b]] * towards[0, b] - LEFT[action[b]] * towards[1, b]
-        velocity[0, b] = next_velocity(velocity[0, b], a, damping, thrust, dt)
-    for b in range(B):
-        a = AHEAD[action[b]] * towards[1, b] + LEFT[action[b]] * towards[0, b]
-        velocity[1, b] = next_velocity(velocity[1, b], a, damping, thrust, dt)
-    for x in range(2):
+    K, _, B = position.shape
+    for i in range(K):
         for b in range(B):
-            position[x, b] += velocity[x, b] * dt
+            ahead = AHEAD[actions[i, b]]
+            left = LEFT[actions[i, b]]
+            ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
+            ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
+            vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
+            vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
+            velocity[i, 0, b] = vx
+            velocity[i, 1, b] = vy
+            position[i, 0, b] += vx * dt
+            position[i, 1, b] += vy * dt
 
 
-@jit
+@part
 def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming):  # type: ignore[no-untyped-def]
     """Set what follows its demonstration: all during warm-up, the replaying ones always.
 
@@ -167,7 +169,7 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
         warming[b] = step_count[b] < warmup and left > 1
 
 
-@jit
+@part
 def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
     """Back onto the boundary; the outward velocity is reversed and halved."""
     shape, _, boundary = field
@@ -197,7 +199,7 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
 # -- ends and rewards -----------------------------------------------------------------------------
 
 
-@jit
+@part
 def judge(  # type: ignore[no-untyped-def]
     position, condition, field, contact_radius, dt, penalty, nearest, code, components, reward
 ):
@@ -207,65 +209,52 @@ def judge(  # type: ignore[no-untyped-def]
     """
     K, _, B = position.shape
     target = K - 1
-    nearest[:] = contact_radius * contact_radius
-    code[:] = TIME_OUT
+    touching = contact_radius * contact_radius
+    for b in range(B):
+        nearest[b] = touching
+        code[b] = TIME_OUT
+    for i in range(target):  # the nearest of those in contact is the outcome (ties: lower index)
+        for b in range(B):
+            dx = position[target, 0, b] - position[i, 0, b]
+            dy = position[target, 1, b] - position[i, 1, b]
+            squared = dx * dx + dy * dy
+            components[i, TOUCH, b] = 1.0 if squared < touching else 0.0
+            code[b] = i + 1 if squared < nearest[b] else code[b]
+            nearest[b] = min(nearest[b], squared)
     for i in range(target):
-        _touch(i, position[i], position[target], contact_radius, nearest, components[i], code)
-    for i in range(target):
-        touch = components[i, TOUCH]
         for b in range(B):  # shared reward: a capture is everybody's
-            touch[b] = 1.0 if condition[b] == 1 and code[b] > 0 else touch[b]
+            shared = condition[b] == 1 and code[b] > 0
+            components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
     for i in range(target, -1, -1):  # the target first: its leaving is named before the others'
-        _leave(position[i], field, penalty, components[i])
-        out = components[i, BOUNDARY]
+        _leave(i, position, field, penalty, components)
         left = TARGET_OUT if i == target else PURSUER_OUT
         for b in range(B):
-            code[b] = left if out[b] != 0.0 and code[b] == TIME_OUT else code[b]
-    elapsed = components[target, ELAPSED]
+            out = components[i, BOUNDARY, b] != 0.0
+            code[b] = left if out and code[b] == TIME_OUT else code[b]
     for b in range(B):  # the target is paid for every step that it lasts
-        elapsed[b] = 0.0 if code[b] > 0 or code[b] == TARGET_OUT else dt
+        lost = code[b] > 0 or code[b] == TARGET_OUT
+        components[target, ELAPSED, b] = 0.0 if lost else dt
     for i in range(K):
-        _sum(components[i], reward[i])
+        for b in range(B):
+            reward[i, b] = (
+                components[i, TOUCH, b] + components[i, ELAPSED, b] + components[i, BOUNDARY, b]
+            )
 
 
-@jit
-def _touch(i, pursuer, target, contact_radius, nearest, components, code):  # type: ignore[no-untyped-def]
-    """Who touches the target; the nearest of them is the outcome (ties: the lower index)."""
-    B = len(nearest)
-    squared = components[ELAPSED]  # free until rewards are summed
-    for b in range(B):
-        dx = target[0, b] - pursuer[0, b]
-        dy = target[1, b] - pursuer[1, b]
-        squared[b] = dx * dx + dy * dy
-    touch = components[TOUCH]
-    for b in range(B):
-        touch[b] = 1.0 if squared[b] < contact_radius * contact_radius else 0.0
-    for b in range(B):
-        code[b] = i + 1 if squared[b] < nearest[b] else code[b]
-    for b in range(B):
-        nearest[b] = min(nearest[b], squared[b])
-    squared[:] = 0.0
-
-
-@jit
-def _leave(position, field, penalty, components):  # type: ignore[no-untyped-def]
+@part
+def _leave(i, position, field, penalty, components):  # type: ignore[no-untyped-def]
     """The penalty for being out of bounds."""
     shape, _, boundary = field
-    B = position.shape[1]
-    out = components[BOUNDARY]
+    B = position.shape[2]
     if shape == SQUARE:
         for b in range(B):
-            out[b] = penalty if max(abs(position[0, b]), abs(position[1, b])) > boundary else 0.0
+            farthest = max(abs(position[i, 0, b]), abs(position[i, 1, b]))
+            components[i, BOUNDARY, b] = penalty if farthest > boundary else 0.0
     elif shape == DISC:
         for b in range(B):
-            squared = position[0, b] * position[0, b] + position[1, b] * position[1, b]
-            out[b] = penalty if squared > boundary * boundary else 0.0
-
-
-@jit
-def _sum(components, reward):  # type: ignore[no-untyped-def]
-    for b in range(len(reward)):
-        reward[b] = components[TOUCH, b] + components[ELAPSED, b] + components[BOUNDARY, b]
+            x = position[i, 0, b]
+            y = position[i, 1, b]
+            components[i, BOUNDARY, b] = penalty if x * x + y * y > boundary * boundary else 0.0
 
 
 # -- sensing --------------------------------------------------------------------------------------
@@ -283,89 +272,91 @@ def observe(position, velocity, towards, others, senses_centre, observation):  #
     for i in range(K):
         ranks = 0
         if i != target:
-            _relative(position[i], velocity[i], position[target], velocity[target], others[0])
+            _relate(i, target, ranks, position, velocity, others)
             ranks = 1
         sorted_from = ranks
         for j in range(target):
             if j != i:
-                _relative(position[i], velocity[i], position[j], velocity[j], others[ranks])
+                _relate(i, j, ranks, position, velocity, others)
                 ranks += 1
         for last in range(ranks - 1, sorted_from, -1):  # stable bubble sort, without branches
             for rank in range(sorted_from, last):
-                _exchange(others[rank], others[rank + 1])
-        _observe_own(position[i], velocity[i], others[0], towards[i], observation[i])
+                _order(rank, others)
+        _observe_own(i, position, velocity, others, towards, observation)
         for rank in range(ranks):
-            entry = OWN_ENTRIES + OTHER_ENTRIES * rank
-            _observe_other(others[rank], towards[i], observation[i, entry : entry + OTHER_ENTRIES])
-            if rank == 0:  # straight ahead, by definition
-                observation[i, entry + 1] = 0.0
-                observation[i, entry + 5] = 0.0
+            _observe_other(i, rank, others, towards, observation)
         if senses_centre:
-            centre = observation[i, OWN_ENTRIES + OTHER_ENTRIES * ranks]
+            entry = OWN_ENTRIES + OTHER_ENTRIES * ranks
             for b in range(B):
-                centre[b] = math.sqrt(position[i, 0, b] ** 2 + position[i, 1, b] ** 2)
+                x = position[i, 0, b]
+                y = position[i, 1, b]
+                observation[i, entry, b] = math.sqrt(x * x + y * y)
 
 
-@jit
-def _relative(own_position, own_velocity, its_position, its_velocity, other):  # type: ignore[no-untyped-def]
-    """Relative position, velocity and distance of one other individual, arena frame."""
-    B = other.shape[1]
+@part
+def _relate(i, j, rank, position, velocity, others):  # type: ignore[no-untyped-def]
+    """Position, velocity and distance of ``j`` relative to ``i``, arena frame."""
+    for b in range(position.shape[2]):
+        dx = position[j, 0, b] - position[i, 0, b]
+        dy = position[j, 1, b] - position[i, 1, b]
+        others[rank, DX, b] = dx
+        others[rank, DY, b] = dy
+        others[rank, DVX, b] = velocity[j, 0, b] - velocity[i, 0, b]
+        others[rank, DVY, b] = velocity[j, 1, b] - velocity[i, 1, b]
+        others[rank, DISTANCE, b] = math.sqrt(dx * dx + dy * dy)
+
+
+@part
+def _order(rank, others):  # type: ignore[no-untyped-def]
+    """Exchange this other individual and the next where this one is the farther."""
+    for b in range(others.shape[2]):
+        swap = others[rank, DISTANCE, b] > others[rank + 1, DISTANCE, b]
+        for row in range(RELATIVE):
+            one = others[rank, row, b]
+            two = others[rank + 1, row, b]
+            others[rank, row, b] = two if swap else one
+            others[rank + 1, row, b] = one if swap else two
+
+
+@part
+def _observe_own(i, position, velocity, others, towards, observation):  # type: ignore[no-untyped-def]
+    """Own position, direction of the focus, and own velocity in the egocentric frame."""
+    B = position.shape[2]
     for x in range(2):
         for b in range(B):
-            other[DX + x, b] = its_position[x, b] - own_position[x, b]
-        for b in range(B):
-            other[DVX + x, b] = its_velocity[x, b] - own_velocity[x, b]
+            distance = others[0, DISTANCE, b]
+            e = others[0, DX + x, b] / distance if distance > 0.0 else towards[i, x, b]
+            towards[i, x, b] = e
+            observation[i, x, b] = position[i, x, b]
+            observation[i, 4 + x, b] = e
     for b in range(B):
-        other[DISTANCE, b] = math.sqrt(other[DX, b] * other[DX, b] + other[DY, b] * other[DY, b])
+        ahead, left = _egocentric(velocity[i, 0, b], velocity[i, 1, b], i, b, towards)
+        observation[i, 2, b] = ahead
+        observation[i, 3, b] = left
 
 
-@jit
-def _exchange(first, second):  # type: ignore[no-untyped-def]
-    """Exchange two others where the first is the farther one."""
-    B = first.shape[1]
-    for row in range(DISTANCE):
-        for b in range(B):
-            swap = first[DISTANCE, b] > second[DISTANCE, b]
-            one = first[row, b]
-            two = second[row, b]
-            first[row, b] = two if swap else one
-            second[row, b] = one if swap else two
+@part
+def _observe_other(i, rank, others, towards, observation):  # type: ignore[no-untyped-def]
+    """Position and velocity in the egocentric frame, distance, bearing."""
+    entry = OWN_ENTRIES + OTHER_ENTRIES * rank
+    B = others.shape[2]
     for b in range(B):
-        one = first[DISTANCE, b]
-        two = second[DISTANCE, b]
-        first[DISTANCE, b] = min(one, two)
-        second[DISTANCE, b] = max(one, two)
+        ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
+        if rank == 0:  # the focus lies straight ahead, by definition
+            left = np.float32(0.0)
+        observation[i, entry, b] = ahead
+        observation[i, entry + 1, b] = left
+        observation[i, entry + 4, b] = others[rank, DISTANCE, b]
+        observation[i, entry + 5, b] = np.float32(0.0) if rank == 0 else angle_of(ahead, left)
+    for b in range(B):
+        ahead, left = _egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
+        observation[i, entry + 2, b] = ahead
+        observation[i, entry + 3, b] = left
 
 
-@jit
-def _observe_own(position, velocity, focus, towards, observation):  # type: ignore[no-untyped-def]
-    B = position.shape[1]
-    for x in range(2):
-        for b in range(B):
-            far = focus[DISTANCE, b] > 0.0
-            towards[x, b] = focus[x, b] / focus[DISTANCE, b] if far else towards[x, b]
-        for b in range(B):
-            observation[x, b] = position[x, b]
-        for b in range(B):
-            observation[4 + x, b] = towards[x, b]
-    for b in range(B):
-        observation[2, b] = velocity[0, b] * towards[0, b] + velocity[1, b] * towards[1, b]
-    for b in range(B):
-        observation[3, b] = velocity[1, b] * towards[0, b] - velocity[0, b] * towards[1, b]
-
-
-@jit
-def _observe_other(other, towards, observation):  # type: ignore[no-untyped-def]
-    """Position and velocity turned into the egocentric frame, distance, bearing."""
-    B = towards.shape[1]
-    for row in range(0, 4, 2):
-        for b in range(B):
-            observation[row, b] = other[row, b] * towards[0, b] + other[row + 1, b] * towards[1, b]
-        for b in range(B):
-            observation[row + 1, b] = (
-                other[row + 1, b] * towards[0, b] - other[row, b] * towards[1, b]
-            )
-    for b in range(B):
-        observation[4, b] = other[DISTANCE, b]
-    for b in range(B):
-        observation[5, b] = angle_of(observation[0, b], observation[1, b])
+@part
+def _egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
+    """A vector ahead and to the left of individual ``i``, float32."""
+    ex = towards[i, 0, b]
+    ey = towards[i, 1, b]
+    return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)

@@ -13,10 +13,11 @@ import numba as nb
 import numpy as np
 
 from animarl_envs.demos.demonstrations import TIME_OUT
-from animarl_envs.locomotion import ACTION_VECTORS, COAST, next_velocity
+from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.plume import is_hit
 from animarl_envs.worlds.streams import next_below
+from animarl_envs.worlds.transition import next_velocity
 
 HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
