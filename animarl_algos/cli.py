@@ -8,6 +8,7 @@ import typer
 
 from animarl_algos.commands import data
 from animarl_algos.commands.fit import fit_command
+from animarl_algos.commands.importing import import_command
 from animarl_algos.commands.run import (
     evaluate_command,
     report_command,
@@ -24,7 +25,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.command("import")(data.import_command)
+app.command("import")(import_command)
 app.add_typer(data.app, name="data")
 app.command("fit")(fit_command)
 app.command("run")(run_command)

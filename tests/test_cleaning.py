@@ -84,7 +84,9 @@ def test_identity_swaps_and_jumps_are_found() -> None:
     assert swaps.tolist() == [[300, 0, 1]]
     assert {frame for frame, _ in jumps.tolist()} == {300}
     _, done = clean(tracks(bodies), Cleaning())
-    assert done["identity_swaps"] == 1 and done["first_swaps"] == [[300, 0, 1]]
+    assert done["identity_swaps"] == 1 and done["first_swaps"] == [
+        {"frame": 300, "time": 10.0, "individuals": ["animal_0", "animal_1"]}
+    ]
 
 
 def test_confidence_and_centroid() -> None:

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from animarl_algos.commands import data
 from animarl_algos.commands.fit import fit_command
+from animarl_algos.commands.importing import import_command
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.following import follow
 from animarl_envs.demos.readers import default_recipe, get_reader, read
@@ -24,7 +25,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 
 APP = typer.Typer()
-APP.command("import")(data.import_command)
+APP.command("import")(import_command)
 APP.command("fit")(fit_command)
 APP.add_typer(data.app, name="data")
 
@@ -56,7 +57,7 @@ def test_dry_import_says_what_it_understood_and_writes_nothing(tmp_path: Path) -
     clip = write_slp(tmp_path)
     before = sorted(tmp_path.iterdir())
     said = animarl("import", clip, "--source", "sleap", "--fps", 25, "--dry-run")
-    assert "male pursuer, female pursuer" in said and "nothing was written" in said
+    assert "male (pursuer), female (pursuer)" in said and "nothing was written" in said
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -102,7 +103,7 @@ def test_interrupted_saves_leave_nothing_behind(
 def test_data_commands(tmp_path: Path) -> None:
     path = write_agents(tmp_path)
     demos = read(path)
-    assert "predator_0 pursuer" in animarl("data", "show", path)
+    assert "predator_0 (pursuer)" in animarl("data", "show", path)
     assert "3 episodes, all valid" in animarl("data", "check", path, "--out", tmp_path / "t.csv")
     rows = list(csv.DictReader((tmp_path / "t.csv").open()))
     assert [float(row["duration"]) for row in rows] == pytest.approx([0.5, 0.3, 0.9])

@@ -1,24 +1,22 @@
-"""``animarl import`` and ``animarl data``: anyone's tracks in, demonstrations out."""
+"""``animarl data``: look at demonstrations, check, split, convert and plot them."""
 
 from __future__ import annotations
 
 import csv
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-import yaml
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
+from animarl_algos.commands.describing import Row, describe, hints
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.following import follow
 from animarl_envs.demos.minari_io import export_minari
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.demos.readers import available_readers, default_recipe, find_reader, read
+from animarl_envs.demos.readers import available_readers, read
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import episode_table, plot_summary, summarise
@@ -32,122 +30,19 @@ DemosArgument = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
 
 
-def import_command(
-    files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
-    source: Annotated[
-        str | None, typer.Option(help="Reader; see 'animarl data sources'. Default: by a look.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Demonstrations to write (.npz).")] = None,
-    recipe: Annotated[Path | None, typer.Option(help="Repeat this saved recipe (.yaml).")] = None,
-    dry_run: Annotated[bool, typer.Option(help="Only say what is understood.")] = False,
-    fps: Annotated[float | None, typer.Option(help="Frames a second of the recording.")] = None,
-    decision_rate: Annotated[
-        float | None, typer.Option(help="Samples a second of the demonstrations.")
-    ] = None,
-    individuals: Annotated[
-        str | None, typer.Option(help="Which, in order: a,b,c; rename by a=male,b=female.")
-    ] = None,
-    target: Annotated[
-        str | None, typer.Option(help="Name of the pursued individual, or auto: who is approached.")
-    ] = None,
-    keypoint: Annotated[str | None, typer.Option(help="Body part, or centroid.")] = None,
-    min_confidence: Annotated[float | None, typer.Option(help="Below it: not tracked.")] = None,
-    max_gap: Annotated[float | None, typer.Option(help="Fill gaps up to so many seconds.")] = None,
-    smoothing: Annotated[
-        float | None, typer.Option(help="Low-pass cutoff in Hz (Butterworth, zero phase).")
-    ] = None,
-    arena: Annotated[str | None, typer.Option(help="square, disc or open.")] = None,
-    arena_width: Annotated[
-        float | None, typer.Option(help="Side or diameter in the file's unit; default: extent.")
-    ] = None,
-    units: Annotated[
-        float | None, typer.Option(help="Open arena: the file's units per arena unit.")
-    ] = None,
-    cut: Annotated[str | None, typer.Option(help="whole, approach or events.")] = None,
-    farther_than: Annotated[float | None, typer.Option(help="An approach starts here.")] = None,
-    closer_than: Annotated[float | None, typer.Option(help="An approach ends here.")] = None,
-    contact: Annotated[float | None, typer.Option(help="whole: ends within this.")] = None,
-    piece: Annotated[float | None, typer.Option(help="whole: cut into pieces, s.")] = None,
-    longest: Annotated[float | None, typer.Option(help="Leave longer episodes out, s.")] = None,
-    keep_last: Annotated[float | None, typer.Option(help="Keep the last seconds.")] = None,
-    shortest: Annotated[float | None, typer.Option(help="Leave shorter ones out, s.")] = None,
-    events: Annotated[Path | None, typer.Option(help="Table: recording, start, end [s].")] = None,
-    species: Annotated[str | None, typer.Option(help="Species they belong to.")] = None,
-    condition: Annotated[int | None, typer.Option(help="0 or 1, of all episodes.")] = None,
-    licence: Annotated[str | None, typer.Option(help="Of the recordings.")] = None,
-    split_by: Annotated[str | None, typer.Option(help="auto, recording or episode.")] = None,
-    split_seed: Annotated[int | None, typer.Option(help="Of the splits.")] = None,
-    option: Annotated[
-        list[str] | None, typer.Option(help="Of the reader: name=value, value as YAML.")
-    ] = None,
-) -> None:
-    """Turn tracker files into demonstrations; the recipe is saved beside them.
-
-    Examples:
-
-      animarl import clip.slp --source sleap --fps 25 --target female --dry-run
-
-      animarl import pairs.csv --fps 30 --target auto --decision-rate 10 --out demos.npz
-
-      animarl import more.csv --recipe demos.recipe.yaml --out more.npz
-    """
-    if out is not None and out.suffix != ".npz":
-        raise InputError(f"{out}: demonstrations end in .npz: rename it")
-    if out is None and not dry_run:
-        raise InputError("nothing would be written: name --out, or ask for a --dry-run")
-    reader = find_reader(files[0], source)
-    if reader.read_demonstrations is not None:
-        if len(files) > 1:
-            raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
-        finished = read(files[0], reader.name, **_options(option))
-        _report(finished, out, None)
-        return
-    given: dict[str, Any] = {
-        "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
-        "condition": condition, "licence": licence, "options": _options(option) or None,
-        "cleaning": {
-            "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,
-            "smoothing_cutoff": smoothing,
-        },
-        "scaling": {"shape": arena, "width": arena_width, "units_per_arena_unit": units},
-        "cutting": {
-            "mode": cut or ("approach" if farther_than else "events" if events else None),
-            "farther_than": farther_than, "closer_than": closer_than,
-            "contact": contact, "piece": piece,
-            "longest": longest, "keep_last": keep_last, "shortest": shortest,
-            "events": str(events) if events else None,
-        },
-        "splitting": {"by": split_by, "seed": split_seed},
-    }  # fmt: skip
-    if individuals is not None:
-        pairs = [entry.strip().partition("=") for entry in individuals.split(",")]
-        given["individuals"] = [name for name, _, _ in pairs]
-        given["rename"] = {name: new for name, _, new in pairs if new} or None
-    base = Recipe.load(recipe) if recipe is not None else default_recipe(reader)
-    plan = Recipe.from_dict(_merged(base.to_dict(), given), "the options given")
-    with Progress(transient=True, console=Console(stderr=True)) as bar:
-        task = bar.add_task(f"Reading {len(files)} file(s)", total=1.0)
-        demos = follow(plan, files, lambda share: bar.update(task, completed=share))
-    if dry_run:
-        _report(demos, None, plan)
-        Console().print("Dry run: nothing was written.")
-    else:
-        _report(demos, out, plan)
-
-
 @app.command("sources")
 def sources_command() -> None:
     """List the readers and their options."""
     table = Table("source", "reads", "options (--option name=value)")
     for reader in available_readers():
         table.add_row(reader.name, reader.description, ", ".join(reader.options))
-    _console().print(table)
+    wide_console().print(table)
 
 
 @app.command("show")
 def show_command(file: DemosArgument) -> None:
     """Say what a file holds: individuals, episodes, durations, speeds, outcomes, provenance."""
-    _show(load(file))
+    show(load(file))
 
 
 @app.command("check")
@@ -158,7 +53,7 @@ def check_command(
     """Validate a file, name suspicious episodes, and write the table per episode."""
     demos = load(file)
     rows = episode_table(demos)
-    console = _console()
+    console = wide_console()
     for warning in suspicions(demos, rows):
         console.print(f"check: {warning}", highlight=False, soft_wrap=True)
     if out is not None:
@@ -187,7 +82,7 @@ def split_command(
         ) from None
     settings = Splitting(by=by, pattern=pattern, fractions=shares, seed=seed)  # type: ignore[arg-type]
     demos = load(file)
-    _report(deal(demos, settings), out, None)
+    report(deal(demos, settings), out, None)
 
 
 @app.command("convert")
@@ -206,7 +101,7 @@ def convert_command(
         export_minari(demos, out)
     else:
         raise InputError(f"{out}: the suffix says the format: .npz, .csv, or none for Minari")
-    _console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
+    wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
 
 
 @app.command("plot")
@@ -215,7 +110,7 @@ def plot_command(file: DemosArgument, out: OutOption) -> None:
     if out.suffix not in {".png", ".svg", ".pdf"}:
         raise InputError(f"{out}: a figure ends in .png, .svg or .pdf: rename it")
     plot_summary(load(file), out)
-    _console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
+    wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
 
 
 def load(file: str, source: str | None = None) -> Demonstrations:
@@ -248,8 +143,11 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
         if len(np.unique(demos.split[demos.recording == name])) > 1
     ]
     if torn:
-        found.append(f"{len(torn)} recordings lie in several splits, {torn[0]} first")
-    return found
+        found.append(
+            f"{len(torn)} of {len(np.unique(demos.recording))} recordings lie in several splits, "
+            f"{torn[0]} first"
+        )
+    return found + hints(demos)
 
 
 def write_long_table(demos: Demonstrations, out: Path) -> None:
@@ -264,58 +162,35 @@ def write_long_table(demos: Demonstrations, out: Path) -> None:
                     writer.writerow([name, frame, who, x, y])
 
 
-def _report(demos: Demonstrations, out: Path | None, plan: Recipe | None) -> None:
-    _show(demos)
+def report(demos: Demonstrations, out: Path | None, plan: Recipe | None) -> None:
+    """Show the demonstrations; write them, and the recipe that made them, if ``out`` is given."""
+    show(demos)
     if out is None:
         return
     demos.save(out)
-    console = _console()
+    console = wide_console()
     console.print(f"Wrote {out}", highlight=False, soft_wrap=True)
     if plan is not None:
         recipe_file = plan.save(out.with_suffix(".recipe.yaml"))
         console.print(f"Wrote {recipe_file}, which repeats it", highlight=False, soft_wrap=True)
 
 
-def _show(demos: Demonstrations) -> None:
-    table = Table(title=demos.name, show_header=False)
-    for key, value in summarise(demos).items():
-        table.add_row(key.replace("_", " "), _words(value))
-    _console().print(table)
+def show(demos: Demonstrations) -> None:
+    """Print what demonstrations hold."""
+    show_rows(demos.name, describe(demos))
 
 
-def _words(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_words(entry)}" for name, entry in value.items())
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return ", ".join(value) if isinstance(value, list) else str(value)
+def show_rows(title: str, rows: list[Row]) -> None:
+    """Print a table of names and words."""
+    table = Table(title=title, show_header=False, box=SIMPLE_HEAD, title_justify="left")
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, words in rows:
+        table.add_row(name, words)
+    wide_console().print(table, highlight=False)
 
 
-def _options(given: list[str] | None) -> dict[str, Any]:
-    found = {}
-    for entry in given or []:
-        name, equals, value = entry.partition("=")
-        if not equals:
-            raise InputError(f"option {entry!r} has no '=': write name=value")
-        try:
-            found[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise InputError(f"option {entry!r} has a value that is no YAML: quote it") from None
-    return found
-
-
-def _merged(base: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
-    """``base`` with every entry of ``given`` that is not None, nested ones included."""
-    merged = json.loads(json.dumps(base))
-    for key, value in given.items():
-        if isinstance(value, dict) and isinstance(merged.get(key), dict) and key != "rename":
-            merged[key] = _merged(merged[key], value)
-        elif value is not None:
-            merged[key] = value
-    return dict(merged)
-
-
-def _console() -> Console:
+def wide_console() -> Console:
     console = Console()
     console.width = max(console.width, 100)
     return console

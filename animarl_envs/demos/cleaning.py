@@ -33,7 +33,7 @@ class Cleaning:
     max_gap
         Gaps up to this long are filled by straight lines [s]; longer ones cut the recording.
     smoothing_cutoff
-        Butterworth low-pass of first order, run forwards and backwards [Hz]; ``None``: none.
+        Butterworth low-pass of first order, run forwards and backwards [Hz]; ``None`` or 0: none.
     drop_jumps
         Whether frames after a jump (there and back within a frame) become gaps; else only flagged.
     """
@@ -47,8 +47,12 @@ class Cleaning:
     def __post_init__(self) -> None:
         if not 0 <= self.max_gap < math.inf:
             raise InputError(f"max_gap is {self.max_gap} s: it must be zero or positive")
+        if self.smoothing_cutoff == 0:
+            object.__setattr__(self, "smoothing_cutoff", None)
         if self.smoothing_cutoff is not None and not 0 < self.smoothing_cutoff < math.inf:
-            raise InputError(f"smoothing_cutoff is {self.smoothing_cutoff} Hz: it must be positive")
+            raise InputError(
+                f"smoothing_cutoff is {self.smoothing_cutoff} Hz: give a positive one, or 0"
+            )
         if self.min_confidence is not None and not math.isfinite(self.min_confidence):
             raise InputError(f"min_confidence is {self.min_confidence}: it must be a number")
 
@@ -69,8 +73,9 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     bodies = body_positions(positions, tracks.keypoints, settings.keypoint, tracks.recording)
     done["keypoint"] = settings.keypoint
     jumps, swaps = find_jumps(bodies)
-    done["jumps"], done["first_jumps"] = len(jumps), jumps[:SHOWN_JUMPS].tolist()
-    done["identity_swaps"], done["first_swaps"] = len(swaps), swaps[:SHOWN_JUMPS].tolist()
+    done["jumps"], done["first_jumps"] = len(jumps), _flags(tracks, jumps)
+    done["identity_swaps"], done["first_swaps"] = len(swaps), _flags(tracks, swaps)
+    done["jumps_dropped"] = settings.drop_jumps
     if settings.drop_jumps:
         bodies = bodies.copy()
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
@@ -84,6 +89,19 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
             "cutoff_hz": settings.smoothing_cutoff,
         }
     return tracks.with_bodies(bodies, keypoints=(settings.keypoint,)), done
+
+
+def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """The first of the flagged frames: frame, time [s] and names."""
+    assert tracks.frame_rate is not None
+    return [
+        {
+            "frame": frame,
+            "time": round(frame / tracks.frame_rate, 3),
+            "individuals": [tracks.individuals[i] for i in who],
+        }
+        for frame, *who in found[:SHOWN_JUMPS].tolist()
+    ]
 
 
 def body_positions(

@@ -19,7 +19,7 @@ from animarl_envs.demos.cutting import (
     most_approached,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.recipe import Recipe
+from animarl_envs.demos.recipe import NOT_STATED, Recipe
 from animarl_envs.demos.scaling import scale_of
 from animarl_envs.demos.splits import split_recordings
 from animarl_envs.demos.tracks import Tracks, merge
@@ -83,7 +83,7 @@ def demonstrations_from_tracks(
     recording = np.array([one["recording"] for one in episodes])
     rate = recipe.decision_rate or cleaned[0].frame_rate
     assert rate is not None
-    first = dict(recordings[0].provenance)
+    first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
     return Demonstrations(
         species=recipe.species,
         individuals=individuals,
@@ -106,6 +106,9 @@ def demonstrations_from_tracks(
             "licence": recipe.licence,
             "synthetic": recipe.synthetic,
             **first,
+            **({} if recipe.licence == NOT_STATED else {"licence": recipe.licence}),
+            "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
+            "unit": cleaned[0].unit,
             "recipe": recipe.to_dict(),
             "scales": scales,
             "cleaning": done,
@@ -115,6 +118,12 @@ def demonstrations_from_tracks(
 
 
 def _named(tracks: Tracks, recipe: Recipe) -> Tracks:
+    strangers = sorted(set(recipe.rename) - set(tracks.individuals))
+    if strangers:
+        raise InputError(
+            f"{tracks.recording}: there is no individual {strangers[0]!r} to rename: choose among "
+            f"{', '.join(tracks.individuals)}"
+        )
     if recipe.individuals is not None:
         tracks = tracks.choose(recipe.individuals)
     names = tuple(recipe.rename.get(name, name) for name in tracks.individuals)

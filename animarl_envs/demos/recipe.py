@@ -15,6 +15,8 @@ from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename
 
+NOT_STATED = "not stated"  # the licence, where nobody said
+
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
@@ -53,7 +55,7 @@ class Recipe:
     keep_last_frame: bool = False
     species: str = "custom"
     condition: int | None = None
-    licence: str = "not stated"
+    licence: str = NOT_STATED
     synthetic: bool = False
     cleaning: Cleaning = field(default_factory=Cleaning)
     scaling: Scaling = field(default_factory=Scaling)
