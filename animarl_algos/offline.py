@@ -99,7 +99,7 @@ def run_offline_phase(
     with bar:
         while progress.epoch < model.offline_epochs:
             model.at_boundary()
-            row = _train_epoch(model, data.train, progress.epoch)
+            row = train_epoch(model, data.train, progress.epoch)
             policy.q_net_target.load_state_dict(policy.q_net.state_dict())
             row |= validation_figures(model, data.val)
             progress.epoch += 1
@@ -150,7 +150,7 @@ def _refuse_foreign(model: SequenceQLearning, data: DemonstrationData) -> None:
             )
 
 
-def _train_epoch(model: SequenceQLearning, dataset: OfflineDataset, epoch: int) -> Figures:
+def train_epoch(model: SequenceQLearning, dataset: OfflineDataset, epoch: int) -> Figures:
     """One pass over the training split; returns the mean of each term."""
     policy, phase, terms = model.policy, model.phase("offline"), model.recipe.offline
     generator = np.random.default_rng([model.root_seed, epoch])
