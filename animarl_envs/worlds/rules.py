@@ -21,6 +21,9 @@ LOOKAHEAD = 6  # [steps] for which the action is held in the mind's eye
 WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
 
 
+jit = nb.njit(cache=True, error_model="numpy")
+
+
 @nb.njit(inline="always")
 def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
     """How far ``(x, y)`` lies in the margin along the wall, squared and in margins; 0 inside it."""
@@ -35,53 +38,56 @@ def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
     return 0.0
 
 
-@nb.njit(cache=True)
-def scripted_action(b, i, position, velocity, towards, damping, thrust, dt, shape, size):  # type: ignore[no-untyped-def]
-    """The action of individual ``i`` in copy ``b`` by the rule of its role."""
-    target = len(position) - 1
+@jit
+def decide(i, position, velocity, towards, damping, thrust, dt, shape, size, actions):  # type: ignore[no-untyped-def]
+    """Put what the rule of individual ``i`` does in each copy into ``actions[i]``, ``(B,)``."""
+    K, _, B = position.shape
+    target = K - 1
+    for b in range(B):
+        actions[i, b] = 0
     if i != target:
-        return 0
-    ex = towards[i, 0, b]
-    ey = towards[i, 1, b]
-    best = 0
-    lowest = math.inf
+        return
+    px, py, cost, lowest = np.empty(B), np.empty(B), np.empty(B), np.full(B, math.inf)
     for k in range(NUM_ACTIONS):
         ahead = ACTION_VECTORS[k, 0]
         left = ACTION_VECTORS[k, 1]
-        ax = ahead * ex - left * ey
-        ay = ahead * ey + left * ex
-        px = position[i, 0, b]
-        py = position[i, 1, b]
-        vx = velocity[i, 0, b]
-        vy = velocity[i, 1, b]
-        for _ in range(LOOKAHEAD):
-            vx = (1.0 - damping) * vx + thrust * ax * dt
-            vy = (1.0 - damping) * vy + thrust * ay * dt
-            px += vx * dt
-            py += vy * dt
-        cost = 10.0 * wall_cost(px, py, shape, size)
+        for b in range(B):
+            ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
+            ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
+            x = position[i, 0, b]
+            y = position[i, 1, b]
+            vx = velocity[i, 0, b]
+            vy = velocity[i, 1, b]
+            for _ in range(LOOKAHEAD):
+                vx = (1.0 - damping) * vx + thrust * ax * dt
+                vy = (1.0 - damping) * vy + thrust * ay * dt
+                x += vx * dt
+                y += vy * dt
+            px[b] = x
+            py[b] = y
+            cost[b] = 10.0 * wall_cost(x, y, shape, size)
         for j in range(target):
-            dx = position[j, 0, b] + velocity[j, 0, b] * LOOKAHEAD * dt * 0.5 - px
-            dy = position[j, 1, b] + velocity[j, 1, b] * LOOKAHEAD * dt * 0.5 - py
-            cost += 1.0 / (math.sqrt(dx * dx + dy * dy) + 0.05 * size)
-        if cost < lowest:
-            lowest = cost
-            best = k
-    return best
+            for b in range(B):
+                dx = position[j, 0, b] + velocity[j, 0, b] * LOOKAHEAD * dt * 0.5 - px[b]
+                dy = position[j, 1, b] + velocity[j, 1, b] * LOOKAHEAD * dt * 0.5 - py[b]
+                cost[b] += 1.0 / (math.sqrt(dx * dx + dy * dy) + 0.05 * size)
+        for b in range(B):
+            better = cost[b] < lowest[b]
+            actions[i, b] = k if better else actions[i, b]
+            lowest[b] = cost[b] if better else lowest[b]
 
 
-@nb.njit(cache=True)
+@jit
 def _decide_all(position, velocity, towards, damping, thrust, dt, shape, size, actions):  # type: ignore[no-untyped-def]
-    for b in range(actions.shape[0]):
-        for i in range(actions.shape[1]):
-            actions[b, i] = scripted_action(
-                b, i, position, velocity, towards, damping[i], thrust[i], dt, shape, size
-            )
+    for i in range(len(actions)):
+        decide(
+            i, position, velocity, towards, damping[i], thrust[i], dt, shape, size, actions
+        )  # fmt: skip
 
 
 def scripted_actions(world: Any) -> NDArray[np.int64]:
     """What the rules would do in every copy of a chase world, ``(B, K)``."""
-    actions = np.zeros((world.num_copies, world.num_individuals), dtype=np.int64)
+    actions = np.zeros((world.num_individuals, world.num_copies), dtype=np.int64)
     species = world.scenario.species
     _decide_all(
         world._position, world._velocity, world._towards,
@@ -89,4 +95,4 @@ def scripted_actions(world: Any) -> NDArray[np.int64]:
         np.array([m.thrust for m in species.locomotion]),
         species.dt, SHAPE_CODES[species.arena.shape], species.arena.size, actions,
     )  # fmt: skip
-    return actions
+    return np.ascontiguousarray(actions.T)
