@@ -18,6 +18,7 @@ from typing import Any
 
 import yaml
 
+from animarl_algos.base import SequenceQLearning
 from animarl_algos.recipes import named_recipe
 from animarl_algos.settings import checked_value
 from animarl_envs import SPECIES, environment_id
@@ -29,6 +30,7 @@ SURROUNDINGS: dict[str, Any] = {"n_timesteps": 1, "n_envs": 1, "env_kwargs": Non
 """What a section says beside the algorithm's arguments; 1 where a whole number is asked for."""
 PIPELINE: dict[str, Any] = {"test_epsilon": 0.5, "fit_method": "joint"}
 """Keys of ``pipeline.yml``."""
+POLICIES = tuple(SequenceQLearning.policy_aliases)
 NOT_FOR_FILES = {
     "self", "env", "demonstrations", "seed", "device", "verbose", "tensorboard_log",
     "_init_setup_model",
@@ -214,4 +216,7 @@ def _checked_section(
 def _checked(key: str, value: Any, known: Mapping[str, Any], place: str) -> Any:
     if key not in known:
         raise InputError(f"{place} is unknown: choose among {', '.join(sorted(known))}")
-    return checked_value(key, value, known[key], place)
+    value = checked_value(key, value, known[key], place)
+    if key == "policy" and value not in POLICIES:
+        raise InputError(f"{place} is {value!r}: choose {' or '.join(POLICIES)}")
+    return value

@@ -172,6 +172,7 @@ def test_the_pipeline_tests_with_the_papers_epsilon() -> None:
         ({"prioritized": "yes"}, "give a number, not text|give true or false"),
         ({"prioritized": 1}, "give true or false"),
         ({"policy": 3}, "give a name"),
+        ({"policy": "os.path"}, "is 'os.path': choose GruPolicy or MlpPolicy"),
         ({"policy_kwargs": "dict(hidden=64)"}, "'policy_kwargs' is 'dict.hidden=64.'"),
         ({"env_kwargs": [1]}, "give a table"),
         ({"seed": 1}, "'seed' is unknown"),

@@ -1,0 +1,156 @@
+"""``python -m animarl_algos.zoo train|optimize|enjoy``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import rl_zoo3
+import rl_zoo3.exp_manager
+import rl_zoo3.hyperparams_opt
+import rl_zoo3.train
+import torch
+import yaml
+
+from animarl_algos.presets import PRESETS
+from animarl_algos.recipes import RECIPES
+from animarl_algos.zoo.enjoy import enjoy
+from animarl_algos.zoo.environments import species_of_id
+from animarl_algos.zoo.manager import AnimalExperimentManager
+from animarl_algos.zoo.samplers import converted, sampler
+from animarl_envs.errors import InputError
+
+USAGE = """python -m animarl_algos.zoo COMMAND ...
+
+train     learn, with rl_zoo3's options and --preset paper|default
+optimize  tune with optuna into SQLite, scored on the validation split
+enjoy     run a trained model, and show it
+
+Examples:
+
+  python -m animarl_algos.zoo train --algo dqdil --env AnimaRL/Agent-v0 --n-timesteps 20000 --seed 1
+  python -m animarl_algos.zoo optimize --algo dqdil --env AnimaRL/Agent-v0 --n-timesteps 20000 \\
+      --n-trials 20
+  python -m animarl_algos.zoo enjoy --algo dqdil --env AnimaRL/Agent-v0 --out chase.gif
+
+COMMAND --help lists the options of a command."""
+
+TRAIN_NOTE = """Learners of this project through rl_zoo3, whose options follow. Beside them:
+
+  --preset {paper,default}  settings of zoo_configs/<algo>.yml (default: default)
+
+KEY:VALUE pairs are YAML, never evaluated (-params learning_rate:0.001 offline_epochs:5).
+AnimaRL ids train all individuals; --env-kwargs focal:prey trains one. The model, its settings,
+learning curves (CSV, TensorBoard) and evaluations on the validation split go to
+<log-folder>/<algo>/<env>_<number>. -i loads a zip file, which holds pickles: only your own.
+"""
+
+
+class StoreData(argparse.Action):
+    """``KEY:VALUE ...`` as a dictionary; values are YAML data (rl_zoo3 evaluates them)."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:
+        stored = {}
+        for pair in values or []:
+            key, colon, value = pair.partition(":")
+            if not colon:
+                raise InputError(f"{option_string} {pair}: write KEY:VALUE")
+            try:
+                stored[key] = yaml.safe_load(value)
+            except yaml.YAMLError:
+                raise InputError(f"{option_string} {pair}: the value is not valid YAML") from None
+        setattr(namespace, self.dest, stored)
+
+
+def register() -> None:
+    """Put the learners, and what optuna may choose for them, into rl_zoo3's tables."""
+    rl_zoo3.ALGOS.clear()
+    rl_zoo3.ALGOS.update({name: named.algorithm for name, named in RECIPES.items()})
+    samplers: dict[str, Any] = rl_zoo3.hyperparams_opt.HYPERPARAMS_SAMPLER
+    converters: dict[str, Any] = rl_zoo3.hyperparams_opt.HYPERPARAMS_CONVERTER
+    samplers.update({name: sampler(name) for name in RECIPES})
+    converters.update(dict.fromkeys(RECIPES, converted))
+
+
+def train(arguments: list[str]) -> None:
+    """rl_zoo3's training with this project's manager."""
+    own = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    own.add_argument("--preset", choices=PRESETS, default="default")
+    asked, rest = own.parse_known_args(arguments)
+    if {"-h", "--help"} & set(rest):
+        print(TRAIN_NOTE)
+    peeked = _peek(rest)
+    if peeked.env is not None:
+        for package in peeked.gym_packages:
+            __import__(package)
+        species_of_id(peeked.env)
+    if "--algo" not in rest:
+        rest += ["--algo", "dqdil-pt"]
+    torch.set_num_threads(1)
+
+    class Manager(AnimalExperimentManager):
+        preset = asked.preset
+
+    vars(rl_zoo3.train).update(ExperimentManager=Manager, StoreDict=StoreData)
+    warnings.filterwarnings("ignore", message="Training and eval env are not of the same type")
+    sys.argv = ["python -m animarl_algos.zoo train", *rest]
+    rl_zoo3.train.train()
+
+
+def optimize(arguments: list[str]) -> None:
+    """Training with ``-optimize``, into an SQLite file beside the logs unless told otherwise."""
+    peeked = _peek(arguments)
+    folder = Path(peeked.log_folder) / (peeked.algo or "dqdil-pt")
+    if peeked.storage is None:
+        folder.mkdir(parents=True, exist_ok=True)
+        arguments += ["--storage", f"sqlite:///{folder / 'optuna.db'}"]
+    if peeked.study_name is None:
+        arguments += ["--study-name", f"{peeked.algo or 'dqdil-pt'} {peeked.env}"]
+    train([*arguments, "-optimize", "--no-optim-plots"])
+
+
+def _peek(arguments: list[str]) -> argparse.Namespace:
+    """A look at some of rl_zoo3's options before it parses them itself."""
+    look = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for option in ("--env", "--algo", "--storage", "--study-name"):
+        look.add_argument(option)
+    look.add_argument("-f", "--log-folder", default="logs")
+    look.add_argument("--gym-packages", nargs="+", default=[])
+    return look.parse_known_args(arguments)[0]
+
+
+COMMANDS: dict[str, Callable[[list[str]], None]] = {
+    "train": train,
+    "optimize": optimize,
+    "enjoy": enjoy,
+}
+
+
+def main() -> None:
+    """Entry point; bad input is one sentence and exit code 2."""
+    arguments = sys.argv[1:]
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(USAGE)
+        sys.exit(0 if arguments else 2)
+    try:
+        if arguments[0] not in COMMANDS:
+            raise InputError(f"command {arguments[0]!r} is unknown: choose {', '.join(COMMANDS)}")
+        register()
+        COMMANDS[arguments[0]](arguments[1:])
+    except InputError as error:
+        print(f"animarl_algos.zoo: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

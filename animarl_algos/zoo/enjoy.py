@@ -1,0 +1,177 @@
+"""``enjoy``: run a model that rl_zoo3 saved, in a window, as a clip, or without a picture."""
+
+from __future__ import annotations
+
+import argparse
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import yaml
+from huggingface_sb3 import EnvironmentName
+from rl_zoo3.utils import get_model_path
+from stable_baselines3.common.vec_env import VecEnv
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.commands.watch import play, trained_actor
+from animarl_algos.focal import FocalPolicy
+from animarl_algos.recipes import RECIPES, named_recipe
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.zoo.environments import slot_environment, species_of_id
+from animarl_envs.errors import InputError
+from animarl_envs.render import CLIP_SUFFIXES, Renderer, write_clip
+
+
+def enjoy(arguments: list[str]) -> None:
+    """Load a model and let it act; prints the return and length of every episode."""
+    asked = _parser().parse_args(arguments)
+    if asked.out is not None and asked.out.suffix.lower() not in CLIP_SUFFIXES:
+        raise InputError(f"{asked.out}: a clip cannot be written so: use .gif or .mp4")
+    species = species_of_id(asked.env)
+    if asked.out is not None and species is None:
+        raise InputError(f"--out draws AnimaRL environments, not {asked.env}: leave it out")
+    path, options = find_model(asked)
+    model = load_model(asked.algo, path)
+    model.policy.seed(asked.seed)
+    if not asked.stochastic:
+        model.policy.epsilon = 0.0
+    if species is None:
+        mode = None if asked.no_render else "human"
+        env: VecEnv = model._wrap_env(gym.make(asked.env, render_mode=mode, **options))
+        _check_fit(model, env, path)
+        run(model, env, asked.n_timesteps, asked.seed)
+        return
+    slots = slot_environment(asked.env, 1, split="val", **options)
+    _check_fit(model, slots, path)
+    if asked.no_render:
+        run(model, slots, asked.n_timesteps, asked.seed)
+    else:
+        show(model, slots, asked)
+
+
+def run(model: SequenceQLearning, env: VecEnv, steps: int, seed: int) -> None:
+    """Act for so many steps, and say how episodes ended."""
+    env.seed(seed)
+    observation = env.reset()
+    state, starts = None, np.ones(env.num_envs, dtype=bool)
+    returns: list[float] = []
+    for _ in range(steps):
+        actions, state = model.predict(observation, state, starts)  # type: ignore[arg-type]
+        observation, _, starts, infos = env.step(actions)
+        episode = infos[0].get("episode")
+        if episode is not None:
+            returns.append(float(episode["r"]))
+            print(f"episode {len(returns)}: return {returns[-1]:.3f}, {episode['l']} steps")
+    if returns:
+        print(f"{len(returns)} episodes, mean return {np.mean(returns):.3f}")
+    env.close()
+
+
+def show(model: SequenceQLearning, env: SlotVecEnv, asked: argparse.Namespace) -> None:
+    """Draw episodes of the validation split, in a window or into a clip."""
+    one = len(env.individuals) < len(env.scenario.names)
+    actor = trained_actor(FocalPolicy(model, env.scenario, env.individuals[0]) if one else model)
+    env.world.seed(np.array([asked.seed], dtype=np.uint64))
+    fps = 1.0 / env.scenario.species.dt
+    renderer = Renderer("human" if asked.out is None else "rgb_array", fps=fps)
+    endings: list[str] = []
+    pictures = play(
+        env.world, actor, renderer, episodes=asked.episodes, steps=asked.n_timesteps,
+        endings=endings,
+    )  # fmt: skip
+    try:
+        if asked.out is None:
+            for _ in pictures:
+                pass
+        else:
+            write_clip(pictures, asked.out, fps)
+            print(f"Wrote {asked.out}")
+    finally:
+        renderer.close()
+    for number, ending in enumerate(endings, start=1):
+        print(f"episode {number}: {ending}")
+
+
+def find_model(asked: argparse.Namespace) -> tuple[Path, dict[str, Any]]:
+    """The zip file that was asked for, and the options its environment was trained with.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    name = EnvironmentName(asked.env)
+    if asked.model is not None:
+        path = asked.model
+        folder = path.parent
+        if not path.is_file():
+            raise InputError(f"{path}: there is no such file: name the zip of a trained model")
+    else:
+        try:
+            _, found, log_path = get_model_path(
+                asked.exp_id, asked.folder, asked.algo, name, asked.load_best
+            )
+        except (AssertionError, ValueError) as error:
+            raise InputError(f"{error}: train first, or name a zip with --model") from None
+        path, folder = Path(found), Path(log_path)
+    config = folder / name / "config.yml"
+    if not config.is_file():
+        return path, {}
+    settings = yaml.safe_load(config.read_text())
+    return path, settings.get("env_kwargs") or {}
+
+
+def load_model(algo: str, path: Path) -> SequenceQLearning:
+    """A model of ``algo`` from a zip file of stable-baselines3, which holds pickles.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or of another algorithm.
+    """
+    try:
+        return named_recipe(algo).algorithm.load(path, device="cpu")
+    except (
+        zipfile.BadZipFile, AssertionError, AttributeError, EOFError, KeyError, OSError,
+        RuntimeError, TypeError, ValueError,
+    ) as error:  # fmt: skip
+        first_line = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise InputError(f"{path}: it is no model of {algo} ({first_line})") from error
+
+
+def _check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
+    mine, here = model.observation_space.shape, env.observation_space.shape
+    individuals = len(getattr(env, "individuals", ("agent",)))
+    if mine != here or model.layout.num_individuals != individuals:
+        raise InputError(
+            f"{path}: it was trained with {model.layout.num_individuals} individuals that observe "
+            f"{mine}, this environment has {individuals} that observe {here}: give the --env and "
+            "--algo it was trained with"
+        )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m animarl_algos.zoo enjoy",
+        description=(
+            "Run a model that 'train' saved: the latest of --algo and --env in --folder, or the "
+            "file --model. A zip file of stable-baselines3 holds pickles, which can run any code "
+            "when loaded: load only files of your own. AnimaRL episodes start from the validation "
+            "split."
+        ),
+    )
+    parser.add_argument("--algo", required=True, choices=list(RECIPES), help="as it was trained")
+    parser.add_argument("--env", required=True, help="environment id")
+    parser.add_argument("--model", type=Path, help="zip file to load (holds pickles)")
+    parser.add_argument("-f", "--folder", default="logs", help="log folder (default: logs)")
+    parser.add_argument("--exp-id", type=int, default=0, help="run number (default: the latest)")
+    parser.add_argument("--load-best", action="store_true", help="the best by evaluation")
+    parser.add_argument("-n", "--n-timesteps", type=int, default=1000, help="most steps")
+    parser.add_argument("--episodes", type=int, default=1, help="episodes to show")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--stochastic", action="store_true", help="act with the last epsilon")
+    parser.add_argument("--no-render", action="store_true", help="figures only, no picture")
+    parser.add_argument("--out", type=Path, help="clip to write, .gif or .mp4, instead of a window")
+    return parser

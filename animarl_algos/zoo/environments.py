@@ -1,0 +1,74 @@
+"""Environments for rl_zoo3: all individuals learn; scores come from the validation split."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_envs.errors import InputError
+
+NOT_SLOTS = ("others", "render_mode")
+"""Options of a single environment that the slot VecEnv has not."""
+
+
+def species_of_id(env_id: str) -> str | None:
+    """The species of an AnimaRL id, None for any other environment.
+
+    Raises
+    ------
+    InputError
+        If no such environment is registered.
+    """
+    try:
+        spec = gym.spec(env_id)
+    except gym.error.Error as error:
+        known = ", ".join(sorted(i for i in gym.registry if i.startswith("AnimaRL/")))
+        raise InputError(
+            f"environment {env_id!r} is not registered: choose one of {known}, or import the "
+            "package of yours with --gym-packages"
+        ) from error
+    species = spec.kwargs.get("species")
+    return species if isinstance(species, str) else None
+
+
+def slot_environment(
+    env_id: str, copies: int, *, split: str = "train", **options: Any
+) -> SlotVecEnv:
+    """The slot VecEnv of an AnimaRL id; ``options`` win over those that it was registered with.
+
+    The condition is the last observation component if the species has conditions and the
+    demonstrations hold both.
+    """
+    registered = {k: v for k, v in gym.spec(env_id).kwargs.items() if k not in NOT_SLOTS}
+    options = {"condition_flag": None} | registered | options
+    return SlotVecEnv(options.pop("species"), copies, split=split, **options)
+
+
+def validation_environment(env_id: str, copies: int, **options: Any) -> VecEnv:
+    """What policies are scored in: episodes of the validation split, :class:`Scored`."""
+    options["dtw"] = "increment"  # whatever the learner is paid for, scores are comparable
+    return VecMonitor(Scored(slot_environment(env_id, copies, split="val", **options)))
+
+
+class Scored(VecEnvWrapper):
+    """Pays the task reward minus the increase of the distance to the recorded path.
+
+    An episode's return is what it achieved minus its final DTW distance (paper's reward with
+    alpha = 1), per individual: the score by which rl_zoo3 picks the best model and optuna the best
+    settings. Without demonstrations it is the task return.
+    """
+
+    venv: SlotVecEnv
+
+    def reset(self) -> VecEnvObs:
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observations, rewards, dones, infos = self.venv.step_wait()
+        if "dtw_penalty" in self.venv.extras:
+            rewards = rewards - self.venv.extras["dtw_penalty"]
+        return observations, rewards, dones, infos

@@ -1,0 +1,173 @@
+"""rl_zoo3's experiment manager, with this project's settings and environments."""
+
+from __future__ import annotations
+
+import sys
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import yaml
+from rl_zoo3.callbacks import TrialEvalCallback
+from rl_zoo3.exp_manager import ExperimentManager
+from rl_zoo3.hyperparams_opt import HYPERPARAMS_SAMPLER
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecEnv
+
+from animarl_algos.presets import learner_preset
+from animarl_algos.progress import ProgressBar
+from animarl_algos.recipes import named_recipe
+from animarl_algos.zoo.environments import (
+    slot_environment,
+    species_of_id,
+    validation_environment,
+)
+from animarl_envs.errors import InputError
+
+
+class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
+    """Settings from a preset; AnimaRL ids as slots in training, as validation in evaluation.
+
+    Attributes
+    ----------
+    preset
+        ``"paper"`` or ``"default"``, set by a subclass.
+    """
+
+    preset = "default"
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        config = kwargs.get("config")
+        self.own_config: str | None = config
+        self.species = species_of_id(self.env_name.gym_id)
+        if config is None:
+            self.config = f"zoo_configs/{self.algo}.yml ({self.preset})"
+
+    # -- settings ---------------------------------------------------------------------------------
+
+    def read_hyperparameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Those of the preset, then of a stored trial, then of the command line, each checked."""
+        overrides: dict[str, Any] = {}
+        if self.storage and self.study_name and self.trial_id is not None:
+            overrides |= self.load_trial(self.storage, self.study_name, self.trial_id)
+        overrides |= self.custom_hyperparams or {}
+        found = learner_preset(
+            self.algo, self.env_name.gym_id, self.preset, overrides, config=self.own_config
+        )
+        options = found.env_kwargs if self.species is not None else {}
+        options = options | self.env_kwargs
+        self.eval_env_kwargs = options | (self._eval_env_kwargs_args or {})
+        settings = found.arguments | {
+            "n_timesteps": found.n_timesteps,
+            "n_envs": found.n_envs,
+            "env_kwargs": options,
+        }
+        print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
+        return deepcopy(settings), settings
+
+    def _save_config(self, saved_hyperparams: dict[str, Any]) -> None:
+        """The settings as resolved and the command, as plain YAML."""
+        folder = Path(self.params_path)
+        (folder / "config.yml").write_text(yaml.safe_dump(saved_hyperparams))
+        arguments = {key: _plain(value) for key, value in vars(self.args).items()}
+        (folder / "args.yml").write_text(yaml.safe_dump(arguments | {"preset": self.preset}))
+        (folder / "command.txt").write_text(" ".join(sys.orig_argv))
+        print(f"Log path: {self.save_path}")
+
+    # -- environments -----------------------------------------------------------------------------
+
+    def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
+        """Slots that all learn; for evaluation, slots that start from the validation split."""
+        if self.species is None:
+            return super().create_envs(n_envs, eval_env, no_log)
+        make = validation_environment if eval_env else slot_environment
+        options = self.eval_env_kwargs if eval_env else self.env_kwargs
+        env = make(self.env_name.gym_id, n_envs, **options)
+        env.seed(self.seed)
+        return env
+
+    def create_callbacks(self) -> None:
+        """rl_zoo3's, with a progress bar in steps of the world and every individual scored."""
+        if self.show_progress:
+            self.callbacks.append(ProgressBar())
+            self.show_progress = False
+        super().create_callbacks()  # type: ignore[no-untyped-call]
+        for callback in self.callbacks:
+            if isinstance(callback, EvalCallback):
+                callback.n_eval_episodes = self._slot_episodes(callback.eval_env)
+
+    def _slot_episodes(self, env: VecEnv) -> int:
+        """Episodes of slots that make ``n_eval_episodes`` of the world."""
+        return int(self.n_eval_episodes * env.num_envs // self.n_eval_envs)
+
+    # -- learning ---------------------------------------------------------------------------------
+
+    def learn(self, model: BaseAlgorithm) -> None:
+        """Train, with learning curves as CSV and TensorBoard in the folder of the run."""
+        if self.tensorboard_log is None:
+            outputs = ["csv", "tensorboard"]
+            shown = any(isinstance(callback, ProgressBar) for callback in self.callbacks)
+            if self.verbose > 0 and not shown:
+                outputs.append("stdout")
+            model.set_logger(configure(self.save_path, outputs))
+        super().learn(model)
+
+    def objective(self, trial: optuna.Trial) -> float:
+        """The score on the validation split at the end of training; unpromising trials stop early.
+
+        Every trial has the same seed, so that settings alone differ.
+        """
+        arguments = deepcopy(self._hyperparams)
+        arguments |= HYPERPARAMS_SAMPLER[self.algo](trial, self.n_actions, self.n_envs, {})
+        env = self.create_envs(self.n_envs, no_log=True)
+        scored = self.create_envs(self.n_eval_envs, eval_env=True)
+        episodes = self._slot_episodes(scored)
+        try:
+            model = named_recipe(self.algo).algorithm(
+                env=env,
+                seed=self.seed,
+                device=self.device,
+                verbose=max(0, self.verbose - 1),
+                **arguments,
+            )
+            watch = TrialEvalCallback(
+                scored,
+                trial,
+                n_eval_episodes=episodes,
+                eval_freq=max(1, self.n_timesteps // self.n_evaluations // self.n_envs),
+                deterministic=self.deterministic_eval,
+            )
+            model.learn(self.n_timesteps, callback=watch)
+            if watch.is_pruned:
+                raise optuna.TrialPruned
+            score, _ = evaluate_policy(
+                model, scored, n_eval_episodes=episodes, deterministic=self.deterministic_eval
+            )
+        except InputError as error:  # offline training that diverged says so
+            print(f"Trial {trial.number} is given up: {error}")
+            raise optuna.TrialPruned from error
+        finally:
+            env.close()
+            scored.close()
+        return float(np.mean(score))
+
+    def hyperparameters_optimization(self) -> None:
+        """rl_zoo3's, with a word where no trial came to its end."""
+        try:
+            super().hyperparameters_optimization()
+        except ValueError as error:
+            if "No trials are completed" not in str(error):
+                raise
+            raise InputError(
+                "no trial came to its end: give more --n-trials or --pruner none"
+            ) from error
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)

@@ -1,0 +1,283 @@
+"""rl_zoo3 with these learners: train, optimize, enjoy; settings checked, nothing evaluated."""
+
+from __future__ import annotations
+
+import sqlite3
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+import rl_zoo3
+import rl_zoo3.exp_manager
+import rl_zoo3.utils
+import yaml
+
+from animarl_algos.presets import known_settings, learner_preset
+from animarl_algos.recipes import RECIPES
+from animarl_algos.zoo.__main__ import main, register
+from animarl_algos.zoo.environments import slot_environment, validation_environment
+from animarl_algos.zoo.samplers import sampler
+from animarl_envs import SPECIES, environment_id
+from animarl_envs.demos.packaged import load_packaged
+
+AGENT, NAME = "AnimaRL/Agent-v0", "AnimaRL-Agent-v0"
+TINY = ["--n-timesteps", "200", "--seed", "1", "--eval-freq", "100", "--eval-episodes", "2"]
+
+
+@dataclass(frozen=True)
+class Done:
+    """How a command ended."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def zoo(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[..., Done]:
+    """``python -m animarl_algos.zoo`` in this process, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str) -> Done:
+        monkeypatch.setattr(sys, "argv", ["zoo", *arguments])
+        monkeypatch.setattr(sys, "orig_argv", ["zoo", *arguments])
+        capfd.readouterr()
+        code = 0
+        try:
+            main()
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        said = capfd.readouterr()
+        return Done(code, said.out, said.err)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Demonstrations of a few short episodes of both conditions in each split."""
+    demos = load_packaged("agent")
+    chosen = []
+    for split, count in (("train", 6), ("val", 3), ("test", 3)):
+        for condition in (0, 1):
+            found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
+            chosen.extend(found[np.argsort(demos.lengths[found])][5 : 5 + count].tolist())
+    return demos.select(episodes=chosen).save(tmp_path_factory.mktemp("demos") / "small.npz")
+
+
+def test_all_learners_are_in_the_tables_of_rl_zoo3() -> None:
+    register()
+    assert {name: named.algorithm for name, named in RECIPES.items()} == rl_zoo3.ALGOS
+    assert rl_zoo3.exp_manager.ALGOS is rl_zoo3.ALGOS is rl_zoo3.utils.ALGOS
+
+
+@pytest.mark.parametrize("algo", RECIPES)
+def test_optuna_chooses_settings_that_the_learner_knows(algo: str) -> None:
+    register()
+    study = optuna.create_study()
+    drawn = sampler(algo)(study.ask(), 0, 16, {})
+    assert drawn and learner_preset(algo, AGENT, "default", drawn)
+    stored = study.trials[0].params
+    assert rl_zoo3.exp_manager.HYPERPARAMS_CONVERTER[algo](stored) == drawn
+    weights = {key.removeprefix("offline_") for key in drawn} & {"alpha", "lambda2", "lambda3"}
+    wanted = {"dil": {"alpha"}, "cil": {"alpha", "lambda2"}, "aas": {"lambda3"}}
+    kind = next((k for k in wanted if k in algo), "")
+    assert weights == wanted.get(kind, set())
+    assert drawn.keys() <= known_settings(algo).keys()
+
+
+@pytest.mark.parametrize("species", SPECIES)
+def test_all_individuals_learn_and_scores_come_from_the_validation_split(species: str) -> None:
+    env_id, demos = environment_id(species), load_packaged(species)
+    training, scored = slot_environment(env_id, 2), validation_environment(env_id, 2)
+    assert training.num_envs == scored.num_envs == 2 * demos.num_individuals
+    paired = {"train": training.scenario.demos, "val": scored.scenario.demos}
+    for split, found in paired.items():
+        assert found is not None and set(found.split) == {split}
+
+
+def test_the_score_is_the_task_reward_minus_the_final_distance(small: Path) -> None:
+    scored = validation_environment(AGENT, 1, demos=str(small))
+    scored.seed(3)
+    scored.reset()
+    task = distance = 0.0
+    while True:
+        _, _, done, infos = scored.step(np.full(3, 6))
+        task += scored.extras["task_reward"]
+        distance += scored.extras["dtw_penalty"]
+        if done.all():
+            break
+    returns = [info["episode"]["r"] for info in infos]
+    assert returns == pytest.approx(task - distance, abs=1e-5)
+    assert (distance > 0.1).any()
+
+
+def test_train_then_enjoy(zoo: Callable[..., Done], small: Path, tmp_path: Path) -> None:
+    demos = ["--env-kwargs", f"demos:{small}"]
+    done = zoo("train", "--algo", "dqdil", "--env", AGENT, *TINY, *demos)
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "logs" / "dqdil" / f"{NAME}_1"
+    for name in (f"{NAME}.zip", "best_model.zip", "evaluations.npz", "progress.csv"):
+        assert (run / name).stat().st_size > 0
+    assert list(run.glob("events.out.tfevents.*"))
+    config = yaml.safe_load((run / NAME / "config.yml").read_text())
+    assert config["alpha"] == 1.0 and config["env_kwargs"]["demos"] == str(small)
+    assert yaml.safe_load((run / NAME / "args.yml").read_text())["seed"] == 1
+    with np.load(run / "evaluations.npz") as evaluations:
+        assert evaluations["results"].shape[1] == 2 * 3  # episodes x individuals
+
+    figures = zoo("enjoy", "--algo", "dqdil", "--env", AGENT, "--no-render", "-n", "40")
+    assert figures.returncode == 0, figures.stderr
+    assert "episode 1: return" in figures.stdout
+    clip = zoo("enjoy", "--algo", "dqdil", "--env", AGENT, "--load-best", "--out", "a.gif")
+    assert clip.returncode == 0, clip.stderr
+    assert (tmp_path / "a.gif").read_bytes()[:3] == b"GIF"
+
+    wrong = zoo("enjoy", "--algo", "dqdil", "--env", "AnimaRL/Silkmoth-v0", "--model",
+                str(run / f"{NAME}.zip"), "--no-render")  # fmt: skip
+    assert wrong.returncode == 2 and "3 individuals that observe" in wrong.stderr
+
+
+def test_the_same_seed_gives_the_same_scores(
+    zoo: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    scores = []
+    for number in (1, 2):
+        done = zoo("train", "--algo", "dqn", "--env", AGENT, *TINY, "--env-kwargs",
+                   f"demos:{small}")  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        file = tmp_path / "logs" / "dqn" / f"{NAME}_{number}" / "evaluations.npz"
+        with np.load(file) as evaluations:
+            scores.append(evaluations["results"])
+    np.testing.assert_array_equal(*scores)
+
+
+def test_one_individual_in_training_and_on_show(
+    zoo: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    options = ["--env-kwargs", f"demos:{small}", "focal:prey"]
+    params = ["-params", "offline_epochs:1", "learning_rate:lin_1e-3"]
+    done = zoo("train", "--algo", "qr-dqcil-pt", "--env", AGENT, *TINY, "-P", *options, *params)
+    assert done.returncode == 0, done.stderr
+    assert "online" in done.stderr  # the progress bar
+    clip = zoo("enjoy", "--algo", "qr-dqcil-pt", "--env", AGENT, "--out", "prey.gif")
+    assert clip.returncode == 0, clip.stderr
+    assert (tmp_path / "prey.gif").exists()
+
+
+def test_a_learner_without_an_online_phase(
+    zoo: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    done = zoo("train", "--algo", "bc", "--env", AGENT, *TINY, "--env-kwargs", f"demos:{small}",
+               "-params", "offline_epochs:2")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "logs" / "bc" / f"{NAME}_1" / f"{NAME}.zip").exists()
+
+
+def test_other_environments_train_as_ever(zoo: Callable[..., Done], tmp_path: Path) -> None:
+    done = zoo("train", "--algo", "dqn", "--env", "CartPole-v1", *TINY)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "logs" / "dqn" / "CartPole-v1_1" / "0.monitor.csv").exists()
+    shown = zoo("enjoy", "--algo", "dqn", "--env", "CartPole-v1", "--no-render", "-n", "60")
+    assert shown.returncode == 0 and "mean return" in shown.stdout, shown.stderr
+
+
+@pytest.mark.parametrize("algo", ["bc", "dqdil"])
+def test_optimize_tunes_into_sqlite(
+    algo: str, zoo: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    """Two trials, then two more in the same study; the best one's settings train a model."""
+    tune = ["optimize", "--algo", algo, "--env", AGENT, *TINY, "--n-trials", "2", "--pruner",
+            "none", "--env-kwargs", f"demos:{small}"]  # fmt: skip
+    if algo == "bc":
+        tune += ["-params", "offline_epochs:1"]
+    for _ in range(2):
+        done = zoo(*tune)
+        assert done.returncode == 0, done.stderr
+    database = tmp_path / "logs" / algo / "optuna.db"
+    with sqlite3.connect(database) as connection:
+        rows = connection.execute("select state from trials").fetchall()
+    assert rows == [("COMPLETE",)] * 4
+    if algo == "bc":
+        return
+    study = optuna.load_study(study_name=f"{algo} {AGENT}", storage=f"sqlite:///{database}")
+    assert len({trial.value for trial in study.trials}) > 1
+    done = zoo("train", "--algo", algo, "--env", AGENT, *TINY, "--env-kwargs", f"demos:{small}",
+               "--storage", f"sqlite:///{database}", "--study-name", f"{algo} {AGENT}",
+               "--trial-id", "0")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    runs = sorted((tmp_path / "logs" / algo).glob(f"{NAME}_*"))
+    config = yaml.safe_load((runs[-1] / NAME / "config.yml").read_text())
+    assert config["alpha"] == study.trials[0].params["alpha"]
+
+
+# -- bad input ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["dance"], "'dance' is unknown: choose train, optimize, enjoy"),
+        (["train", "--algo", "ppo", "--env", AGENT], "invalid choice: 'ppo'"),
+        (["train", "--algo", "dqn", "--env", "AnimaRL/Dodo-v0"], "'AnimaRL/Dodo-v0' is not"),
+        (["train", "--algo", "dqn", "--env", AGENT, "--preset", "fast"], "invalid choice: 'fast'"),
+        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gama:1"], "'gama' is unknown"),
+        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma"], "write KEY:VALUE"),
+        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma:["], "not valid YAML"),
+        (["train", "--algo", "dqn", "--env", AGENT, "--env-kwargs", "wind:1"], "'wind' is unknown"),
+        (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),
+        (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "does not suit"),
+        (["train", "--algo", "dqdil", "--env", "CartPole-v1"], "'dtw_penalty'"),
+        (["train", "--algo", "dqcil", "--env", "AnimaRL/Fly-v0"], "condition flag"),
+        (["enjoy", "--algo", "dqn", "--env", AGENT], "train first"),
+        (["enjoy", "--algo", "dqn", "--env", AGENT, "--model", "no.zip"], "no such file"),
+        (["enjoy", "--algo", "dqn", "--env", AGENT, "--out", "a.bmp"], "use .gif or .mp4"),
+        (["enjoy", "--algo", "dqn", "--env", "CartPole-v1", "--out", "a.gif"], "leave it out"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    arguments: list[str], word: str, zoo: Callable[..., Done]
+) -> None:
+    done = zoo(*arguments)
+    assert done.returncode == 2
+    assert word in done.stderr and "Traceback" not in done.stderr
+    assert "invalid choice" in word or len(done.stderr.strip().splitlines()) == 1
+
+
+def test_nothing_on_the_command_line_or_in_a_file_is_evaluated(
+    zoo: Callable[..., Done], tmp_path: Path
+) -> None:
+    """rl_zoo3 evaluates KEY:VALUE, policy_kwargs and normalize, runs .py files, imports names."""
+    evil = f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
+    for key in ("policy_kwargs", "replay_buffer_kwargs", "normalize", "env_wrapper", "policy"):
+        done = zoo("train", "--algo", "dqn", "--env", AGENT, "-params", f'{key}:"{evil}"')
+        assert done.returncode == 2, done.stdout
+        file = tmp_path / "mine.yml"
+        file.write_text(yaml.safe_dump({"base": "dqn", AGENT: {"default": {key: evil}}}))
+        done = zoo("train", "--algo", "dqn", "--env", AGENT, "-conf", str(file))
+        assert done.returncode == 2, done.stdout
+    script = tmp_path / "mine.py"
+    script.write_text(f"{evil}\nhyperparams = {{}}\n")
+    assert zoo("train", "--algo", "dqn", "--env", AGENT, "-conf", str(script)).returncode == 2
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_damaged_or_foreign_zip_is_refused(zoo: Callable[..., Done], tmp_path: Path) -> None:
+    for content in (b"", b"text", b"PK\x05\x06" + bytes(18)):
+        (tmp_path / "bad.zip").write_bytes(content)
+        done = zoo("enjoy", "--algo", "dqn", "--env", AGENT, "--model", "bad.zip", "--no-render")
+        assert done.returncode == 2 and "no model of dqn" in done.stderr
+
+
+def test_help_says_what_a_zip_file_is(zoo: Callable[..., Done]) -> None:
+    assert "pickles" in zoo("enjoy", "--help").stdout
+    train: Any = zoo("train", "--help")
+    assert "--preset {paper,default}" in train.stdout and "pickles" in train.stdout
+    assert "python -m animarl_algos.zoo train" in zoo("--help").stdout
