@@ -36,6 +36,7 @@ from animarl_algos.recipes import RECIPES, named_recipe
 from animarl_algos.settings import constructed
 from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs import environment_id
+from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, get_species
@@ -172,7 +173,8 @@ def go_on_twice(model: SequenceQLearning, other: SequenceQLearning, folder: Path
 def act(model: SequenceQLearning, species: str, seed: int) -> tuple[float, float]:
     """Return and DTW distance per step, means over the validation demonstrations' starts."""
     scenario = make_scenario(get_species(species), split="val")
-    assert scenario.demos is not None
+    if scenario.demos is None:
+        raise InputError(f"species {species!r} has no packaged demonstrations to start from")
     model.policy.seed(seed)
     rollouts = collect_rollouts(
         partial(make_world, scenario),

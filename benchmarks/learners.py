@@ -1,0 +1,323 @@
+"""Speed of the learners, beside the published figures of the authors' code and SB3's own DQN.
+
+    python benchmarks/learners.py [--quick]
+
+One run, one process, one thread, on the packaged demonstrations of the agents (three individuals,
+each its own network). What is measured:
+
+acting      collection without updates, all included: a step of 16 copies of the world, the rows of
+            the dynamic time warping, the networks with their memories, one epsilon draw per slot,
+            and recording into the replay memory. Steps of the world per second.
+update      one update at the paper's batch, 32 episodes of 3 individuals, all included: drawing
+            from the prioritised replay, both networks, masks, clipping per individual, Adam, new
+            priorities. The replay is filled with synthetic episodes (random numbers) of 57 or 148
+            steps on average, the lengths at which the authors' code was timed.
+offline     one epoch over the 400 episodes of the training split, in batches of 16.
+paper run   Agent, DQDIL, the paper's settings: a stretch of real training, and the evaluation of 5
+            rollouts from each of 50 starts, extrapolated to 1,005,000 steps of the world.
+CartPole    feed-forward DQN here and in stable-baselines3, learning: same widths, batch and frequency
+            of updates, transitions drawn uniformly, no weight decay; the two in turns.
+
+A figure is the best of many short repeats, the one least disturbed by whatever else runs; between
+processes of different sessions Linux shares the processor evenly whatever their nice level, so on a
+busy machine look at the load in the last line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import stable_baselines3
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.dqdil import DQDIL
+from animarl_algos.dqn import DQN
+from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.evaluation.metrics import measure
+from animarl_algos.offline import train_epoch, validation_figures
+from animarl_algos.presets import learner_preset
+from animarl_algos.recipes import named_recipe
+from animarl_algos.settings import constructed
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT
+from animarl_envs.worlds import make_world
+
+COPIES, BATCH = 16, 32
+PAPER_STEPS = 1_005_000
+TEST_STARTS, REPETITIONS = 50, 5
+
+# Published: the authors' code on this kind of machine.
+PUBLISHED_UPDATE = {
+    ("dqdil", 57): 0.90,
+    ("dqdil", 148): 3.95,
+    ("dqaas", 57): 0.51,
+    ("dqaas", 148): 1.55,
+    ("dqn", 57): 0.30,
+}
+PUBLISHED_ACTING = 600.0  # steps/s
+PUBLISHED_EPOCH = 83.0  # s
+PUBLISHED_RUN = (5.0, 10.0)  # h
+AIM_UPDATE = {("dqdil", 57): 0.040, ("dqdil", 148): 0.090}
+AIM_ACTING, AIM_EPOCH, AIM_RUN = 40_000.0, 3.0, 25.0 * 60.0
+
+
+@dataclass
+class Budget:
+    """How much is measured."""
+
+    quick: bool
+    seconds: float = field(init=False)
+    updates: int = field(init=False)
+    epochs: int = field(init=False)
+    run_steps: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.seconds = 1.5 if self.quick else 6.0
+        self.updates = 4 if self.quick else 25
+        self.epochs = 1 if self.quick else 3
+        self.run_steps = 2_000 if self.quick else 12_000
+
+
+def best_time(act: Callable[[], Any], *, repeats: int = 0, seconds: float = 0.0) -> float:
+    """Seconds that ``act`` takes at best, after one call that compiles and warms up."""
+    act()
+    times: list[float] = []
+    until = time.perf_counter() + seconds
+    while len(times) < repeats or time.perf_counter() < until:
+        start = time.perf_counter()
+        act()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def learner(algo: str, **settings: Any) -> SequenceQLearning:
+    """``algo`` on the agents, in 16 copies of their world."""
+    named = named_recipe(algo)
+    env = SlotVecEnv("agent", COPIES, condition_flag=named.algorithm.recipe.needs_condition)
+    return named.algorithm(env=env, seed=1, device="cpu", batch_size=BATCH, **settings)
+
+
+def acting_rate(seconds: float) -> float:
+    """World steps per second of DQDIL without updates."""
+    model = learner("dqdil", updates_per_episode=0.0, buffer_size=100_000)
+    model.learn(COPIES)
+    steps = 200 * COPIES
+
+    def act() -> None:
+        model.learn(steps, reset_num_timesteps=False, log_interval=None)
+
+    return steps / best_time(act, seconds=seconds)
+
+
+def update_time(algo: str, mean_length: int, updates: int) -> float:
+    """Seconds of one update on synthetic episodes of ``mean_length`` steps on average."""
+    model = learner(algo, buffer_size=40_000)
+    model.learn(COPIES)
+    fill_with_synthetic_episodes(model, mean_length)
+    return best_time(lambda: model.train(1, BATCH), repeats=updates)
+
+
+def fill_with_synthetic_episodes(model: SequenceQLearning, mean_length: int) -> None:
+    """Random episodes, half to one and a half times the mean long, none past the time limit."""
+    memory = model.replay_buffer
+    assert memory is not None
+    memory.drop_running()
+    rng = np.random.default_rng(0)
+    pair = (COPIES, model.layout.num_individuals)
+    spread = min(mean_length // 2, AGENT.time_limit - mean_length)
+    for _ in range(12):
+        half = rng.integers(-spread, spread + 1, size=COPIES // 2)
+        lengths = mean_length + np.concatenate([half, -half])
+        for t in range(lengths.max()):
+            memory.add(
+                rng.normal(size=(*pair, model.observation_size)),
+                rng.integers(model.policy.num_actions, size=pair),
+                rng.normal(size=pair),
+                rng.normal(size=(*pair, model.observation_size)),
+                terminated=np.asarray(t == lengths - 1),
+                truncated=np.zeros(COPIES, dtype=bool),
+                penalties=rng.random(pair),
+                labels=rng.integers(model.policy.num_actions, size=pair),
+                condition=np.arange(COPIES) % 2,
+            )
+            # A copy that is done before the others starts another episode, forgotten below.
+        memory.drop_running()
+
+
+def epoch_time(algo: str, epochs: int) -> float:
+    """Seconds of one offline epoch, its validation included."""
+    model = learner(algo, offline_learning_rate=1e-3, offline_batch_size=16)
+    data = model._demonstrations()
+
+    def epoch() -> None:
+        train_epoch(model, data.train, 0)
+        validation_figures(model, data.val)
+
+    return best_time(epoch, repeats=epochs)
+
+
+def paper_run(steps: int) -> tuple[float, float, float]:
+    """Seconds of the paper's whole run, of its evaluation, and steps per update in the stretch."""
+    preset = learner_preset("dqdil", "AnimaRL/Agent-v0", "paper")
+    env = SlotVecEnv("agent", preset.n_envs, **preset.env_kwargs)
+    model = DQDIL(env=env, seed=1, device="cpu", **constructed(preset.arguments))
+    model.learn(500)
+    updates, start = model._n_updates, time.perf_counter()
+    model.learn(steps, reset_num_timesteps=False)
+    training = (time.perf_counter() - start) / steps * PAPER_STEPS
+    per_update = steps / (model._n_updates - updates)
+
+    scenario = make_scenario(AGENT, split="val")
+    assert scenario.demos is not None
+    start = time.perf_counter()
+    rollouts = collect_rollouts(
+        partial(make_world, scenario), model, method="DQDIL", seed=1, repetitions=REPETITIONS
+    )
+    measure(rollouts, scenario.demos)
+    evaluation = (time.perf_counter() - start) * TEST_STARTS / scenario.demos.num_episodes
+    return training + evaluation, evaluation, per_update
+
+
+def cartpole_rates(seconds: float) -> tuple[float, float]:
+    """Environment steps per second of learning, here and in stable-baselines3."""
+    shared: dict[str, Any] = {
+        "learning_rate": 1e-3,
+        "buffer_size": 20_000,
+        "learning_starts": 100,
+        "batch_size": BATCH,
+        "train_freq": 4,
+        "target_update_interval": 10_000,
+        "seed": 1,
+        "device": "cpu",
+    }
+    as_there: dict[str, Any] = {"sequence_length": 1, "prioritized": False, "lambda1": 0.0}
+    here = DQN("MlpPolicy", gym.make("CartPole-v1"), **as_there, **shared)
+    widths = {"net_arch": [here.policy.q_net.units] * 2}
+    there = stable_baselines3.DQN(
+        "MlpPolicy", gym.make("CartPole-v1"), policy_kwargs=widths, **shared
+    )
+    steps = 400
+    best = [float("inf"), float("inf")]
+    for model in (here, there):
+        model.learn(1000)
+    until = time.perf_counter() + 2.0 * seconds
+    while time.perf_counter() < until:
+        for i, model in enumerate((here, there)):
+            start = time.perf_counter()
+            model.learn(steps, reset_num_timesteps=False)
+            best[i] = min(best[i], time.perf_counter() - start)
+    return steps / best[0], steps / best[1]
+
+
+class Report:
+    """The table, a row as soon as it is measured."""
+
+    def __init__(self) -> None:
+        self.table = Table(title="Learners, one thread, one run")
+        self.table.add_column("what")
+        for heading in ("here", "authors' code", "ratio", "aim", "met"):
+            self.table.add_column(heading, justify="right")
+
+    def row(self, what: str, here: str, published: str, ratio: float, aim: str, met: bool) -> None:
+        faster = f"{ratio:,.1f} x" if ratio else ""
+        self.table.add_row(
+            what, here, published, faster, aim, ("yes" if met else "no") if aim else ""
+        )
+
+    def duration(
+        self, what: str, seconds: float, published: float | None, aim: float | None
+    ) -> None:
+        """A row of seconds."""
+        self.row(
+            what,
+            f"{seconds:.3f} s",
+            f"{published:.2f} s" if published else "",
+            published / seconds if published else 0.0,
+            f"{aim:.3g} s" if aim else "",
+            aim is not None and seconds <= aim,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer repeats: a glance, not figures to quote"
+    )
+    budget = Budget(parser.parse_args().quick)
+    torch.set_num_threads(1)
+    start, report = time.perf_counter(), Report()
+
+    rate = acting_rate(budget.seconds)
+    report.row(
+        f"acting, DQDIL, {COPIES} copies",
+        f"{rate:,.0f} steps/s",
+        f"{PUBLISHED_ACTING:,.0f} steps/s",
+        rate / PUBLISHED_ACTING,
+        f"{AIM_ACTING:,.0f} steps/s",
+        rate >= AIM_ACTING,
+    )
+    for length in (57, 148):
+        for algo in ("dqn", "dqaas", "dqdil", "dqcil", "qr-dqdil"):
+            seconds = update_time(algo, length, budget.updates)
+            key = (algo, length)
+            report.duration(
+                f"update, {algo}, mean length {length}",
+                seconds,
+                PUBLISHED_UPDATE.get(key),
+                AIM_UPDATE.get(key),
+            )
+    for algo in ("bc", "dqaas", "dqdil-pt", "dqcil-pt"):
+        for name in (algo, f"qr-{algo}"):
+            report.duration(
+                f"offline epoch, {name}",
+                epoch_time(name, budget.epochs),
+                PUBLISHED_EPOCH,
+                AIM_EPOCH,
+            )
+    seconds, evaluation, per_update = paper_run(budget.run_steps)
+    low, high = PUBLISHED_RUN
+    report.row(
+        f"paper run, Agent, DQDIL, {PAPER_STEPS:,} steps, extrapolated",
+        f"{seconds / 60:.1f} min",
+        f"{low:.0f} to {high:.0f} h",
+        low * 3600 / seconds,
+        f"{AIM_RUN / 60:.0f} min",
+        seconds <= AIM_RUN,
+    )
+    here, there = cartpole_rates(budget.seconds)
+    report.table.add_section()
+    report.table.add_row(
+        "CartPole, DQN, MlpPolicy",
+        f"{here:,.0f} steps/s",
+        f"SB3: {there:,.0f} steps/s",
+        f"{here / there:.2f} x",
+        "as fast as SB3",
+        "yes" if here >= there else "no",
+    )
+    console = Console()
+    console.width = max(console.width, 110)
+    console.print(report.table)
+    load = os.getloadavg()[0]
+    console.print(
+        f"paper run: {budget.run_steps:,} steps of it were run, {per_update:.0f} to an update; "
+        f"evaluation {evaluation:.1f} s. Whole table: {time.perf_counter() - start:.0f} s, "
+        f"load {load:.1f} on {os.cpu_count()} cores."
+    )
+
+
+if __name__ == "__main__":
+    main()
