@@ -23,6 +23,8 @@ from option_notes import CHASE_ONLY, NOTES, SEARCH_ONLY
 
 import animarl_envs
 from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import SPLITS
+from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, COAST
 from animarl_envs.scenario import make_scenario
@@ -64,7 +66,7 @@ def page(species: Species) -> str:
         "## Options",
         "Keyword arguments of `gym.make`, `gym.make_vec` and `animarl_envs.parallel_env` "
         '(`focal` and `others` not in the last). Each is checked; `info["scenario"]` at reset '
-        "says what is in force.",
+        'says what is in force. `reset(options={"demo": 3})` starts from demonstration 3.',
         options(species),
         "## Usage",
         usage(species),
@@ -136,8 +138,19 @@ def facts(species: Species) -> str:
         top = motion.terminal_speed(species.dt)
         text = f"d = {motion.damping:g}, u = {motion.thrust:g}, terminal speed {top:.3g} / s"
         rows.append((f"locomotion of `{name}`", text))
+    if species.name in packaged_names():
+        rows.append(("packaged demonstrations", packaged(species.name)))
     unit = "metres" if isinstance(species, SearchSpecies) else "arena units"
     return table(("", f"lengths in {unit}"), rows)
+
+
+def packaged(name: str) -> str:
+    """How many episodes come with the package, how long, and how they are split."""
+    demos = load_packaged(name)
+    kind = "synthetic" if demos.synthetic else "recorded"
+    seconds = (demos.lengths - 1).sum() * demos.dt
+    split = ", ".join(f"{part} {(demos.split == part).sum()}" for part in SPLITS)
+    return f"{len(demos)} {kind} episodes, {seconds:.1f} s: {split}"
 
 
 def observations(components: Sequence[ObservationComponent]) -> str:
@@ -258,20 +271,53 @@ observations, rewards, terminated, truncated, infos = everybody.step(actions)
 See it move: `animarl watch {env_id} --out clip.gif`"""
 
 
+CUSTOM_NUMBERS = [
+    ("names, roles, `dt`, `arena`", "the file"),
+    ("`locomotion`", "the joint fit to the training episodes, made once per content of the file"),
+    ("`time_limit`", "the longest episode, or what the import kept at most, if that is longer"),
+    (
+        "`contact_radius`",
+        "the distance at which the import ended episodes (or `contact_radius` in the provenance); "
+        "else that at which recorded contacts ended (their 0.9 quantile); else the smallest "
+        "distance recorded, at most a tenth of the arena's size, so that the world ends no episode "
+        "where the recording went on",
+    ),
+    (
+        "`conditions`",
+        "those that occur, as names (`conditions` in the provenance): they change no reward unless "
+        "you say `shared_reward=True`",
+    ),
+    ("`start_half_side`, `warmup`", "half the arena's size; 0 steps"),
+]
+CUSTOM = (
+    "Any file of demonstrations is an environment at once: one or more pursuers and a target, or "
+    "one searcher. `animarl import` makes the file from a tracker's (name the target with "
+    "`--target NAME`, or let `--target auto` find who is approached), `animarl run demos.npz` "
+    "learns from it, `animarl watch AnimaRL/Custom-v0 --demos demos.npz` shows it."
+)
+
+
 def custom_page() -> str:
     """How to simulate animals that are none of the four."""
-    source = (DOCS / "custom_species.py").read_text()
-    doc, _, code = source.partition('"""\n\n')
-    text = "\n\n".join(markdown(p) for p in re.split(r"\n\s*\n", doc.removeprefix('"""')))
+    doc, code = script("custom_species.py")
     parts = [
-        "# Your own animals",
+        "# Your own animals: `AnimaRL/Custom-v0`",
         NOTICE,
-        text,
+        CUSTOM,
+        f"```python\n{script('custom_demonstrations.py')[1]}\n```",
+        "What the species is made of. If the file names a species of the suite (`animarl import "
+        "--species fly`), its numbers hold where the file is silent; otherwise:",
+        table(("number", "from"), CUSTOM_NUMBERS),
+        "Every one of them is an option as well: `contact_radius=0.1` wins over all rules. A "
+        "searcher gets the silkmoth's senses, plume and conditions. Files of flies, newts, "
+        "silkmoths or agents can be given to those environments too, `gym.make(\"AnimaRL/Fly-v0\", "
+        "demos=\"demos.npz\")`: names, number and time step are then the file's, all else is the "
+        "species'.",
+        "## A species without demonstrations",
+        doc,
         "![Two dogs and a sheep](../images/custom.png)",
-        f"```python\n{code.strip()}\n```",
-        "Demonstrations of your own go in by `demos=`: a `Demonstrations` object or a file of one; "
-        "names, number and time step are then taken from it. `animarl fit` estimates d and u from "
-        "them. Fields of a species and their defaults:",
+        f"```python\n{code}\n```",
+        "Fields of a species and their defaults:",
         table(
             ("field", "meaning", "allowed", "default"),
             [
@@ -282,6 +328,13 @@ def custom_page() -> str:
         ),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
+
+
+def script(name: str) -> tuple[str, str]:
+    """The docstring of a script beside this one as Markdown, and its code."""
+    doc, _, code = (DOCS / name).read_text().partition('"""\n\n')
+    paragraphs = re.split(r"\n\s*\n", doc.removeprefix('"""'))
+    return "\n\n".join(markdown(p) for p in paragraphs), code.strip()
 
 
 def default_text(field: Any) -> str:

@@ -29,7 +29,10 @@ NOTES: dict[str, tuple[str, str]] = {
     ),
     "observation_noise": (NOT_NEGATIVE, "standard deviation of noise on every component"),
     "observation_delay": ("a whole number of steps", "age of the observation that is handed out"),
-    "arena": ("an `Arena`, `'square'`, `'disc'`, `'open'`, or a size", "the field"),
+    "arena": (
+        "an `Arena`, its fields by name, `'square'`, `'disc'`, `'open'`, or a size",
+        "the field; with a size, the boundary and the square of starts grow alike",
+    ),
     "boundary": ("at least the size of the arena", "the virtual boundary around it"),
     "rebound": ("`True`, `False`", "set back on the boundary instead of ending the episode"),
     "locomotion": (
@@ -51,7 +54,10 @@ NOTES: dict[str, tuple[str, str]] = {
 }
 
 CHASE_ONLY: dict[str, tuple[str, str]] = {
-    "num_pursuers": ("a whole number, at least 1", "how many pursue"),
+    "num_pursuers": (
+        "a whole number, at least 1",
+        "how many pursue; with demonstrations the first ones, at most as many as were recorded",
+    ),
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
     "senses_centre": ("`True`, `False`", "adds the distance from the centre to the observation"),
     "shared_reward": ("`True`, `False`", "in condition 1 a capture pays every pursuer"),
