@@ -41,11 +41,8 @@ def main() -> None:
             share = np.arange(1, len(times) + 1) / len(duration)
             limit = AGENT.dt * AGENT.time_limit
             panels[0].step(
-                [0, *times, limit], [0, *share, share[-1]], where="post", color=COLOURS[condition]
-            )
-            panels[0].annotate(
-                f"{name} {share[-1]:.3f}", (limit, share[-1]), xytext=(-2, 3),
-                textcoords="offset points", ha="right", fontsize=8, color=COLOURS[condition],
+                [0, *times, limit], [0, *share, share[-1]], where="post", color=COLOURS[condition],
+                label=f"{name}, in the end {share[-1]:.3f}",
             )  # fmt: skip
             edges = np.linspace(0, limit, 23)
             panels[1].hist(
@@ -60,8 +57,8 @@ def main() -> None:
         panels[0].set(xlabel="time (s)", ylabel="share captured so far", xlim=(0, 15), ylim=(0, 1))
         panels[1].set(xlabel="capture time (s)", ylabel="share of episodes")
         panels[2].set(xlabel="distance between the predators (arena units)", ylabel="density")
-        for panel in panels[1:]:
-            panel.legend()
+        for panel in panels:
+            panel.legend(loc="lower right" if panel is panels[0] else "upper right")
         figure.savefig(IMAGE, dpi=100)
 
 
