@@ -7,9 +7,14 @@ import pickle
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium as gym
+import imageio.v3 as imageio
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+import animarl_envs  # noqa: F401  registers the environments
+from animarl_envs.clips import write_clip
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.filaments import FilamentModel
 from animarl_envs.worlds.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
@@ -130,6 +135,67 @@ def test_movie_file_is_read_when_needed(tmp_path: Path) -> None:
     in_memory = Plume.from_array(frames, **MOVIE)
     tables = [p.pattern_table(0, 0.1, 0.001).bits for p in (from_file, in_memory)]
     np.testing.assert_array_equal(*tables)
+
+
+def drifting_blobs() -> NDArray[np.uint8]:
+    """``(12, 48, 64)``: squares of eight pixels drifting to the right, in grey."""
+    frames = np.zeros((12, 48, 64), dtype=np.uint8)
+    for f, frame in enumerate(frames):
+        for row, column in ((8, 4), (24, 20), (32, 36)):
+            frame[row : row + 8, (column + 2 * f) % 56 : (column + 2 * f) % 56 + 8] = 230
+    return frames
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_movie_in_a_video_file_is_the_array_it_was_made_of(tmp_path: Path, suffix: str) -> None:
+    frames = drifting_blobs()
+    path = tmp_path / f"plume{suffix}"
+    colours = np.repeat(frames[..., None], 3, axis=-1)
+    if suffix == ".mp4":
+        lossless = {"codec": "libx264rgb", "pixelformat": "rgb24", "output_params": ["-crf", "0"]}
+        imageio.imwrite(path, colours, fps=30, macro_block_size=1, **lossless)
+    else:
+        imageio.imwrite(path, colours, duration=1000 / 30)
+    given = {"mm_per_pixel": 1.0, "source_pixel": (24, 0), "frame_rate": 30.0}
+    from_file = Plume.from_movie(path, **given)
+    in_memory = Plume.from_array(frames, **given)
+    for dt in (0.1, 0.2):
+        tables = [p.pattern_table(0, dt, 0.0025) for p in (from_file, in_memory)]
+        assert tables[0][1:] == tables[1][1:]
+        np.testing.assert_array_equal(tables[0].bits, tables[1].bits)
+    assert tables[0].unpack(0, 0).any()
+
+
+def test_a_lossy_movie_gives_nearly_the_same_hits_and_a_moth_smells_it(tmp_path: Path) -> None:
+    """Written by the project's own clip writer, as anybody's camera would: H.264, 4:2:0."""
+    frames = drifting_blobs()
+    colours = np.repeat(frames[..., None], 3, axis=-1)
+    path = write_clip(list(colours), tmp_path / "plume.mp4", fps=30.0)
+    given = {"mm_per_pixel": 5.0, "source_pixel": (24, 0), "frame_rate": 4.0}
+    plume = Plume.from_movie(path, **given)
+    found = plume.pattern_table(0, 0.5, 0.0)
+    exact = Plume.from_array(frames, **given).pattern_table(0, 0.5, 0.0)
+    same = [found.unpack(0, s) == exact.unpack(0, s) for s in range(6)]
+    assert np.mean(same) > 0.98
+    env = gym.make("AnimaRL/Silkmoth-v0", plume=plume, demos=None)
+    env.reset(seed=0)
+    signals = np.stack([env.step(0)[0][3:5] for _ in range(10)])
+    assert (signals == 1.0).any()
+    said = env.reset(seed=0)[1]["scenario"]["plume"]
+    assert (said["kind"], said["path"], said["frame_rate"]) == ("MoviePlume", str(path), 4.0)
+
+
+@pytest.mark.parametrize("content", [b"", b"no movie at all" * 50, "cut"])
+def test_a_damaged_video_is_refused(tmp_path: Path, content: bytes | str) -> None:
+    path = tmp_path / "plume.mp4"
+    if content == "cut":
+        colours = np.repeat(drifting_blobs()[..., None], 3, axis=-1)
+        write_clip(list(colours), path, fps=30.0)
+        content = path.read_bytes()[:300]
+    assert isinstance(content, bytes)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"plume\.mp4: it cannot be read"):
+        gym.make("AnimaRL/Silkmoth-v0", plume=Plume.from_movie(path, **MOVIE))
 
 
 @pytest.mark.parametrize(
