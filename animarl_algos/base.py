@@ -8,7 +8,6 @@ learning from whole episodes or pieces of them. What the loss is made of is the 
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any, ClassVar
 
 import numpy as np
@@ -349,69 +348,3 @@ class SequenceQLearning(OnlineLoop):
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
         return ["policy", "policy.optimizer"], []
-
-    def identity(self) -> dict[str, Any]:
-        """What a checkpoint must agree with, JSON-like."""
-        return {
-            "algorithm": type(self).__name__,
-            "policy": self.policy_class.__name__,
-            "individuals": list(self.layout.individuals),
-            "num_copies": self.layout.num_copies,
-            "observation_size": self.observation_size,
-            "num_actions": self.policy.num_actions,
-            "parameters": sum(p.numel() for p in self.policy.q_net.parameters()),
-            "buffer_size": self.buffer_size,
-        }
-
-    COUNTERS = (
-        "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates", "_updates_due",
-        "_target_count", "_current_progress_remaining", "exploration_rate", "root_seed",
-    )  # fmt: skip
-
-    def training_state(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
-        """All that is needed to go on exactly, but the replay: JSON-like, arrays, tensors."""
-        counters = {name: getattr(self, name) for name in self.COUNTERS}
-        counters["offline_progress"] = self.offline_progress.as_json()
-        counters["policy_random_state"] = self.policy.random_state
-        counters["late_episodes"] = [
-            {key: float(value) for key, value in info.items()} for info in self.ep_info_buffer or ()
-        ]
-        arrays: dict[str, NDArray[Any]] = {}
-        if self.env is not None and hasattr(self.env, "get_state") and self._last_obs is not None:
-            arrays = {f"env/{key}": value for key, value in self.env.get_state().items()}
-            arrays["last_observation"] = np.asarray(self._last_obs)
-            arrays["episode_starts"] = np.asarray(self._last_episode_starts)
-            arrays["hidden"], arrays["previous_action"] = self.memory
-        tensors = {
-            "q_net": self.policy.q_net.state_dict(),
-            "q_net_target": self.policy.q_net_target.state_dict(),
-            "optimizer": self.policy.optimizer.state_dict(),
-            "best_weights": self.best_weights,
-        }
-        return counters, arrays, tensors
-
-    def restore_training_state(
-        self, counters: dict[str, Any], arrays: dict[str, NDArray[Any]], tensors: dict[str, Any]
-    ) -> None:
-        """Inverse of :meth:`training_state`.
-
-        An environment without ``get_state`` and ``set_state`` starts new episodes instead of
-        continuing those that were running.
-        """
-        for name in self.COUNTERS:
-            setattr(self, name, counters[name])
-        self.offline_progress = OfflineProgress.from_json(counters["offline_progress"])
-        self.policy.random_state = counters["policy_random_state"]
-        self.ep_info_buffer = deque(counters["late_episodes"], maxlen=self._stats_window_size)
-        self.ep_success_buffer = deque(maxlen=self._stats_window_size)
-        self.policy.q_net.load_state_dict(tensors["q_net"])
-        self.policy.q_net_target.load_state_dict(tensors["q_net_target"])
-        self.policy.optimizer.load_state_dict(tensors["optimizer"])
-        self.best_weights = tensors["best_weights"]
-        self._last_obs = None
-        if "last_observation" in arrays:
-            env_state = {key[4:]: value for key, value in arrays.items() if key[:4] == "env/"}
-            self.env.set_state(env_state)  # type: ignore[union-attr]
-            self._last_obs = arrays["last_observation"]
-            self._last_episode_starts = arrays["episode_starts"]
-            self.memory = (arrays["hidden"], arrays["previous_action"])

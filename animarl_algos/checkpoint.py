@@ -30,6 +30,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 
+from animarl_algos.training_state import identity, restore_training_state, training_state
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
         if part.exists():
             shutil.rmtree(part)
         part.mkdir(parents=True)
-        counters, arrays, tensors = model.training_state()
+        counters, arrays, tensors = training_state(model)
         run: dict[str, Any] = dict(arrays)
         tensors["torch_random_state"] = torch.get_rng_state()
         _write(part / "model.pt", lambda file: torch.save(tensors, file))
@@ -72,7 +73,7 @@ def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
         _write(part / "run.npz", lambda file: np.savez(file, **run))
         state = {
             "format": FORMAT,
-            "identity": model.identity(),
+            "identity": identity(model),
             "counters": counters,
             "numpy_random_state": _json_random_state(np.random.get_state()),  # noqa: NPY002
             "python_random_state": random.getstate(),
@@ -113,7 +114,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
             raise InputError(
                 f"{path}: its format {state['format']} is newer than this animarl: upgrade it"
             )
-        stored, mine = state["identity"], json.loads(json.dumps(model.identity()))
+        stored, mine = state["identity"], json.loads(json.dumps(identity(model)))
         for key in mine:
             if stored.get(key) != mine[key]:
                 raise InputError(
@@ -130,7 +131,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         if replay is not None and model.replay_buffer is not None:
             model.replay_buffer.set_state(replay)
         torch_random_state = tensors.pop("torch_random_state")
-        model.restore_training_state(state["counters"], arrays, tensors)
+        restore_training_state(model, state["counters"], arrays, tensors)
         torch.set_rng_state(torch_random_state)
         name, keys, *rest = state["numpy_random_state"]
         np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002

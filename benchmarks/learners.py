@@ -15,8 +15,8 @@ update      one update at the paper's batch, 32 episodes of 3 individuals, all i
 offline     one epoch over the 400 episodes of the training split, in batches of 16.
 paper run   Agent, DQDIL, the paper's settings: a stretch of real training, and the evaluation of 5
             rollouts from each of 50 starts, extrapolated to 1,005,000 steps of the world.
-CartPole    feed-forward DQN here and in stable-baselines3, learning: same widths, batch and frequency
-            of updates, transitions drawn uniformly, no weight decay; the two in turns.
+CartPole    feed-forward DQN here and in stable-baselines3, learning: same widths, batch and
+            frequency of updates, transitions drawn uniformly, no weight decay; the two in turns.
 
 A figure is the best of many short repeats, the one least disturbed by whatever else runs; between
 processes of different sessions Linux shares the processor evenly whatever their nice level, so on a
