@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
-from animarl_envs.scenario import DRIVERS, REPLAY, Scenario
+from animarl_envs.scenario import DRIVERS, Scenario
 from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
 
@@ -109,7 +109,6 @@ class World(ABC):
 
         self._demos = _flat_demonstrations(scenario)
         self._drivers = np.array([DRIVERS[d] for d in scenario.drivers], dtype=np.int8)
-        self._replays = bool((self._drivers == REPLAY).any())
         self._warmup = scenario.species.warmup if scenario.paired else 0
         self.trackers: list[Tracker] = []
         self._everywhere = np.ones(B, dtype=bool)
@@ -140,23 +139,24 @@ class World(ABC):
         ``demo`` ``(B,)`` names the demonstration to pair each with; -1 draws one at random.
         """
         mask = self._everywhere if mask is None else mask
-        _draw_demonstrations(
+        _begin(
             mask,
             self._any_demo if demo is None else demo,
             len(self._demos.start) - 1 if self.scenario.paired else 0,
             self._demos.condition,
             -1 if self.scenario.condition == "demo" else self.scenario.condition,
+            self._warmup > 0,
             self.random_state,
             self.demo,
             self.condition,
+            self.step_count,
+            self.terminated,
+            self.truncated,
+            self.outcome,
+            self.warming,
+            self._components,
+            self._reward,
         )
-        self.step_count[mask] = 0
-        self.terminated[mask] = False
-        self.truncated[mask] = False
-        self.outcome[mask] = TIME_OUT
-        self.components[mask] = 0.0
-        self.reward[mask] = 0.0
-        self.warming[mask] = self._warmup > 0
         self._start(mask)
         if self._disturbed:
             self._history[:, mask] = self.sensed[mask]
@@ -266,8 +266,13 @@ def _flat_demonstrations(scenario: Scenario) -> FlatDemos:
 
 
 @nb.njit(cache=True)
-def _draw_demonstrations(mask, wanted, count, demo_condition, fixed, random, demo, condition):  # type: ignore[no-untyped-def]
-    for b in range(len(mask)):
+def _begin(  # type: ignore[no-untyped-def]
+    mask, wanted, count, demo_condition, fixed, warms_up, random, demo, condition, step_count,
+    terminated, truncated, outcome, warming, components, reward,
+):  # fmt: skip
+    """Draw demonstration and condition of new episodes; nothing has happened in them yet."""
+    K, C, B = components.shape
+    for b in range(B):
         if not mask[b]:
             continue
         demo[b] = -1
@@ -280,6 +285,15 @@ def _draw_demonstrations(mask, wanted, count, demo_condition, fixed, random, dem
             condition[b] = fixed
         elif demo[b] >= 0:
             condition[b] = demo_condition[demo[b]]
+        step_count[b] = 0
+        terminated[b] = False
+        truncated[b] = False
+        outcome[b] = TIME_OUT
+        warming[b] = warms_up
+        for i in range(K):
+            reward[i, b] = 0.0
+            for c in range(C):
+                components[i, c, b] = 0.0
 
 
 @nb.njit(cache=True)

@@ -40,23 +40,27 @@ class ChaseWorld(World):
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
-        self._actions = np.zeros((K, B), dtype=np.uint64)
         self._others = np.zeros((K - 1, kernels.RELATIVE, B))
-        self._nearest = np.zeros(B)
-        self._damping = np.array([m.damping for m in species.locomotion])
-        self._thrust = np.array([m.thrust for m in species.locomotion])
+        damping = np.array([m.damping for m in species.locomotion])
+        thrust = np.array([m.thrust for m in species.locomotion])
         self._fixed_start = (
             np.zeros((0, 2)) if isinstance(scenario.start, str) else np.asarray(scenario.start)
         )
-        self._code = np.zeros(B, dtype=np.int64)
         # Whose capture pays all; elsewhere a condition is a label that changes no reward.
-        self._sharing = self.condition if species.shared_reward else np.zeros_like(self.condition)
-        self._driven = any(driver != "action" for driver in scenario.drivers)
+        sharing = self.condition if species.shared_reward else np.zeros_like(self.condition)
+        driven = any(driver != "action" for driver in scenario.drivers)
         arena = species.arena
-        self._numbers = (
+        numbers = (
             species.dt, species.contact_radius, species.boundary_penalty, species.time_limit,
             self._warmup, (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
             arena.rebound, species.senses_centre,
+        )  # fmt: skip
+        self._state = kernels.bundle(
+            np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
+            sharing, damping, thrust, numbers, self._position, self._velocity, self._towards,
+            self._others, np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward,
+            self.outcome, self.terminated, self.truncated, self.step_count, self.warming,
+            self._sensed,
         )  # fmt: skip
 
     @property
@@ -72,13 +76,7 @@ class ChaseWorld(World):
         self._observe()
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        kernels.advance(
-            actions, self._actions, self._drivers, self._driven, self._demos, self.demo,
-            self._sharing, self._damping, self._thrust, self._numbers, self._position,
-            self._velocity, self._towards, self._others, self._nearest, self._code,
-            self._components, self._reward, self.outcome, self.terminated, self.truncated,
-            self.step_count, self.warming, self._sensed,
-        )  # fmt: skip
+        kernels.advance(actions, self._state)
 
     def _observe(self) -> None:
         kernels.observe(

@@ -12,6 +12,8 @@ import math
 
 import numba as nb
 import numpy as np
+from numba.core import types
+from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
@@ -77,38 +79,82 @@ def start(mask, demos, demo, fixed, half_side, contact_radius, random, position,
 # -- a whole step ---------------------------------------------------------------------------------
 
 
+@structref.register
+class _ChaseStateType(types.StructRef):  # type: ignore[misc]
+    """Numba's type of :class:`ChaseState`."""
+
+
+class ChaseState(structref.StructRefProxy):  # type: ignore[misc]
+    """What a step reads and writes, in one object: handing arrays to a kernel one by one would
+    take longer than the step of a single copy.
+
+    ``actions``, ``others``, ``nearest`` and ``code`` are scratch. ``sharing`` is the condition
+    where condition 1 shares the reward, else zeros. ``driven``: somebody ignores the caller.
+    """
+
+
+structref.define_proxy(  # type: ignore[no-untyped-call]
+    ChaseState,
+    _ChaseStateType,
+    [
+        "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "numbers",
+        "position", "velocity", "towards", "others", "nearest", "code", "components", "reward",
+        "outcome", "terminated", "truncated", "step_count", "warming", "observation",
+    ],
+)  # fmt: skip
+
+
 @jit
-def advance(  # type: ignore[no-untyped-def]
-    asked, actions, drivers, driven, demos, demo, condition, damping, thrust, numbers, position,
-    velocity, towards, others, nearest, code, components, reward, outcome, terminated, truncated,
-    step_count, warming, observation,
+def bundle(  # type: ignore[no-untyped-def]
+    actions, drivers, driven, demos, demo, sharing, damping, thrust, numbers, position, velocity,
+    towards, others, nearest, code, components, reward, outcome, terminated, truncated, step_count,
+    warming, observation,
 ):  # fmt: skip
-    """All of a step in one call. ``asked`` is (B, K); ``actions``, ``others``, ``nearest`` and
-    ``code`` are scratch; ``driven`` tells whether anybody does not follow ``asked``."""
+    """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
+    return ChaseState(  # type: ignore[no-untyped-call]
+        actions, drivers, driven, demos, demo, sharing, damping, thrust, numbers, position,
+        velocity, towards, others, nearest, code, components, reward, outcome, terminated,
+        truncated, step_count, warming, observation,
+    )  # fmt: skip
+
+
+@jit
+def advance(asked, state):  # type: ignore[no-untyped-def]
+    """All of a step in one call; ``asked`` is ``(B, K)``."""
     (
         dt, contact_radius, penalty, time_limit, warmup, field, rebounds, senses_centre,
-    ) = numbers  # fmt: skip
+    ) = state.numbers  # fmt: skip
+    actions, position, velocity = state.actions, state.position, state.velocity
+    step_count, code, towards = state.step_count, state.code, state.towards
+    outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
     K, _, B = position.shape
     for i in range(K):
         for b in range(B):
             actions[i, b] = asked[b, i]
     for b in range(B):
         step_count[b] += 1
-    if driven:
-        drive(drivers, actions, position, velocity, towards, damping, thrust, dt, field)
-    move(actions, towards, damping, thrust, dt, position, velocity)
-    if driven or warmup > 0:
-        replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
+    if state.driven:
+        drive(
+            state.drivers, actions, position, velocity, towards, state.damping, state.thrust, dt,
+            field,
+        )  # fmt: skip
+    move(actions, towards, state.damping, state.thrust, dt, position, velocity)
+    if state.driven or warmup > 0:
+        replay(
+            state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
+            state.warming,
+        )  # fmt: skip
     if rebounds:
         rebound(field, position, velocity)
     judge(
-        position, condition, field, contact_radius, dt, penalty, nearest, code, components, reward
-    )
+        position, state.sharing, field, contact_radius, dt, penalty, state.nearest, code,
+        state.components, state.reward,
+    )  # fmt: skip
     for b in range(B):
         outcome[b] = code[b]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
-    observe(position, velocity, towards, others, senses_centre, observation)
+    observe(position, velocity, towards, state.others, senses_centre, state.observation)
 
 
 # -- moving ---------------------------------------------------------------------------------------
@@ -201,7 +247,7 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
 
 @part
 def judge(  # type: ignore[no-untyped-def]
-    position, condition, field, contact_radius, dt, penalty, nearest, code, components, reward
+    position, sharing, field, contact_radius, dt, penalty, nearest, code, components, reward
 ):
     """Contact, then boundary, then rewards.
 
@@ -223,7 +269,7 @@ def judge(  # type: ignore[no-untyped-def]
             nearest[b] = min(nearest[b], squared)
     for i in range(target):
         for b in range(B):  # shared reward: a capture is everybody's
-            shared = condition[b] == 1 and code[b] > 0
+            shared = sharing[b] == 1 and code[b] > 0
             components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
     for i in range(target, -1, -1):  # the target first: its leaving is named before the others'
         _leave(i, position, field, penalty, components)

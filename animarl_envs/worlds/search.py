@@ -68,7 +68,6 @@ class SearchWorld(World):
         self.body_angle = np.zeros(B)
         self._odour = np.full((2, B), species.odour_baseline)
         self.odour = self._odour.T
-        self._actions = np.zeros(B, dtype=np.int64)
         self.pattern = np.zeros(B, dtype=np.int64)
         self.phase = np.zeros(B, dtype=np.int64)
 
@@ -81,8 +80,15 @@ class SearchWorld(World):
         self._episodes = _recorded_senses(scenario.demos, self.patterns, groups, self._own_patterns)
         self._senses = _senses(species)
         loco = species.locomotion[0]
-        self._numbers = (
+        numbers = (
             loco.damping, loco.thrust, species.contact_radius, species.time_limit, self._warmup,
+        )  # fmt: skip
+        self._state = kernels.bundle(
+            int(self._drivers[0]), self._demos, self._episodes.hits, self._table, self._senses,
+            numbers, self.demo, self.condition, self.pattern, self.phase, self._position[0],
+            self._velocity[0], self._heading, self.body_angle, self._odour,
+            self._components[0, 0], self._reward[0], self.terminated, self.truncated,
+            self.outcome, self.step_count, self.warming, self._sensed[0],
         )  # fmt: skip
         fixed = scenario.start
         self._first = np.array(
@@ -103,15 +109,7 @@ class SearchWorld(World):
         )  # fmt: skip
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        self._actions[...] = actions[:, 0]
-        kernels.step(
-            self._actions, int(self._drivers[0]), self._demos.position, self._demos.velocity,
-            self._demos.start, self._episodes.hits, self._table, self._senses, self._numbers,
-            self.demo, self.condition, self.pattern, self.phase, self._position[0],
-            self._velocity[0], self._heading, self.body_angle, self._odour,
-            self._components[0, 0], self._reward[0], self.terminated, self.truncated,
-            self.outcome, self.step_count, self.warming, self._sensed[0],
-        )  # fmt: skip
+        kernels.step(actions, self._state)
 
     # -- to look at -------------------------------------------------------------------------------
 

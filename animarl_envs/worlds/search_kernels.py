@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numba as nb
 import numpy as np
+from numba.core import types
+from numba.experimental import structref
 
 from animarl_envs.demos.demonstrations import TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
@@ -158,13 +160,54 @@ def start(  # type: ignore[no-untyped-def]
         )  # fmt: skip
 
 
+@structref.register
+class _SearchStateType(types.StructRef):  # type: ignore[misc]
+    """Numba's type of :class:`SearchState`."""
+
+
+class SearchState(structref.StructRefProxy):  # type: ignore[misc]
+    """What a step reads and writes, in one object: handing arrays to a kernel one by one would
+    take longer than the step of a single copy."""
+
+
+structref.define_proxy(  # type: ignore[no-untyped-call]
+    SearchState,
+    _SearchStateType,
+    [
+        "driver", "demos", "demo_hits", "table", "senses", "numbers", "demo", "condition",
+        "pattern", "phase", "position", "velocity", "heading", "body_angle", "odour", "components",
+        "reward", "terminated", "truncated", "outcome", "step_count", "warming", "sensed",
+    ],
+)  # fmt: skip
+
+
 @nb.njit(cache=True)
-def step(  # type: ignore[no-untyped-def]
-    actions, driver, demo_position, demo_velocity, demo_start, demo_hits, table, senses, numbers,
-    demo, condition, pattern, phase, position, velocity, heading, body_angle, odour, components,
-    reward, terminated, truncated, outcome, step_count, warming, sensed,
+def bundle(  # type: ignore[no-untyped-def]
+    driver, demos, demo_hits, table, senses, numbers, demo, condition, pattern, phase, position,
+    velocity, heading, body_angle, odour, components, reward, terminated, truncated, outcome,
+    step_count, warming, sensed,
 ):  # fmt: skip
-    damping, thrust, contact_radius, time_limit, warmup = numbers
+    """A :class:`SearchState`; made here, since what is made outside is not kept on disk."""
+    return SearchState(  # type: ignore[no-untyped-call]
+        driver, demos, demo_hits, table, senses, numbers, demo, condition, pattern, phase, position,
+        velocity, heading, body_angle, odour, components, reward, terminated, truncated, outcome,
+        step_count, warming, sensed,
+    )  # fmt: skip
+
+
+@nb.njit(cache=True)
+def step(asked, state):  # type: ignore[no-untyped-def]
+    """All of a step in one call; ``asked`` is ``(B, 1)``."""
+    damping, thrust, contact_radius, time_limit, warmup = state.numbers
+    driver, senses, table = state.driver, state.senses, state.table
+    demo, demo_hits, demo_start = state.demo, state.demo_hits, state.demos.start
+    demo_position, demo_velocity = state.demos.position, state.demos.velocity
+    condition, pattern, phase = state.condition, state.pattern, state.phase
+    position, velocity, heading = state.position, state.velocity, state.heading
+    body_angle, odour, sensed = state.body_angle, state.odour, state.sensed
+    components, reward, outcome = state.components, state.reward, state.outcome
+    terminated, truncated = state.terminated, state.truncated
+    step_count, warming = state.step_count, state.warming
     dt = senses.dt
     for b in range(len(step_count)):
         step_count[b] += 1
@@ -182,7 +225,7 @@ def step(  # type: ignore[no-untyped-def]
                 velocity[x, b] = demo_velocity[frame, 0, x]
                 position[x, b] = demo_position[frame, 0, x]
         else:
-            action = actions[b] if driver == ACTION else COAST
+            action = asked[b, 0] if driver == ACTION else COAST
             for x in range(2):  # the focus is (-1, 0), left of it is (0, -1)
                 velocity[x, b] = next_velocity(
                     velocity[x, b], -ACTION_VECTORS[action, x], damping, thrust, dt
