@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import sys
 
-import typer
-
-from animarl_algos.commands import data
-from animarl_algos.commands.fit import fit_command
-from animarl_algos.commands.importing import import_command
-from animarl_algos.commands.run import (
-    evaluate_command,
-    report_command,
-    run_command,
-    train_command,
-)
-from animarl_algos.commands.watch import watch_command
 from animarl_envs.errors import InputError, MissingExtraError
+
+try:
+    import typer
+
+    from animarl_algos.commands import data
+    from animarl_algos.commands.fit import fit_command
+    from animarl_algos.commands.importing import import_command
+    from animarl_algos.commands.run import (
+        evaluate_command,
+        report_command,
+        run_command,
+        train_command,
+    )
+    from animarl_algos.commands.watch import watch_command
+except ModuleNotFoundError as error:
+    if (error.name or "").startswith("animarl"):
+        raise
+    print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
+    sys.exit(2)
 
 app = typer.Typer(
     name="animarl",

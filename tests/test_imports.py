@@ -54,6 +54,10 @@ def loaded_after(program: str, *arguments: str) -> set[str]:
     return {m for m in json.loads(done.stdout) if m.partition(".")[0] in HEAVY}
 
 
+def but_numba(modules: set[str]) -> set[str]:
+    return {m for m in modules if m.partition(".")[0] != "numba"}
+
+
 @pytest.fixture(scope="module")
 def numbas_own() -> set[str]:
     return loaded_after(NUMBA)
@@ -64,13 +68,14 @@ def test_importing_the_environments_imports_nothing_heavy() -> None:
 
 
 def test_using_the_environments_needs_nothing_heavy_but_numba(numbas_own: set[str]) -> None:
-    assert loaded_after(USE_ALL) - numbas_own == set()
+    assert but_numba(loaded_after(USE_ALL) - numbas_own) == set()
     assert numbas_own.isdisjoint({"torch", "matplotlib", "pandas"})
 
 
 def test_the_custom_species_needs_no_heavy_package(tmp_path: Path, numbas_own: set[str]) -> None:
     demos = load_packaged("agent").select(split="train", condition=0)
-    assert loaded_after(CUSTOM, str(demos.save(tmp_path / "demos.npz"))) - numbas_own == set()
+    loaded = loaded_after(CUSTOM, str(demos.save(tmp_path / "demos.npz")))
+    assert but_numba(loaded - numbas_own) == set()
 
 
 # -- the sentence of a missing extra --------------------------------------------------------------
@@ -79,7 +84,7 @@ WITHOUT = """
 import sys
 class Absent:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("pygame", "imageio", "pandas", "yaml", "h5py", "scipy"):
+        if name.partition(".")[0] in {"pygame", "imageio", "pandas", "yaml", "h5py", "typer"}:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Absent())
 import gymnasium as gym, animarl_envs
@@ -88,19 +93,31 @@ from animarl_envs.errors import MissingExtraError
 NEEDS = {
     "render": "e = gym.make('AnimaRL/Agent-v0', render_mode='rgb_array'); e.reset(); e.render()",
     "data": "from animarl_envs.demos.readers import read; read(sys.argv[1], source='sleap')",
+    "data ": "from animarl_envs.demos.readers import read; read(sys.argv[1])",
 }
 
 
-@pytest.mark.parametrize("extra", NEEDS)
-def test_a_missing_extra_is_named_in_a_sentence(extra: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("need", NEEDS)
+def test_a_missing_extra_is_named_in_a_sentence(need: str, tmp_path: Path) -> None:
     (tmp_path / "tracks.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
-    program = f"{WITHOUT}\ntry:\n    {NEEDS[extra]}\nexcept MissingExtraError as e:\n    print(e)"
+    program = f"{WITHOUT}\ntry:\n    {NEEDS[need]}\nexcept MissingExtraError as e:\n    print(e)"
     done = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path / "tracks.h5")],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert done.stdout.count("\n") == 1
-    assert f"pip install 'animarl[{extra}]'" in done.stdout
+    assert f"pip install 'animarl[{need.strip()}]'" in done.stdout
+
+
+def test_the_command_line_without_its_extra_says_so() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", f"{WITHOUT}\nfrom animarl_algos.cli import main; main()"],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr == (
+        "animarl: the command line needs the extra 'algos': pip install 'animarl[algos]'\n"
+    )
 
 
 def test_a_missing_extra_can_be_raised_anew() -> None:

@@ -16,6 +16,7 @@ from typing import Any
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.following import follow
 from animarl_envs.demos.readers.guards import refusing
+from animarl_envs.demos.readers.hdf import is_hdf, open_hdf
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
@@ -115,6 +116,8 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
     for reader in sorted(available_readers(), key=lambda reader: reader.generic):
         if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
             return reader
+    if is_hdf(path):
+        open_hdf(path).close()  # says so if the extra is missing or the file is damaged
     raise InputError(
         f"{path}: no reader recognises it: name its --source "
         f"({', '.join(reader.name for reader in available_readers())})"
