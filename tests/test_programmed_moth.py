@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from animarl_envs.demos.programmed_moth import (
-    MothProgramme,
-    ProgrammedMoth,
-    recorded_searches,
-    search_rates,
-)
+from animarl_envs.demos.moth_comparison import search_rates
+from animarl_envs.demos.programmed_moth import MothProgramme, ProgrammedMoth
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import COAST, Locomotion
+from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
 from animarl_envs.species import SILKMOTH
 
-QUIET = MothProgramme(motor_noise=0.0)
+QUIET = MothProgramme(motor_noise=0.0, pace_spread=0.0, pause_rate=0.0, surge_speed=0.021)
 
 
 def observation(
@@ -106,22 +101,36 @@ def test_rates_repeat_with_the_seed() -> None:
 def test_bad_programmes_are_refused() -> None:
     for change, says in (
         ({"surge": 0.0}, "surge is 0.0"), ({"turns": (1.0, -1.0)}, "turns are"),
-        ({"motor_noise": -0.1}, "motor_noise"), ({"careful": 2.0}, "careful"),
+        ({"motor_noise": -0.1}, "motor_noise"), ({"pause": -1.0}, "pause is -1.0"),
+        ({"pace_spread": np.inf}, "pace_spread"), ({"careful": 2.0}, "careful"),
     ):  # fmt: skip
         with pytest.raises(InputError, match=says):
             replace(QUIET, **change)
-    with pytest.raises(InputError, match="episodes is 0"):
-        search_rates(SILKMOTH, 0, episodes=0, seed=0)
 
 
-@pytest.mark.realdata
-def test_recorded_moths_are_read(data_dir: Path) -> None:
-    found = recorded_searches(data_dir / "silkmoth_mothvr")
-    assert len(found.reached) == 24 and found.reached.sum() == 22
-    assert (found.duration[~found.reached] > 299).all()
-    assert (found.path > 0.25).all()
+def test_moths_differ_in_pace_and_each_keeps_its_own() -> None:
+    """The same surge over and over: half of the moths walk visibly faster than the other half."""
+    many = replace(QUIET, pace_spread=0.5)
+    moths = ProgrammedMoth(200, np.random.default_rng(1), programme=many)
+    seen = np.repeat(observation(odour=(1.0, 1.0)), 200, axis=0)
+    loco, speed = SILKMOTH.locomotion[0], np.zeros(200)
+    walked = []
+    for _ in range(60):
+        seen[:, 0, 0] = speed
+        action = moths.act(seen)[:, 0]
+        speed = (1 - loco.damping) * speed + loco.thrust * SILKMOTH.dt * ACTION_VECTORS[action, 0]
+        walked.append(speed)
+    early, late = np.mean(walked[10:35], axis=0), np.mean(walked[35:], axis=0)
+    assert np.quantile(early, 0.9) > 1.8 * np.quantile(early, 0.1)
+    assert np.corrcoef(early, late)[0, 1] > 0.95
+    assert np.median(early) == pytest.approx(many.surge_speed, rel=0.25)
 
 
-def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no raw/\*\.csv"):
-        recorded_searches(tmp_path)
+def test_moths_stop_and_go_on_as_often_as_they_are_told() -> None:
+    programme = replace(QUIET, pause_rate=0.2, pause=2.0)
+    moths = ProgrammedMoth(500, np.random.default_rng(2), programme=programme)
+    seen = np.repeat(observation(odour=(1.0, 1.0)), 500, axis=0)
+    # At rest, only a pause asks for no thrust.
+    standing = [moths.act(seen)[:, 0] == COAST for _ in range(100)]
+    share = programme.pause_rate * programme.pause / (1 + programme.pause_rate * programme.pause)
+    assert np.mean(standing[20:]) == pytest.approx(share, abs=0.02)

@@ -7,9 +7,10 @@ turn of the surge, follow the antenna that was hit (Takasaki, Namiki and Kanzaki
 Kanzaki 2015).
 Wind and vision modulate the sequence (Yamada et al. 2021): with the wind from ahead the moth surges
 fast, with the wind from elsewhere carefully, and turns into it; visual flow tells how far the body
-really turned, and the next step makes good the difference.
+really turned, and the next step makes good the difference. Each moth has its own pace, and stops
+now and then, as recorded moths do.
 
-``python -m animarl_envs.demos.programmed_moth [DATA_DIR]`` prints how often, how fast and on how
+``python -m animarl_envs.demos.moth_comparison [DATA_DIR]`` prints how often, how fast and on how
 long a path it finds the source, and the same of recorded moths.
 
 The policy sees observations only. It plans in its body's frame, and uses the body angle only to
@@ -26,16 +27,14 @@ Experimental Biology 218: 3845-3854. Yamada, Ohashi, Hosoda, Kurabayashi and Shi
 
 from __future__ import annotations
 
-import argparse
 import math
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import ACTION_VECTORS, Locomotion
+from animarl_envs.locomotion import ACTION_VECTORS
 from animarl_envs.species import SILKMOTH, SearchSpecies
 
 AHEAD, LEFT, BODY_ANGLE, ODOUR_LEFT, ODOUR_RIGHT, FLOW = range(6)
@@ -47,18 +46,23 @@ _NEVER = 1_000_000  # steps since the last contact, before the first
 class MothProgramme:
     """Numbers of the sequence.
 
-    Chosen by random search for success, duration and path of recorded moths (``docs/plume.md``).
+    Fitted by ``python -m animarl_envs.demos.moth_fit`` to recorded moths and to the paper's figures
+    (``docs/data/packaged_silkmoth.md``).
     """
 
-    surge: float = 1.0  # duration [s]
-    turns: tuple[float, ...] = (1.0, 2.0, 3.0)  # durations of the zigzag turns [s]
-    yaw_rate: float = 1.3  # of zigzag and loop [rad / s]
-    surge_speed: float = 0.021  # [arena unit / s]
-    turn_speed: float = 0.0075  # [arena unit / s]
-    careful: float = 0.7  # share of the surge's speed with the wind not from ahead
-    odour_turn: float = 0.5  # of the surge, towards the antenna that was hit [rad]
-    wind_turn: float = 0.08  # of the surge, into the wind, per step [rad]
-    motor_noise: float = 0.25  # standard deviation of the angle turned, per step [rad]
+    surge: float = 1.17  # duration [s]
+    turns: tuple[float, ...] = (0.721, 3.7, 2.49)  # durations of the zigzag turns [s]
+    yaw_rate: float = 1.94  # of zigzag and loop [rad / s]
+    surge_speed: float = 0.0171  # [arena unit / s]
+    turn_speed: float = 0.00821  # [arena unit / s]
+    careful: float = 0.417  # share of the surge's speed with the wind not from ahead
+    odour_turn: float = 1.01  # of the surge, towards the antenna that was hit [rad]
+    wind_turn: float = 0.0226  # of the surge, into the wind, per step [rad]
+    motor_noise: float = 0.187  # standard deviation of the angle turned, per step [rad]
+    slip: float = 0.00299  # standard deviation of each velocity component [arena unit / s]
+    pace_spread: float = 0.138  # of moths: standard deviation of the logarithm of their speed
+    pause_rate: float = 0.118  # how often a walking moth stops [1 / s]
+    pause: float = 1.39  # how long it then stands, on average [s]
 
     def __post_init__(self) -> None:
         for name in ("surge", "yaw_rate", "surge_speed", "turn_speed"):
@@ -68,8 +72,9 @@ class MothProgramme:
             raise InputError(f"turns are {self.turns}: give positive durations in seconds")
         if not 0 < self.careful <= 1:
             raise InputError(f"careful is {self.careful}: it must lie between 0 and 1")
-        if not 0 <= self.motor_noise < math.inf:
-            raise InputError(f"motor_noise is {self.motor_noise}: it must be zero or positive")
+        for name in ("motor_noise", "slip", "pace_spread", "pause_rate", "pause"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"{name} is {getattr(self, name)}: it must be zero or positive")
 
 
 @dataclass(eq=False)
@@ -99,13 +104,19 @@ class ProgrammedMoth:
         self._since = np.full(self.copies, _NEVER)  # steps since the last contact
         self._side = np.ones(self.copies)  # of the first turn, 1 left
         self.turned = np.zeros(self.copies)  # what the last step meant to turn, to the left [rad]
+        self._pace = np.ones(self.copies)  # of each moth, times the programme's speeds
+        self._standing = np.zeros(self.copies, dtype=bool)
         dt = self.species.dt
         starts = np.cumsum([self.programme.surge, *self.programme.turns]) / dt
         self._phase_starts = np.maximum.accumulate(np.round(starts)).astype(int)
+        self.reset()
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the past where ``mask`` (copies,) is true (everywhere by default)."""
+        """New moths where ``mask`` (copies,) is true (everywhere by default)."""
         mask = np.ones(self.copies, dtype=bool) if mask is None else mask
+        spread = self.programme.pace_spread * self.generator.standard_normal(self.copies)
+        self._pace[mask] = np.exp(spread)[mask]
+        self._standing[mask] = False
         self._since[mask] = _NEVER
         self.turned[mask] = 0.0
 
@@ -115,6 +126,8 @@ class ProgrammedMoth:
         programme, dt, count = self.programme, self.species.dt, self.copies
         draw_side = np.where(self.generator.random(count) < 0.5, 1.0, -1.0)
         noise = programme.motor_noise * self.generator.standard_normal(count)
+        change = self.generator.random(count)
+        slip = programme.slip * self.generator.standard_normal((count, 2))
 
         left, right = seen[:, ODOUR_LEFT] >= 1.0, seen[:, ODOUR_RIGHT] >= 1.0
         contact = left | right
@@ -137,14 +150,22 @@ class ProgrammedMoth:
         careful = felt & surging & (seen[:, WIND_FRONT] == 0)
         speed = np.where(careful, programme.careful * speed, speed)
 
-        # Vision: make good what the last turn missed; visual flow is minus the yaw rate.
-        missed = self.turned + seen[:, FLOW] * dt
-        saturated = np.abs(seen[:, FLOW]) >= self.species.flow_limit
-        turn = np.where(felt & ~saturated, turn + missed, turn)
+        # Vision: make good what the last turn missed; visual flow is minus the yaw rate, and the
+        # moth expects no more of it than there can be.
+        limit = self.species.flow_limit * dt
+        missed = np.clip(self.turned, -limit, limit) + seen[:, FLOW] * dt
+        turn = np.where(felt, turn + missed, turn)
+
+        # Pauses: stop and go as a two-state process.
+        stops, goes = dt * programme.pause_rate, dt / max(programme.pause, dt)
+        self._standing = np.where(self._standing, change >= goes, change < stops)
+        speed = np.where(self._standing, 0.0, self._pace * speed)
+        turn = np.where(self._standing, 0.0, turn)
         self.turned = turn
 
         direction = seen[:, BODY_ANGLE] + turn + noise
         wanted = speed[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=-1)
+        wanted = np.where(speed[:, None] > 0, wanted + slip, 0.0)
         wanted[self._since >= _NEVER] = 0.0
         return self._nearest_action(seen[:, [AHEAD, LEFT]], wanted)[:, None]
 
@@ -157,125 +178,3 @@ class ProgrammedMoth:
         reachable = coasting[:, None] + loco.thrust * self.species.dt * ACTION_VECTORS
         error = np.linalg.norm(reachable - wanted[:, None], axis=-1)
         return np.asarray(error.argmin(axis=1), dtype=np.int64)
-
-
-# -- how well it searches -------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Searches:
-    """How ``episodes`` searches ended; arrays ``(episodes,)``."""
-
-    reached: NDArray[np.bool_]
-    duration: NDArray[np.float64]  # [s]; the time limit where the source was not reached
-    path: NDArray[np.float64]  # walked [arena unit], at one sample per decision step
-
-    @property
-    def rate(self) -> float:
-        """Share of searches that reached the source."""
-        return float(self.reached.mean())
-
-    def interval(self) -> tuple[float, float]:
-        """95 % Wilson interval of the rate."""
-        n, p, z = len(self.reached), self.rate, 1.96
-        middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-        half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-        return middle - half, middle + half
-
-
-def search_rates(
-    species: SearchSpecies,
-    condition: int,
-    *,
-    episodes: int,
-    seed: int,
-    programme: MothProgramme | None = None,
-) -> Searches:
-    """Let programmed moths search, each from the start without a demonstration.
-
-    The plume patterns are those of ``species.train_plumes``.
-    """
-    from animarl_envs.scenario import Scenario
-    from animarl_envs.worlds.search import SearchWorld
-
-    if episodes < 1:
-        raise InputError(f"episodes is {episodes}: it must be at least 1")
-    scenario = Scenario(
-        species=species,
-        condition=condition,  # type: ignore[arg-type]
-        start="uniform",
-        drivers=("action",),
-    )
-    world = SearchWorld(scenario, episodes)
-    generator = np.random.default_rng(seed)
-    world.seed(generator.integers(2**63, size=episodes))
-    world.reset()
-    moths = ProgrammedMoth(episodes, generator, species, programme or MothProgramme())
-    reached = np.zeros(episodes, dtype=bool)
-    duration = np.full(episodes, species.time_limit * species.dt)
-    path = np.zeros(episodes)
-    for step in range(1, species.time_limit + 1):
-        world.step(moths.act(world.observation))
-        searching = ~reached
-        path += np.where(searching, np.linalg.norm(world.velocity[:, 0], axis=1) * species.dt, 0.0)
-        arrived = searching & world.terminated
-        duration[arrived] = step * species.dt
-        reached |= arrived
-        if reached.all():
-            break
-    return Searches(reached, duration, path)
-
-
-def recorded_searches(folder: Path, species: SearchSpecies = SILKMOTH) -> Searches:
-    """The recorded runs in ``folder/raw`` (time, x, y [mm] at 30 Hz), sampled like the world."""
-    files = sorted((folder / "raw").glob("*.csv"))
-    if not files:
-        raise InputError(f"{folder}: it holds no raw/*.csv: name the folder of recorded moths")
-    reached, duration, path = [], [], []
-    for file in files:
-        track = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 1, 2))
-        position = track[:, 1:] / 1000.0
-        every = round(species.dt * species.recording.frame_rate)
-        kept = np.unique([*range(0, len(position), every), len(position) - 1])
-        reached.append(float(np.linalg.norm(position[-1])) < species.contact_radius + 0.001)
-        duration.append(track[-1, 0] - track[0, 0])
-        path.append(np.linalg.norm(np.diff(position[kept], axis=0), axis=1).sum())
-    return Searches(np.array(reached), np.array(duration), np.array(path))
-
-
-def main() -> None:
-    """Command line; see the top of this module."""
-    parser = argparse.ArgumentParser(description="How well the programmed moth searches.")
-    parser.add_argument("folder", type=Path, nargs="?", help="folder of recorded moths")
-    parser.add_argument("--episodes", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    onset_fit = replace(SILKMOTH, locomotion=(Locomotion(0.341, 0.0171),))
-    cases = [
-        (f"{who}, {plumes}, {SILKMOTH.conditions[condition]}", spec, condition)
-        for who, spec in (("default", SILKMOTH), ("d = 0.341, u = 0.0171", onset_fit))
-        for plumes, spec in (
-            ("training plumes", spec),
-            ("held-out plumes", replace(spec, train_plumes=SILKMOTH.test_plumes)),
-        )
-        for condition in (0, 1)
-    ]
-    for name, spec, condition in cases:
-        _report(name, search_rates(spec, condition, episodes=given.episodes, seed=given.seed))
-    if given.folder is not None:
-        _report("recorded moths", recorded_searches(given.folder))
-
-
-def _report(name: str, found: Searches) -> None:
-    low, high = found.interval()
-    duration = np.percentile(found.duration[found.reached], (25, 50, 75)).round(1)
-    path = np.percentile(found.path[found.reached], (25, 50, 75)).round(2)
-    print(
-        f"{name}: reached {found.reached.sum()} of {len(found.reached)} "
-        f"= {found.rate:.3f} [{low:.3f}, {high:.3f}]; "
-        f"of those, quartiles of duration {duration} s, path {path} m"
-    )
-
-
-if __name__ == "__main__":
-    main()

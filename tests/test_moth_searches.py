@@ -1,0 +1,256 @@
+"""The packaged Silkmoth demonstrations: what they hold, and that their plume is really theirs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import animarl_envs  # noqa: F401  (registers the ids)
+from animarl_algos.cli import app
+from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
+from animarl_envs.demos.moth_comparison import PUBLISHED, comparison, rates, table
+from animarl_envs.demos.moth_searches import SPLIT_OF_PATTERN, generate, search
+from animarl_envs.demos.moth_statistics import (
+    describe,
+    of_demonstrations,
+    of_searches,
+    recorded_moths,
+    wasserstein,
+)
+from animarl_envs.demos.packaged import FOLDER, load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import infer_actions
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import SILKMOTH
+from animarl_envs.worlds.search import SearchWorld, demonstration_observations
+
+UPWIND = np.array([-1.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def packaged() -> Demonstrations:
+    return load_packaged("silkmoth")
+
+
+# -- what the file holds --------------------------------------------------------------------------
+
+
+def test_sixty_synthetic_episodes_under_two_megabytes(packaged: Demonstrations) -> None:
+    assert (FOLDER / "silkmoth.npz").stat().st_size < 2e6
+    assert packaged.synthetic
+    assert "programmed moths" in str(packaged.provenance["source"])
+    assert packaged.individuals == ("moth",) and packaged.roles == ("searcher",)
+    assert packaged.dt == SILKMOTH.dt
+    assert np.bincount(packaged.condition).tolist() == [30, 30]
+
+
+def test_no_split_shares_a_plume_with_another(packaged: Demonstrations) -> None:
+    plume = packaged.signals["plume"][packaged.offsets[:-1]]
+    plumes = {s: set(plume[packaged.split == s].tolist()) for s in ("train", "val", "test")}
+    assert plumes == {"train": {0, 1, 2}, "val": {3}, "test": {4}}
+    assert plumes["train"] == set(SILKMOTH.train_plumes)
+    sizes = [(packaged.split == s).sum() for s in ("train", "val", "test")]
+    assert sizes == [36, 12, 12]
+    for number, split in enumerate(SPLIT_OF_PATTERN):
+        of_one = plume == number
+        assert of_one.sum() == 12 and packaged.condition[of_one].sum() == 6
+        assert set(packaged.split[of_one]) == {split}
+        assert len(set(packaged.recording[of_one])) == 1
+
+
+def test_outcomes_are_those_of_the_last_frame(packaged: Demonstrations) -> None:
+    for episode in packaged:
+        distance = np.linalg.norm(episode.positions[:, 0], axis=1)
+        assert distance[0] == SILKMOTH.start_distance
+        assert (distance[:-1] >= SILKMOTH.contact_radius).all()
+        if episode.outcome == TIME_OUT:
+            assert episode.num_steps == SILKMOTH.time_limit
+        else:
+            assert episode.outcome == 1 and distance[-1] < SILKMOTH.contact_radius
+
+
+def test_actions_are_those_of_the_inverse_dynamics(packaged: Demonstrations) -> None:
+    for episode in packaged:
+        velocity = episode.velocities[:, 0]
+        found = infer_actions(
+            velocity[:-1], velocity[1:], UPWIND, SILKMOTH.locomotion[0], SILKMOTH.dt
+        )
+        np.testing.assert_array_equal(found, episode.signals["actions"][:-1, 0])
+        assert episode.signals["actions"][-1, 0] == -1
+
+
+# -- the plume of an episode is really its own ----------------------------------------------------
+
+
+def replayed(demos: Demonstrations, shift: int = 0) -> tuple[int, int]:
+    """Frames after warm-up, and those of them where replaying the actions gives other hits."""
+    if shift:
+        signals = {**demos.signals, "plume_step": demos.signals["plume_step"] + shift}
+        demos = replace(demos, signals=signals)
+    world = SearchWorld(make_scenario("silkmoth", demos=demos, split=None), demos.num_episodes)
+    world.reset(demo=np.arange(demos.num_episodes))
+    first, last = demos.offsets[:-1], demos.offsets[1:] - 1
+    hits = np.stack([demos.signals["odour_left"], demos.signals["odour_right"]], axis=-1)
+    compared = different = 0
+    for step in range(1, SILKMOTH.time_limit + 1):
+        before = np.minimum(first + step - 1, last - 1)
+        world.step(demos.signals["actions"][before].astype(np.int64))
+        within = first + step <= last
+        frame = np.where(within, first + step, last)
+        np.testing.assert_allclose(
+            world.position[within], demos.positions[frame][within], atol=1e-12
+        )
+        if step <= SILKMOTH.warmup:
+            continue
+        compared += 2 * int(within.sum())
+        different += int(((world.odour >= 1.0) != hits[frame])[within].sum())
+        ended = within & (frame == last)
+        np.testing.assert_array_equal(world.terminated[ended], demos.outcome[ended] == 1)
+        np.testing.assert_array_equal(world.truncated[ended], demos.outcome[ended] == TIME_OUT)
+    return compared, different
+
+
+def test_replayed_actions_meet_the_demonstrated_odour(packaged: Demonstrations) -> None:
+    """Pattern and phase of the pairing are right: every hit comes again, 60 episodes through."""
+    compared, different = replayed(packaged)
+    assert compared > 10_000
+    assert different == 0
+
+
+def test_another_moment_of_the_plume_brings_other_odour(packaged: Demonstrations) -> None:
+    """So the test above can fail."""
+    _, different = replayed(packaged.select(split="test"), shift=1)
+    assert different > 100
+
+
+@pytest.mark.parametrize("condition", [0, 1])
+def test_env_from_a_demonstration_shows_what_it_showed(
+    packaged: Demonstrations, condition: int
+) -> None:
+    """Through ``gym.make``: observations under the recorded actions equal the offline ones."""
+    demos = packaged.select(split="val")
+    chosen = int(np.flatnonzero(demos.condition == condition)[-1])
+    env = gym.make("AnimaRL/Silkmoth-v0", split="val")
+    seen, info = env.reset(seed=0, options={"demo": chosen})
+    assert info["condition"] == condition
+    wanted = demonstration_observations(SILKMOTH, demos)[:, 0]
+    wanted = wanted[demos.offsets[chosen] : demos.offsets[chosen + 1]]
+    shown, over = [seen], False
+    for action in demos.episode(chosen).signals["actions"][:-1, 0]:
+        assert not over
+        seen, _, terminated, truncated, info = env.step(int(action))
+        shown.append(seen)
+        over = terminated or truncated
+    assert over and info["outcome"] == demos.outcome[chosen]
+    np.testing.assert_allclose(np.array(shown), wanted, atol=1e-6)
+
+
+def test_env_starts_from_training_demonstrations_by_default(packaged: Demonstrations) -> None:
+    env = gym.make("AnimaRL/Silkmoth-v0")
+    _, info = env.reset(seed=4)
+    assert 0 <= info["demo"] < 36
+    assert env.unwrapped.scenario.demos.synthetic  # type: ignore[attr-defined]
+
+
+# -- how moth-like they are -----------------------------------------------------------------------
+
+
+def test_statistics_lie_near_the_published_ones(packaged: Demonstrations) -> None:
+    full, reduced = (of_demonstrations(packaged.select(condition=c)) for c in (0, 1))
+    assert full.rate == pytest.approx(PUBLISHED.reached_full, abs=0.05)
+    assert reduced.rate == pytest.approx(PUBLISHED.reached_reduced, abs=0.05)
+    duration = np.concatenate([full.duration, reduced.duration])
+    assert duration.sum() == pytest.approx(PUBLISHED.total, rel=0.2)
+    assert duration.min() == pytest.approx(PUBLISHED.shortest, abs=10.0)
+    assert reduced.path.mean() - full.path.mean() > 0.5
+
+
+@pytest.mark.realdata
+def test_statistics_lie_near_those_of_recorded_moths(
+    packaged: Demonstrations, data_dir: Path
+) -> None:
+    recorded = of_demonstrations(recorded_moths(data_dir / "silkmoth_mothvr"))
+    assert len(recorded.reached) == 24 and recorded.reached.sum() == 22
+    full = of_demonstrations(packaged.select(condition=0))
+    assert wasserstein(full.speed, recorded.speed) < 0.001
+    assert wasserstein(full.turning, recorded.turning) < 0.7
+    assert np.median(full.speed) == pytest.approx(np.median(recorded.speed), rel=0.25)
+    rows = comparison(packaged, recorded)
+    assert len({len(row) for row in rows}) == 1
+    assert f"{recorded.rate:.3f}" in table(rows)
+
+
+def test_statistics_of_a_known_track() -> None:
+    """A quarter circle of 90 steps of one degree, then a stop."""
+    angle = np.deg2rad(np.arange(91.0))
+    track = 0.3 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    track = np.concatenate([track, np.repeat(track[-1:], 10, axis=0)])
+    found = describe([track, track[:11]], np.array([True, False]), 0.5)
+    chord = 2 * 0.3 * np.sin(np.deg2rad(0.5))
+    np.testing.assert_allclose(found.duration, [50.0, 5.0])
+    np.testing.assert_allclose(found.path, [90 * chord, 10 * chord])
+    assert found.resting == pytest.approx(10 / 110)
+    np.testing.assert_allclose(found.turning, np.deg2rad(1.0) / 0.5, rtol=1e-9)
+    assert len(found.turning) == 89 + 9
+    assert found.rate == 0.5
+    assert wasserstein(np.array([1.0, 2.0]), np.array([1.5, 2.5])) == pytest.approx(0.5)
+
+
+# -- how they are made ----------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
+    first, again = (generate(3, trials=1).save(tmp_path / name) for name in ("a.npz", "b.npz"))
+    assert first.read_bytes() == again.read_bytes()
+    other = generate(4, trials=1)
+    assert other.fingerprint() != Demonstrations.load(first).fingerprint()
+    assert other.num_episodes == 10
+    np.testing.assert_array_equal(
+        Demonstrations.load(first).positions, generate(3, trials=1).positions
+    )
+
+
+def test_the_packaged_file_is_what_the_command_makes(packaged: Demonstrations) -> None:
+    made = generate(int(packaged.provenance["seed"]))
+    np.testing.assert_array_equal(made.lengths, packaged.lengths)
+    np.testing.assert_array_equal(made.outcome, packaged.outcome)
+    np.testing.assert_allclose(made.positions, packaged.positions, atol=1e-9)
+
+
+def test_searches_end_where_they_end() -> None:
+    found = search(SILKMOTH, 0, episodes=12, seed=2)
+    assert set(found.pattern.tolist()) <= set(SILKMOTH.train_plumes)
+    for track, reached in zip(found.tracks(), found.reached, strict=True):
+        assert (np.linalg.norm(track[-1]) < SILKMOTH.contact_radius) == reached
+    assert of_searches(found).rate == found.reached.mean()
+    with pytest.raises(InputError, match="episodes is 0"):
+        search(SILKMOTH, 0, episodes=0, seed=0)
+
+
+def test_show_says_that_they_are_synthetic() -> None:
+    result = CliRunner().invoke(app, ["data", "show", "silkmoth"])
+    assert result.exit_code == 0, result.output
+    assert "SYNTHETIC" in result.output and "moth reached the source" in result.output
+
+
+def test_table_of_rates_has_a_row_per_case() -> None:
+    rows = rates(8, 0, None)
+    assert len(rows) == 1 + 6 and {len(row) for row in rows} == {5}
+    assert " of 8 = " in rows[1][2]
+
+
+def test_a_folder_without_runs_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no raw/\*\.csv"):
+        recorded_moths(tmp_path)
+
+
+def test_a_plume_without_its_demonstrations_is_refused_with_the_mend() -> None:
+    with pytest.raises(InputError, match=r"pattern 1, .* or pass demos=None"):
+        gym.make("AnimaRL/Silkmoth-v0", train_plumes=(0,), test_plumes=(4,))
+    env = gym.make("AnimaRL/Silkmoth-v0", train_plumes=(0,), demos=None)
+    assert env.reset(seed=0)[1]["demo"] == -1
