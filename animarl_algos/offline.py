@@ -260,7 +260,7 @@ def demonstrated_values(model: SequenceQLearning, dataset: OfflineDataset) -> De
         )
         labels = evaluation.batch.labels
         shown = (evaluation.valid & (labels >= 0)).cpu().numpy()
-        q_values = policy.distribution.q_values(evaluation.values).double().cpu().numpy()
+        q_values = evaluation.q_values.double().cpu().numpy()
         for k in range(count):
             values[k].append(q_values[k][shown[k]])
             actions[k].append(labels[k].cpu().numpy()[shown[k]])

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import torch
+from torch.nn import functional
 
 from animarl_algos.losses import (
     action_cross_entropy,
@@ -19,7 +20,7 @@ from animarl_algos.losses import (
     treatment_cross_entropy,
 )
 from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.values import ValueDistribution, double_q_target, take_action
+from animarl_algos.values import ValueDistribution, one_step_target
 from animarl_envs.errors import InputError
 
 
@@ -64,6 +65,25 @@ class Phase:
                 )
 
 
+class ActionValues(Protocol):
+    """What a network says about the T + 1 states of T steps; see
+    :class:`animarl_algos.recurrent.networks.QOutput`."""
+
+    @property
+    def values(self) -> torch.Tensor:
+        """``(K, T + 1, B, A, Q)``."""
+        ...
+
+    @property
+    def q_values(self) -> torch.Tensor:
+        """``(K, T + 1, B, A)``, their mean over the quantiles."""
+        ...
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """``(K, T + 1, B, Q)``, the values of the actions ``(K, T + 1, B)``."""
+        ...
+
+
 @dataclass
 class Evaluation:
     """What the networks say about a batch, from its first trained step on.
@@ -76,10 +96,9 @@ class Evaluation:
         Its leading ``burn_in`` steps already cut off.
     valid
         ``(K, T, B)`` bool, the steps that enter a loss.
-    values, next_values
-        ``(K, T, B, A, Q)``, online network before and after each step.
-    next_target_values
-        ``(K, T, B, A, Q)``, target network after each step; ``None`` if no term asks for it.
+    online, target
+        The two networks at all states, the last ones included; no ``target`` if no term asks for
+        it.
     treatment_logits
         ``(K, T, B)``, or ``None`` without a treatment head.
     parameters
@@ -92,24 +111,33 @@ class Evaluation:
     phase: Phase
     distribution: ValueDistribution
     valid: torch.Tensor
-    values: torch.Tensor
-    next_values: torch.Tensor
-    next_target_values: torch.Tensor | None
+    online: ActionValues
+    target: ActionValues | None
     treatment_logits: torch.Tensor | None
     parameters: list[torch.Tensor]
     errors: torch.Tensor | None = field(default=None)
 
+    @property
+    def values(self) -> torch.Tensor:
+        """``(K, T, B, A, Q)``, the online network before each step."""
+        return self.online.values[:, :-1]
+
+    @property
+    def q_values(self) -> torch.Tensor:
+        """``(K, T, B, A)``, expected values before each step."""
+        return self.online.q_values[:, :-1]
+
+    def taken_values(self) -> torch.Tensor:
+        """``(K, T, B, Q)``, the online network's values of the actions taken."""
+        with_last = functional.pad(self.batch.actions, (0, 0, 0, 1))  # none is taken there
+        return self.online.of_actions(with_last)[:, :-1]
+
     def double_q_target(self, rewards: torch.Tensor) -> torch.Tensor:
         """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``."""
-        assert self.next_target_values is not None
-        return double_q_target(
-            self.distribution,
-            rewards,
-            self.batch.terminated > 0,
-            self.next_values,
-            self.next_target_values,
-            self.phase.gamma,
-        )
+        assert self.target is not None
+        best = self.online.q_values.detach().argmax(-1)  # ties: the lowest index
+        bootstrap = self.target.of_actions(best)[:, 1:]
+        return one_step_target(rewards, self.batch.terminated > 0, bootstrap, self.phase.gamma)
 
 
 class LossTerm(Protocol):
@@ -153,8 +181,7 @@ class TemporalDifference:
         if self.shaped:
             rewards = rewards - evaluation.phase.alpha * batch.penalties
         target = evaluation.double_q_target(rewards)
-        taken = take_action(evaluation.values, batch.actions)
-        td = evaluation.distribution.td_loss(taken, target)
+        td = evaluation.distribution.td_loss(evaluation.taken_values(), target)
         evaluation.errors = td.error
         return masked_mean(td.loss, evaluation.valid, batch.weights)
 
@@ -230,9 +257,10 @@ class ActionSupervision:
         return phase.lambda3 if self.weighted else 1.0
 
     def __call__(self, evaluation: Evaluation) -> torch.Tensor:
-        logits = evaluation.distribution.q_values(evaluation.values)
         batch = evaluation.batch
-        return action_cross_entropy(logits, batch.labels, evaluation.valid, batch.weights)
+        return action_cross_entropy(
+            evaluation.q_values, batch.labels, evaluation.valid, batch.weights
+        )
 
 
 @dataclass(frozen=True)

@@ -55,22 +55,20 @@ def evaluate(
     batch = _without_burn_in(batch)
     packing = _packing(batch)
     output = online(batch.observations, batch.previous_actions, online_state, packing)
-    next_target_values = None
+    target_output = None
     if needs_target:
         with torch.no_grad():
             target_output = target(
                 batch.observations, batch.previous_actions, target_state, packing
             )
-        next_target_values = target_output.values[:, 1:]
     logits = output.treatment_logits
     return Evaluation(
         batch=batch,
         phase=phase,
         distribution=distribution,
         valid=batch.mask > 0,
-        values=output.values[:, :-1],
-        next_values=output.values[:, 1:].detach(),
-        next_target_values=next_target_values,
+        online=output,
+        target=target_output,
         treatment_logits=None if logits is None else logits[:, :-1],
         parameters=list(online.parameters()),
     )

@@ -57,7 +57,7 @@ class ValueDistribution(Protocol):
         value : Tensor (..., quantiles)
             Of the action taken; see :func:`take_action`.
         target : Tensor (..., quantiles)
-            From :func:`double_q_target`. It gets no gradient.
+            From :func:`one_step_target`. It gets no gradient.
         """
         ...
 
@@ -69,34 +69,26 @@ def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
 
 
 @torch.no_grad()
-def double_q_target(
-    distribution: ValueDistribution,
-    rewards: torch.Tensor,
-    terminated: torch.Tensor,
-    next_online: torch.Tensor,
-    next_target: torch.Tensor,
-    gamma: float,
+def one_step_target(
+    rewards: torch.Tensor, terminated: torch.Tensor, bootstrap: torch.Tensor, gamma: float
 ) -> torch.Tensor:
-    """One-step double-Q target, without gradient.
+    """``R + gamma bootstrap``, without the second term where the next state is terminal.
 
     Parameters
     ----------
-    distribution
-        Which turns network outputs into Q-values.
     rewards : Tensor (...)
     terminated : Tensor (...) bool
         True where the next state is terminal; never for a time-out.
-    next_online, next_target : Tensor (..., actions, quantiles)
-        Outputs of the two networks at the next state.
+    bootstrap : Tensor (..., quantiles)
+        The target network's value of the next state's best action.
     gamma
         Discount per step.
 
     Returns
     -------
     Tensor (..., quantiles)
+        Without gradient.
     """
-    best = distribution.q_values(next_online).argmax(-1)  # ties: the lowest index
-    bootstrap = take_action(next_target, best)
     discount = gamma * (~terminated).to(rewards.dtype)
     return rewards.unsqueeze(-1) + discount.unsqueeze(-1) * bootstrap
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import torch
+from given_values import GivenValues
 from sb3_contrib.common.utils import quantile_huber_loss
 from torch import nn
 
@@ -19,11 +21,11 @@ from animarl_algos.losses import (
     treatment_cross_entropy,
 )
 from animarl_algos.quantile_huber import quantile_huber, quantile_huber_definition
+from animarl_algos.terms import Evaluation, Phase
 from animarl_algos.values import (
     ErrorLoss,
     ExpectedValue,
     Quantiles,
-    double_q_target,
     take_action,
     value_distribution,
 )
@@ -39,13 +41,38 @@ CONTACT = torch.tensor([False, False, True]).view(1, 3, 1)
 TIME_OUT = torch.zeros(1, 3, 1, dtype=torch.bool)
 
 
+def double_q_target(
+    rewards: torch.Tensor,
+    terminated: torch.Tensor,
+    next_online: torch.Tensor,
+    next_target: torch.Tensor,
+    gamma: float,
+) -> torch.Tensor:
+    """As the terms compute it; the state before the first step has no part in it."""
+
+    def with_first(values: torch.Tensor) -> GivenValues:
+        return GivenValues(torch.cat([torch.full_like(values[:, :1], 99.0), values], dim=1))
+
+    evaluation = Evaluation(
+        batch=SimpleNamespace(terminated=terminated.float()),  # type: ignore[arg-type]
+        phase=Phase("online", gamma, 0.0, 0.0, 0.0, 0.0, None),
+        distribution=ExpectedValue(),
+        valid=torch.ones_like(terminated),
+        online=with_first(next_online),
+        target=with_first(next_target),
+        treatment_logits=None,
+        parameters=[],
+    )
+    return evaluation.double_q_target(rewards)
+
+
 @pytest.mark.parametrize(
     ("terminated", "last"),
     [(CONTACT, 2.0), (TIME_OUT, 2.0 + 0.5 * 2.0)],
 )
 def test_double_q_target_by_hand(terminated: torch.Tensor, last: float) -> None:
     """The online net picks actions 1, 1, 0; the target net's values there are 4, 6, 2."""
-    target = double_q_target(ExpectedValue(), REWARDS, terminated, NEXT_ONLINE, NEXT_TARGET, 0.5)
+    target = double_q_target(REWARDS, terminated, NEXT_ONLINE, NEXT_TARGET, 0.5)
     expected = [1 + 0.5 * 4, 0 + 0.5 * 6, last]
     assert target.shape == (1, 3, 1, 1)
     assert target.flatten().tolist() == expected
@@ -53,9 +80,7 @@ def test_double_q_target_by_hand(terminated: torch.Tensor, last: float) -> None:
 
 def test_ties_go_to_the_lowest_index() -> None:
     online = torch.zeros(1, 1, 1, 2, 1)
-    target = double_q_target(
-        ExpectedValue(), REWARDS[:, :1], TIME_OUT[:, :1], online, NEXT_TARGET[:, :1], 0.5
-    )
+    target = double_q_target(REWARDS[:, :1], TIME_OUT[:, :1], online, NEXT_TARGET[:, :1], 0.5)
     assert target.item() == 1 + 0.5 * 8
 
 
@@ -69,7 +94,7 @@ def test_ties_go_to_the_lowest_index() -> None:
 )
 def test_expected_value_loss_by_hand(loss: ErrorLoss, expected: list[float]) -> None:
     distribution = ExpectedValue(loss)
-    target = double_q_target(distribution, REWARDS, CONTACT, NEXT_ONLINE, NEXT_TARGET, 0.5)
+    target = double_q_target(REWARDS, CONTACT, NEXT_ONLINE, NEXT_TARGET, 0.5)
     result = distribution.td_loss(take_action(VALUES, ACTIONS), target)
     assert result.loss.flatten().tolist() == expected
     assert result.error.flatten().tolist() == [2.0, 1.0, 1.0]
@@ -79,9 +104,7 @@ def test_quantile_target_and_loss_by_hand() -> None:
     """Two quantiles, spread by 1 to either side of the values above: tau = 1/4, 3/4."""
     spread = torch.tensor([-1.0, 1.0])
     distribution = Quantiles(2)
-    target = double_q_target(
-        distribution, REWARDS, CONTACT, NEXT_ONLINE + spread, NEXT_TARGET + spread, 0.5
-    )
+    target = double_q_target(REWARDS, CONTACT, NEXT_ONLINE + spread, NEXT_TARGET + spread, 0.5)
     assert target[0, :, 0].tolist() == [[2.5, 3.5], [2.5, 3.5], [2.0, 2.0]]
     result = distribution.td_loss(take_action(VALUES + spread, ACTIONS), target)
     assert result.error.flatten().tolist() == [2.0, 1.0, 1.0]

@@ -14,6 +14,7 @@ from animarl_algos.recurrent import gru as gru_module
 from animarl_algos.recurrent.gru import Packing, stacked_gru
 from animarl_algos.recurrent.gru_kernels import tanh_float32
 from animarl_algos.recurrent.networks import QOutput, StackedQNetwork, dueling_parts
+from animarl_algos.values import take_action
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")
@@ -216,6 +217,29 @@ def test_network_equals_modules_per_individual(options: dict[str, object]) -> No
         torch.testing.assert_close(
             centred, advantage - advantage.mean(-2, keepdim=True), rtol=1e-4, atol=1e-5
         )
+
+
+@pytest.mark.parametrize("quantiles", [1, 5])
+def test_values_of_one_action_equal_those_of_all(quantiles: int) -> None:
+    """In value and in every gradient, with padding; so do the expected values."""
+    network = make(num_quantiles=quantiles)
+    observations, previous = batch()
+    packing = Packing.from_lengths(LENGTHS, T)
+    generator = torch.Generator().manual_seed(5)
+    actions = torch.randint(A, (K, T, B), generator=generator)
+    weight = torch.randn(K, T, B, quantiles, generator=generator)
+    gradients = []
+    for of_all in (True, False):
+        output = network(observations, previous, None, packing)
+        chosen = take_action(output.values, actions) if of_all else output.of_actions(actions)
+        expected = output.values.mean(-1) if of_all else output.q_values
+        network.zero_grad()
+        ((weight * chosen).sum() + (expected * expected).sum()).backward()
+        gradients.append(
+            [chosen.detach(), expected.detach(), *(p.grad for p in network.parameters())]
+        )
+    for plain, fast in zip(*gradients, strict=True):
+        torch.testing.assert_close(fast, plain, rtol=1e-4, atol=1e-5)
 
 
 def test_dueling_identities() -> None:

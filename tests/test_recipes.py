@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 import toys
+from given_values import GivenValues
 from gymnasium import spaces
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
@@ -264,9 +265,7 @@ def evaluated(recipe: type[SequenceQLearning] = DQDIL) -> Any:
         needs_target=True,
     )
     online = torch.tensor([[1.0, 2.0], [3.0, 1.0], [0.0, 4.0], [9.0, 9.0]]).view(1, 4, 1, 2, 1)
-    evaluation.values = online[:, :-1]
-    evaluation.next_values = online[:, 1:]
-    evaluation.next_target_values = 10.0 * online[:, 1:]
+    evaluation.online, evaluation.target = GivenValues(online), GivenValues(10.0 * online)
     return evaluation
 
 

@@ -19,6 +19,7 @@ import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,9 @@ import torch
 from torch import nn
 
 from animarl_algos.gradient_reversal import reverse_gradient
+from animarl_algos.recurrent import chosen_head
 from animarl_algos.recurrent.gru import Packing, stacked_gru
+from animarl_algos.values import take_action
 from animarl_envs.errors import InputError
 
 TREATMENT_UNITS = 8
@@ -38,8 +41,6 @@ class QOutput:
 
     Attributes
     ----------
-    values : Tensor (K, T, B, actions, quantiles)
-        Action values, or their quantiles; one "quantile" where the expected value is learned.
     treatment_logits : Tensor (K, T, B) or None
         Logit of treatment 1, predicted from the hidden state through gradient reversal.
     features : Tensor (K, row, H)
@@ -50,14 +51,61 @@ class QOutput:
         Of the features.
     recurrent
         Whether the features are states.
+    head_units : Tensor (K, row, 2H)
+        The dueling head's hidden units, packed.
+    head_weight, head_bias : Tensor (K, 2H, actions * quantiles), (K, 1, actions * quantiles)
+        From them to the values.
+    num_actions
     """
 
-    values: torch.Tensor
     treatment_logits: torch.Tensor | None
     features: torch.Tensor
     initial_state: torch.Tensor
     packing: Packing
     recurrent: bool
+    head_units: torch.Tensor
+    head_weight: torch.Tensor
+    head_bias: torch.Tensor
+    num_actions: int
+
+    @property
+    def num_quantiles(self) -> int:
+        return self.head_weight.shape[-1] // self.num_actions
+
+    @cached_property
+    def values(self) -> torch.Tensor:
+        """Quantiles of all action values, (K, T, B, actions, quantiles).
+
+        One "quantile" where the expected value is learned.
+        """
+        flat = torch.baddbmm(self.head_bias, self.head_units, self.head_weight)
+        padded = self.packing.unpack(flat)
+        return padded.view(*padded.shape[:-1], self.num_actions, self.num_quantiles)
+
+    @cached_property
+    def q_values(self) -> torch.Tensor:
+        """Expected values of all actions, (K, T, B, actions)."""
+        if self.num_quantiles == 1:
+            return self.values.squeeze(-1)
+        weight, bias = (
+            tensor.view(*tensor.shape[:-1], self.num_actions, self.num_quantiles).mean(-1)
+            for tensor in (self.head_weight, self.head_bias)
+        )
+        return self.packing.unpack(torch.baddbmm(bias, self.head_units, weight))
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Quantiles of one action's value at each step: (K, T, B) to (K, T, B, quantiles)."""
+        if self.num_quantiles == 1 or not chosen_head.usable(self.head_units):
+            return take_action(self.values, actions)
+        return self.packing.unpack(
+            chosen_head.chosen_values(
+                self.head_units,
+                self.head_weight,
+                self.head_bias,
+                self.packing.pack(actions),
+                self.num_quantiles,
+            )
+        )
 
     @property
     def hidden(self) -> torch.Tensor:
@@ -159,7 +207,7 @@ class _FoldedDueling(torch.autograd.Function):
     @torch.autograd.function.once_differentiable  # type: ignore[misc]
     def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         # V enters every action alike; centring is its own transpose.
-        weight, bias = (gradient.view(ctx.shape) for gradient in grad_outputs)
+        weight, bias = (gradient.reshape(ctx.shape) for gradient in grad_outputs)
         to_value, to_advantage = weight.chunk(2, dim=1)
         return (
             to_value.sum(2),
@@ -204,7 +252,11 @@ class DuelingHead(nn.Module):
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         """(K, row, in) to (K, row, actions * quantiles)."""
         weight, bias = self.combined()
-        return torch.baddbmm(bias, torch.relu(self.hidden(inputs)), weight)
+        return torch.baddbmm(bias, self.units(inputs), weight)
+
+    def units(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Hidden units (K, row, 2H), V's first."""
+        return torch.relu(self.hidden(inputs))
 
 
 class StackedQNetwork(nn.Module):
@@ -333,15 +385,17 @@ class StackedQNetwork(nn.Module):
             logits = packing.unpack(
                 self.treatment(reverse_gradient(features, self.reversal))[..., 0]
             )
-        values = packing.unpack(self.dueling(self._with_flag(features, packed)))
-        shape = (*values.shape[:-1], self.num_actions, self.num_quantiles)
+        weight, bias = self.dueling.combined()
         return QOutput(
-            values=values.view(shape),
             treatment_logits=logits,
             features=features,
             initial_state=state,
             packing=packing,
             recurrent=self.recurrent,
+            head_units=self.dueling.units(self._with_flag(features, packed)),
+            head_weight=weight,
+            head_bias=bias,
+            num_actions=self.num_actions,
         )
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
