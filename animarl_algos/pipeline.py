@@ -16,6 +16,7 @@ from stable_baselines3.common.logger import configure
 
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.collection import check_environment
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.evaluation import Evaluation, evaluate
@@ -26,6 +27,8 @@ from animarl_algos.focal import FocalPolicy, focal_drivers
 from animarl_algos.recipes import named_recipe
 from animarl_algos.run_folder import RunFolder
 from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
+from animarl_algos.settings import constructed
+from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.readers import read
@@ -52,10 +55,36 @@ def open_run(
     """Start (or find again) the run folder; what does not fit together is refused before it."""
     if demos is None:
         demos = load_demonstrations(settings.file, settings.source, settings.species)
-    checked_species(settings, demos)
+    rehearse(settings, demos)
     run = RunFolder(out)
     run.start(settings, demos, command)
     return run
+
+
+def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
+    """Make the environment and the learner once, so that what does not fit is refused now.
+
+    Raises
+    ------
+    InputError
+        Whatever making them, or beginning to learn, would refuse.
+    """
+    species, asked = checked_species(settings, demos), settings.learner()
+    try:
+        env = SlotVecEnv(
+            species,
+            settings.copies,
+            demos=demos,
+            focal=settings.focal,
+            condition_flag=None,
+            **asked.env_kwargs,
+        )
+        learner = named_recipe(settings.algo).algorithm(
+            env=env, seed=settings.seed, device="cpu", **constructed(asked.arguments)
+        )
+    except TypeError as error:  # an unknown key of policy_kwargs or replay_buffer_kwargs
+        raise InputError(f"{settings.algo}: a setting does not fit ({error}): mend it") from error
+    check_environment(env, learner.layout, learner.recipe)
 
 
 def load_demonstrations(

@@ -16,7 +16,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ import torch
 
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.recipes import named_recipe
-from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings, check_device
+from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings
 from animarl_algos.settings import constructed
 from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -85,6 +85,8 @@ class RunFolder:
         file = self.path / "settings.json"
         try:
             record: dict[str, Any] = json.loads(file.read_text())
+            if not isinstance(record, dict):
+                raise ValueError("it is no table")
             return record
         except FileNotFoundError:
             raise InputError(
@@ -114,17 +116,18 @@ class RunFolder:
 
     def extend(self, steps: int | None = None, device: str | None = None) -> None:
         """Raise the number of steps of a run that is to be continued; move it to a device."""
-        record = self._read()
-        if device is not None:
-            check_device(device)
-            record["settings"]["device"] = device
-        steps = record["settings"]["steps"] if steps is None else steps
-        if steps < record["settings"]["steps"]:
+        settings = self.settings
+        if steps is not None and steps < settings.steps:
             raise InputError(
-                f"{self.path}: the run has {record['settings']['steps']} steps already: "
-                "ask for more with --steps"
+                f"{self.path}: the run has {settings.steps} steps already: ask for more with "
+                "--steps"
             )
-        record["settings"]["steps"] = steps
+        asked = replace(
+            settings,
+            steps=settings.steps if steps is None else steps,
+            device=settings.device if device is None else device,
+        )
+        record = self._read() | {"settings": asdict(asked)}
         with write_then_rename(self.path / "settings.json") as part:
             part.write_text(json.dumps(record, indent=2) + "\n")
 

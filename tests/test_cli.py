@@ -7,13 +7,16 @@ import pickle
 import sys
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from animarl_algos.cli import main
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.run_folder import RunFolder
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
 TINY = ["--steps", "300", "--copies", "4", "--set", "offline_epochs=1"]
@@ -49,12 +52,13 @@ def animarl(
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Demonstrations of a few short episodes in each split."""
+    """Demonstrations of a few short episodes of both conditions in each split."""
     demos = load_packaged("agent")
     chosen = []
-    for split, count in (("train", 8), ("val", 4), ("test", 4)):
-        found = np.flatnonzero((demos.split == split) & (demos.condition == 1))
-        chosen.extend(found[np.argsort(demos.lengths[found])][5 : 5 + count].tolist())
+    for split, count in (("train", 4), ("val", 2), ("test", 2)):
+        for condition in (0, 1):
+            found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
+            chosen.extend(found[np.argsort(demos.lengths[found])][5 : 5 + count].tolist())
     path = tmp_path_factory.mktemp("demos") / "small.npz"
     return demos.select(episodes=chosen).save(path)
 
@@ -110,6 +114,85 @@ def test_train_goes_on_to_more_steps(
     assert fewer.returncode == 2
 
 
+def test_train_by_environment_and_preset_then_more(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    """As in the documentation, on few demonstrations: the paper's numbers but fewer steps."""
+    first = animarl(
+        *("train", str(small), "--algo", "qr-dqcil-pt", "--env", "AnimaRL/Agent-v0"),
+        *("--preset", "paper", "--steps", "200", "--seed", "1", "--out", "out/run"),
+        *("--set", "offline_epochs=2", "--fit-method", "joint"),
+    )
+    assert first.returncode == 0, first.stderr
+    record = json.loads((tmp_path / "out" / "run" / "settings.json").read_text())
+    assert record["settings"]["fit_method"] == "joint" and record["settings"]["seed"] == 1
+    assert record["environment"] == {"dtw": "cumulative"}
+    assert record["learner"]["offline_epochs"] == 2 and record["learner"]["learning_rate"] == 1e-6
+    assert record["learner"]["policy_kwargs"] == {"n_quantiles": 20}
+    assert record["baseline"]["offline_learning_rate"] == 1e-3  # BC's own
+    more = animarl("train", "--resume", "out/run", "--steps", "400")
+    assert more.returncode == 0, more.stderr
+    latest = max((tmp_path / "out" / "run" / "checkpoints" / "qr-dqcil-pt").glob("checkpoint_*"))
+    assert '"num_timesteps": 400' in (latest / "state.json").read_text()
+
+
+def test_one_individual_learns_and_is_evaluated(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    """The others replay their recording in training and in evaluation alike."""
+    done = animarl(
+        *("run", str(small), "--algo", "dqn", "--steps", "200", "--focal", "prey", "--copies", "4"),
+        *("--policy", "MlpPolicy", "--repetitions", "1", "--set", "offline_epochs=0"),
+        *("--no-baselines", "--device", "cpu"),
+    )
+    assert done.returncode == 0, done.stderr
+    run = RunFolder(tmp_path / "runs" / "run")
+    assert run.record["learner"]["policy"] == "MlpPolicy"
+    rollouts = Rollouts.load(run.path / "rollouts" / "DQN.npz")
+    demos = run.demos.select(split="test")
+    moved = []
+    for b in range(len(rollouts.lengths)):
+        first = int(rollouts.lengths[:b].sum())
+        recorded = demos.episode(int(rollouts.demo[b])).positions
+        length = min(int(rollouts.lengths[b]), len(recorded))
+        apart = np.abs(rollouts.positions[first : first + length] - recorded[:length]).max((0, 2))
+        assert apart[:2].max() < 1e-9  # predators, as recorded
+        moved.append(apart[2])
+    assert max(moved) > 1e-3
+
+
+def test_ones_own_animals_need_no_species(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    """A file that names no species of the package trains as custom, by its own numbers."""
+    demos = Demonstrations.load(small)
+    names = ("cat_a", "cat_b", "mouse")
+    replace(demos, species="custom", individuals=names).save(tmp_path / "cats.npz")
+    done = animarl("train", "cats.npz", *TINY, "--algo", "dqdil-pt", "--out", "run")
+    assert done.returncode == 0, done.stderr
+    run = RunFolder(tmp_path / "run")
+    assert run.settings.species == "custom"
+    fitted = run.species(run.demos, run.fit)
+    assert fitted.individuals == names and fitted.dt == demos.dt
+
+
+def test_a_damaged_checkpoint_or_folder_is_refused(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    first = animarl("train", str(small), *TINY[:-2], "--algo", "dqn", "--out", "run")
+    assert first.returncode == 0, first.stderr
+    latest = max((tmp_path / "run" / "checkpoints" / "dqn").glob("checkpoint_*"))
+    (latest / "model.pt").write_bytes(b"PK")
+    resumed = animarl("train", "--resume", "run", "--steps", "600")
+    assert resumed.returncode == 2 and "damaged" in resumed.stderr
+    assert len(resumed.stderr.strip().splitlines()) == 1
+    settings = tmp_path / "run" / "settings.json"
+    for content, word in (("{", "damaged"), ("{}", "not of this version"), ("[]", "damaged")):
+        settings.write_text(content)
+        refused = animarl("train", "--resume", "run", "--steps", "600")
+        assert refused.returncode == 2 and word in refused.stderr, refused.stderr
+
+
 def bad_files(folder: Path) -> dict[str, tuple[Path, str]]:
     """Files that no reader may accept, each with a word of the sentence that refuses it."""
     files: dict[str, tuple[Path, str]] = {}
@@ -162,6 +245,23 @@ def test_bad_files_are_refused_in_one_sentence(
         (["evaluate", "nowhere"], "nowhere"),
         (["report", "nowhere"], "nowhere"),
         (["train", "--resume", "nowhere"], "nowhere"),
+        (["train", "--resume", "nowhere", "--seed", "1"], "--seed does not go with --resume"),
+        (["train", "--env", "AnimaRL/Fly-v0", "--species", "newt"], "contradict each other"),
+        (["train", "--env", "CartPole-v1"], "none of AnimaRL's"),
+        (["train", "--preset", "fast"], "'fast' is unknown: choose paper or default"),
+        (["train", "--env", "AnimaRL/Fly-v0", "--algo", "dqcil"], "fly has none: choose dqdil"),
+        (["train", "--species", "custom"], "custom"),
+        (["train", "--fit-method", "guess"], "'guess' is unknown: choose joint or onset"),
+        (["train", "--focal", "wolf"], "focal is 'wolf'"),
+        (["train", "--policy", "CnnPolicy"], "choose GruPolicy or MlpPolicy"),
+        (["train", "--device", "abacus"], "choose cpu or cuda"),
+        (["train", "--config", "nowhere.yml"], "nowhere.yml: there is no such configuration"),
+        (["run", "--set", "env_kwargs={wind: 1}"], "'wind' is unknown"),
+        (["train", "--set", "env_kwargs={dtw: null}"], "'dtw_penalty'"),
+        (["train", "--set", "policy_kwargs={colour: red}"], "'colour'"),
+        (["train", "--set", "replay_buffer_kwargs={colour: red}"], "'colour'"),
+        (["train", "--set", "gamma=1.5"], "gamma is 1.5"),
+        (["train", "--set", "buffer_size=10"], "buffer_size 10 cannot hold"),
     ],
 )
 def test_bad_options_are_refused_in_one_sentence(

@@ -61,6 +61,9 @@ PolicyOption = Annotated[
     str | None, typer.Option(help="GruPolicy (with a memory, the presets' choice) or MlpPolicy.")
 ]
 DeviceOption = Annotated[str | None, typer.Option(help="cpu (default) or cuda.")]
+FitOption = Annotated[
+    str | None, typer.Option(help="joint or onset (the paper's rule); by default the preset's.")
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", help="A setting of the learner, KEY=VALUE; may be repeated."),
@@ -84,6 +87,7 @@ def run_command(
     policy: PolicyOption = None,
     device: DeviceOption = None,
     config: ConfigOption = None,
+    fit_method: FitOption = None,
     repetitions: Annotated[int, typer.Option(help="Rollouts per test demonstration.")] = 5,
     baselines: Annotated[
         bool, typer.Option(help="Also train BC and evaluate an untrained network and chance.")
@@ -137,6 +141,7 @@ def train_command(
     policy: PolicyOption = None,
     device: DeviceOption = None,
     config: ConfigOption = None,
+    fit_method: FitOption = None,
     settings: SetOption = None,
 ) -> None:
     """Train only: fit the locomotion and learn. A run that was killed is resumed exactly.
@@ -235,11 +240,14 @@ def _open(given: dict[str, Any]) -> RunFolder:
         baselines=given.get("baselines", True),
     )
     learner = asked.learner()
+    around = pipeline_settings(environment_id(species), asked.preset)
+    if given["fit_method"] is not None:
+        around["fit_method"] = given["fit_method"]
     asked = replace(
         asked,
         steps=learner.n_timesteps if given["steps"] is None else asked.steps,
         copies=learner.n_envs if given["copies"] is None else asked.copies,
-        **pipeline_settings(environment_id(species), asked.preset),
+        **around,
     )
     return pipeline.open_run(asked, given["out"], shlex.join(["animarl", *sys.argv[1:]]), demos)
 
@@ -250,7 +258,8 @@ def _refuse_beside_resume(context: typer.Context) -> None:
         source = context.get_parameter_source(name)
         set_here = source is not None and source.name == "COMMANDLINE"
         if set_here and name not in ("resume", "steps", "device"):
-            option = {"file": "FILE", "settings": "--set"}.get(name, f"--{name}")
+            written = {"file": "FILE", "settings": "--set", "fit_method": "--fit-method"}
+            option = written.get(name, f"--{name}")
             raise InputError(
                 f"{option} does not go with --resume, which keeps the settings of the run: "
                 "give --steps only"
