@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from operator import index
 from typing import Any
 
@@ -51,6 +52,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
         self.world = make_world(self.scenario, 1)
+        self._description = json.dumps(describe(self.scenario))  # each reset says it anew
         self.render_mode = render_mode
         name = f"animarl_{self.scenario.species.name}_v0"
         fps = round(1.0 / self.scenario.species.dt)
@@ -87,7 +89,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
             self._record().start()
         infos = self._infos(warming=False)
         for info in infos.values():
-            info["scenario"] = describe(self.scenario)
+            info["scenario"] = json.loads(self._description)
         return self._observations(), infos
 
     def step(
@@ -120,12 +122,12 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
                     f"{world.num_actions - 1}"
                 )
             self._actions[0, i] = action
-        warming = bool(world.warming[0])
+        warming = world.warming.item()
         world.step(self._actions)
         if self.render_mode is not None:
             self._record().follow()
         reward = world.reward[0].tolist()
-        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        terminated, truncated = world.terminated.item(), world.truncated.item()
         agents = self.agents
         observations, infos = self._observations(), self._infos(warming=warming)
         if terminated or truncated:
@@ -173,20 +175,20 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         return self._recorder
 
     def _observations(self) -> Observations:
-        rows = np.array(self.world.observation[0], order="C")
-        return {agent: row.copy() for agent, row in zip(self.agents, rows, strict=True)}
+        seen = self.world.observation
+        return {agent: seen[0, i].copy() for i, agent in enumerate(self.agents)}
 
     def _infos(self, *, warming: bool) -> dict[str, dict[str, Any]]:
         world = self.world
         shared = {
-            "demo": int(world.demo[0]),
-            "condition": int(world.condition[0]),
-            "step": int(world.step_count[0]),
+            "demo": world.demo.item(),
+            "condition": world.condition.item(),
+            "step": world.step_count.item(),
             "warmup": warming,
-            "outcome": int(world.outcome[0]),
+            "outcome": world.outcome.item(),
         }
-        parts = world.components[0].tolist()
+        names = world.reward_components
         return {
-            agent: shared | dict(zip(world.reward_components, part, strict=True))
-            for agent, part in zip(self.agents, parts, strict=True)
+            agent: shared | dict(zip(names, parts, strict=True))
+            for agent, parts in zip(self.agents, world.components[0].tolist(), strict=True)
         }

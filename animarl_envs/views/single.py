@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import gymnasium as gym
@@ -78,6 +79,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
         self.world = make_world(self.scenario, 1)
+        self._description = json.dumps(describe(self.scenario))  # each reset says it anew
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
         self.render_mode = render_mode
@@ -108,7 +110,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
             self._record().start()
             if self.render_mode == "human":
                 self.render()
-        return self._observation(), {**self._info(), "scenario": describe(self.scenario)}
+        return self._observation(), {**self._info(), "scenario": json.loads(self._description)}
 
     def step(
         self, action: np.int64 | int
@@ -122,20 +124,19 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
                 f"action {action!r} is out of range: choose 0 to {self.world.num_actions - 1}"
             )
         world, i = self.world, self.focal_index
-        warming = bool(world.warming[0])
+        warming = world.warming.item()
         self._actions[0, i] = action
         for j, policy in self._policies.items():
             self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
         world.step(self._actions)
-        terminated, truncated = bool(world.terminated[0]), bool(world.truncated[0])
+        terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
         if self.render_mode is not None:
             self._record().follow()
             if self.render_mode == "human":
                 self.render()
-        info = self._info()
-        info["warmup"] = warming
-        return self._observation(), float(world.reward[0, i]), terminated, truncated, info
+        info = self._info(warming)
+        return self._observation(), world.reward.item(i), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """The present scene as ``(height, width, 3)`` uint8, or in a window."""
@@ -168,15 +169,15 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         row: NDArray[np.float32] = self.world.observation[0, self.focal_index].copy()
         return row
 
-    def _info(self) -> dict[str, Any]:
-        world, i = self.world, self.focal_index
+    def _info(self, warming: bool = False) -> dict[str, Any]:
+        world = self.world
         info: dict[str, Any] = {
-            "demo": int(world.demo[0]),
-            "condition": int(world.condition[0]),
-            "step": int(world.step_count[0]),
-            "warmup": False,
-            "outcome": int(world.outcome[0]),
+            "demo": world.demo.item(),
+            "condition": world.condition.item(),
+            "step": world.step_count.item(),
+            "warmup": warming,
+            "outcome": world.outcome.item(),
         }
-        for c, name in enumerate(world.reward_components):
-            info[name] = float(world.components[0, i, c])
+        parts = world.components[0, self.focal_index].tolist()
+        info.update(zip(world.reward_components, parts, strict=True))
         return info

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
@@ -83,6 +84,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
             ) from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.world = make_world(self.scenario, num_envs)
+        self._description = json.dumps(describe(self.scenario))  # each reset says it anew
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
@@ -120,7 +122,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False
-        return self._observation(), {**self._infos(), "scenario": describe(self.scenario)}
+        return self._observation(), {**self._infos(), "scenario": json.loads(self._description)}
 
     def step(
         self, actions: NDArray[np.int64]
