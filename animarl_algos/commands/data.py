@@ -19,7 +19,8 @@ from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.readers import available_readers, read
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.demos.splits import Splitting, deal
-from animarl_envs.demos.summary import episode_table, plot_summary, summarise
+from animarl_envs.demos.summary import episode_table, summarise
+from animarl_envs.demos.summary_figure import plot_summary
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 

@@ -12,7 +12,7 @@ import numpy as np
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
-from animarl_envs.demos.summary import episode_table, summarise
+from animarl_envs.demos.summary import TRACKING, episode_table, summarise
 
 Row = tuple[str, str]
 _SPLITS = {
@@ -69,11 +69,7 @@ def describe(demos: Demonstrations) -> list[Row]:
         )
     if demos.signals:
         rows.append(("signals", ", ".join(found["signals"])))
-    tracking = [
-        f"{found[f'frames: {key}']} {key}"
-        for key in ("untracked", "filled", "below confidence", "jumps", "identity swaps")
-        if f"frames: {key}" in found
-    ]
+    tracking = [f"{found[f'frames: {key}']} {key}" for key in TRACKING if f"frames: {key}" in found]
     if tracking:
         rows.append(("frames flagged", ", ".join(tracking)))
     return [*rows, ("fingerprint", found["fingerprint"])]
@@ -136,21 +132,26 @@ def hints(demos: Demonstrations) -> list[str]:
             f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
             "--max-gap SECONDS"
         )
-    flagged = [
-        (recording, "jump" if key == "first_jumps" else "swap of identities", flag)
-        for recording, one in demos.provenance.get("cleaning", {}).items()
-        for key in ("first_jumps", "first_swaps")
-        for flag in one.get(key, [])
+    return found + _flags(demos.provenance.get("cleaning", {}))
+
+
+def _flags(cleaning: Mapping[str, Any]) -> list[str]:
+    """Jumps and swaps in words, with the first of them, unless jumps were taken out."""
+    jumps = sum(one.get("jumps", 0) for one in cleaning.values())
+    swaps = sum(one.get("identity_swaps", 0) for one in cleaning.values())
+    if not jumps + swaps or any(one.get("jumps_dropped") for one in cleaning.values()):
+        return []
+    recording, first = next(
+        (recording, flag)
+        for recording, one in cleaning.items()
+        for flag in [*one.get("first_jumps", []), *one.get("first_swaps", [])]
+    )
+    return [
+        f"{_count(jumps, 'jump')} and {_count(swaps, 'swap')} of identities flagged in "
+        f"{_count(sum(bool(one.get('jumps')) for one in cleaning.values()), 'recording')}, first "
+        f"{' and '.join(first['individuals'])} at {first['time']:g} s of {recording}: look there, "
+        "or take jumps out by --drop-jumps"
     ]
-    dropped = any(one.get("jumps_dropped") for one in demos.provenance.get("cleaning", {}).values())
-    if flagged and not dropped:
-        recording, what, flag = flagged[0]
-        found.append(
-            f"{_count(len(flagged), 'jump or swap')} of identities flagged, first a {what} of "
-            f"{' and '.join(flag['individuals'])} in {recording} at {flag['time']:g} s: look "
-            "there, or take jumps out by --drop-jumps"
-        )
-    return found
 
 
 def _target(recipe: Recipe) -> str:

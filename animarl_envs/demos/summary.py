@@ -1,21 +1,23 @@
-"""Demonstrations at a glance: a table per episode, and a figure to check them by eye."""
+"""Demonstrations at a glance: a table per episode, and the whole set in numbers."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.demos.cutting import distances_to_target
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT, Demonstrations
-from animarl_envs.errors import MissingExtraError
-from animarl_envs.files import write_then_rename
 
 RESTING_SHARE = 0.05  # of the 99th percentile of speed: below it an individual counts as resting
 OUTCOME_NAMES = {TIME_OUT: "time-out", TARGET_OUT: "target left", PURSUER_OUT: "a pursuer left"}
-SHOWN_EPISODES = 12
+TRACKING = (
+    "untracked",
+    "filled",
+    "below confidence",
+    "jumps",
+    "identity swaps",
+)  # counts of frames
 
 
 def outcome_name(outcome: int, demos: Demonstrations) -> str:
@@ -89,54 +91,9 @@ def summarise(demos: Demonstrations) -> dict[str, Any]:
         }
     cleaning = demos.provenance.get("cleaning")
     if isinstance(cleaning, dict):
-        for key in ("untracked", "filled", "jumps", "identity_swaps", "below_confidence"):
-            counts = [one[key] for one in cleaning.values() if key in one]
+        for key in TRACKING:
+            entry = key.replace(" ", "_")
+            counts = [one[entry] for one in cleaning.values() if entry in one]
             if counts:
-                found[f"frames: {key.replace('_', ' ')}"] = int(sum(counts))
+                found[f"frames: {key}"] = int(sum(counts))
     return found
-
-
-def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
-    """Tracks of the first episodes, durations, path lengths, speeds and distances to the target."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("the summary figure", "algos") from error
-    figure = Figure(figsize=(11, 7), layout="constrained")
-    tracks, durations, lengths, speeds, distances, bars = figure.subplots(2, 3).ravel()
-    rows = episode_table(demos)
-    for i, name in enumerate(demos.individuals):
-        colour = f"C{i}"
-        for index in range(min(demos.num_episodes, SHOWN_EPISODES)):
-            x, y = demos.episode(index).positions[:, i].T
-            tracks.plot(x, y, color=colour, lw=0.6, label=name if index == 0 else None)
-        speed = np.linalg.norm(demos.velocities()[:, i], axis=1)
-        speeds.hist(speed, bins=_bins(speed), histtype="step", color=colour, density=True)
-        lengths.hist(
-            [row[f"path_length_{name}"] for row in rows], 30, histtype="step", color=colour
-        )
-    tracks.set(aspect="equal", title=f"First {min(len(rows), SHOWN_EPISODES)} episodes")
-    tracks.legend(fontsize="small")
-    durations.hist([row["duration"] for row in rows], 30, color="0.5")
-    durations.set(title="Duration", xlabel="s", ylabel="episodes")
-    lengths.set(title="Path length", xlabel="arena units", ylabel="episodes")
-    speeds.set(title="Speed", xlabel="arena units / s", ylabel="density")
-    for one in demos:
-        distance = distances_to_target(one.positions, demos.roles).min(axis=1)
-        if np.isfinite(distance).all():
-            time = (np.arange(len(distance)) - len(distance) + 1) * one.dt
-            distances.plot(time, distance, color="0.3", lw=0.4, alpha=0.5)
-    distances.set(title="Distance to the target", xlabel="s before the end", ylabel="arena units")
-    names, counts = np.unique([row["outcome"] for row in rows], return_counts=True)
-    bars.barh(names, counts, color="0.5")
-    bars.set(title="Outcomes", xlabel="episodes")
-    kind = "synthetic" if demos.synthetic else "recorded"
-    figure.suptitle(f"{demos.species}: {demos.num_episodes} {kind} episodes")
-    path = Path(path)
-    with write_then_rename(path) as part:
-        figure.savefig(part)
-    return path
-
-
-def _bins(speed: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.linspace(0.0, max(float(np.quantile(speed, 0.995)), 1e-9), 60)
