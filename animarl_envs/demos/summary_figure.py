@@ -33,7 +33,8 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
     except ImportError as error:
         raise MissingExtraError("the summary figure", "algos") from error
     figure = Figure(figsize=(13, 9.5), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(1.0, 1.25))
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.25))
+    above, below = parts
     kind = "SYNTHETIC episodes" if demos.synthetic else "recorded episodes"
     title = ", ".join(demos.individuals) if demos.species == "custom" else demos.species
     figure.suptitle(
