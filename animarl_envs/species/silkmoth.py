@@ -2,6 +2,8 @@
 
 The published d and u imply a terminal speed of 0.050 m/s, where recorded moths stay below 0.036;
 they are kept as the defaults. Fit your own.
+
+The packaged demonstrations are synthetic, not recorded: see ``docs/data/packaged_silkmoth.md``.
 """
 
 from animarl_envs.arena import Arena
