@@ -47,6 +47,7 @@ class Arena:
             raise InputError(f"arena size is {self.size!r}: it must be a positive number")
         if not isinstance(self.rebound, bool):
             raise InputError(f"rebound is {self.rebound!r}: choose True or False")
+        object.__setattr__(self, "size", float(self.size))
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
         elif not (_is_number(self.boundary) and self.boundary >= self.size):
@@ -54,6 +55,7 @@ class Arena:
                 f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
                 "choose a boundary at least as large as the size"
             )
+        object.__setattr__(self, "boundary", float(self.boundary))
 
     def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether positions ``(..., 2)`` lie within the virtual boundary, widened by ``margin``."""

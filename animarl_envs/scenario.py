@@ -87,6 +87,10 @@ class Scenario:
                 f"observation_delay is {self.observation_delay!r}: it must be a whole number "
                 "of steps, zero or more"
             )
+        plainly = self.condition if self.condition == "demo" else int(self.condition)
+        object.__setattr__(self, "condition", plainly)  # of NumPy's kinds or of Python's
+        object.__setattr__(self, "observation_noise", float(self.observation_noise))
+        object.__setattr__(self, "observation_delay", int(late))
         for name, driver in zip(names, self.drivers, strict=True):
             if driver not in DRIVERS:
                 raise InputError(

@@ -254,3 +254,15 @@ def test_an_arena_may_be_named_by_its_fields() -> None:
     fields = {"shape": "disc", "size": 2.0, "boundary": 2.5, "rebound": True}
     env = MAKE["single"]("agent", demos=None, arena=fields).unwrapped
     assert env.scenario.species.arena == Arena(**fields)  # type: ignore[arg-type]
+
+
+@every_view
+def test_numbers_may_be_numpys(view: str) -> None:
+    numbers = {
+        "condition": np.int64(1), "observation_noise": np.float32(0.5),
+        "observation_delay": np.int8(2), "time_limit": np.int32(9), "dt": np.float64(0.1),
+        "contact_radius": np.float32(0.125), "arena": Arena("square", np.float64(1.0), 1.1),
+    }  # fmt: skip
+    info = MAKE[view]("agent", demos=None, **numbers).reset(seed=0)[1]
+    said = info["prey"]["scenario"] if view == "parallel" else info["scenario"]
+    assert [said[key] for key in numbers if key != "arena"] == [1, 0.5, 2, 9, 0.1, 0.125]

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
-from animarl_envs.scenario import Scenario
+from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.worlds.plume import ModelPlume, hit_table
 from animarl_envs.worlds.search import SearchWorld, antennae_at, demonstration_observations
@@ -375,3 +376,27 @@ def test_scene_details_show_the_present_plume() -> None:
         [-0.013 * math.cos(math.radians(19)), 0.0],
         atol=1e-12,
     )
+
+
+def test_recorded_actions_repeat_packaged_searches_in_their_plumes() -> None:
+    """Pattern, phase, warm-up and senses are those of the demonstration, to its last step."""
+    demos = load_packaged("silkmoth")
+    scenario = make_scenario("silkmoth", split=None)
+    world = SearchWorld(scenario, len(demos))
+    world.reset(demo=np.arange(len(demos)))
+    assert np.array_equal(
+        np.array(world.patterns)[world.pattern], demos.signals["plume"][demos.offsets[:-1]]
+    )
+    seen = demonstration_observations(scenario.species, demos)
+    steps, at = demos.lengths - 1, demos.offsets[:-1]
+    for t in range(int(steps.max())):
+        running = steps > t
+        assert (world.warming == (t < SILKMOTH.warmup)).all()
+        actions = np.full((len(demos), 1), COAST)
+        actions[running] = demos.signals["actions"][at[running] + t]
+        world.step(actions)
+        frame = at[running] + t + 1
+        np.testing.assert_allclose(world.position[running], demos.positions[frame], atol=1e-12)
+        np.testing.assert_allclose(world.observation[running], seen[frame], atol=1e-6)
+        ended = (world.terminated | world.truncated)[running]
+        assert np.array_equal(ended, steps[running] == t + 1)

@@ -69,23 +69,30 @@ class Species:
                 f"warmup is {self.warmup!r} steps: it must be a whole number between 0 and the "
                 "time limit"
             )
+        object.__setattr__(self, "time_limit", int(self.time_limit))
+        object.__setattr__(self, "warmup", int(self.warmup))
         object.__setattr__(self, "conditions", _names(self.conditions))
         penalty = self.boundary_penalty
         if not _is_number(penalty) or not abs(penalty) < float("inf"):
             raise InputError(f"boundary_penalty is {penalty!r}: it must be a number")
+        object.__setattr__(self, "boundary_penalty", float(penalty))
 
     @property
     def num_individuals(self) -> int:
         return len(self.individuals)
 
     def _positive(self, *names: str, or_zero: bool = False) -> None:
-        """Refuse what is not a finite positive number (or zero, if that will do)."""
+        """Refuse what is not a finite positive number (or zero, if that will do).
+
+        NumPy's numbers become Python's, of which the kernels have compiled forms.
+        """
         for name in names:
             value = getattr(self, name)
             low = _is_number(value) and (value >= 0 if or_zero else value > 0)
             if not (low and value < float("inf")):
                 allowed = "zero or positive" if or_zero else "a positive number"
                 raise InputError(f"{name} is {value!r}: it must be {allowed}")
+            object.__setattr__(self, name, float(value))
 
 
 @dataclass(frozen=True, kw_only=True)
