@@ -50,6 +50,7 @@ def page(species: Species) -> str:
         NOTICE,
         *paragraphs(title, more),
         f"![{species.title}](../images/{species.name}.png)",
+        *caption(species.name),
         "## Facts",
         facts(species),
         "## Observation",
@@ -142,6 +143,14 @@ def facts(species: Species) -> str:
         rows.append(("packaged demonstrations", packaged(species.name)))
     unit = "metres" if isinstance(species, SearchSpecies) else "arena units"
     return table(("", f"lengths in {unit}"), rows)
+
+
+def caption(name: str) -> list[str]:
+    """What the picture shows, where it shows a demonstration."""
+    if name not in packaged_names():
+        return []
+    kind = "synthetic" if load_packaged(name).synthetic else "recorded"
+    return [f"*An episode of the packaged demonstrations, which are {kind}.*"]
 
 
 def packaged(name: str) -> str:
