@@ -58,7 +58,7 @@ def write_agents(folder: Path) -> Path:
     return folder / "episodes.npz"
 
 
-def write_slp(folder: Path) -> Path:
+def write_slp(folder: Path, pose: NDArray[np.float64] = POSE) -> Path:
     import sleap_io as sio
 
     skeleton = sio.Skeleton(list(NODES))
@@ -68,11 +68,11 @@ def write_slp(folder: Path) -> Path:
         sio.LabeledFrame(
             video=video, frame_idx=t,
             instances=[
-                sio.Instance.from_numpy(POSE[t, i], skeleton=skeleton, track=tracks[i])
+                sio.Instance.from_numpy(pose[t, i], skeleton=skeleton, track=tracks[i])
                 for i in range(2)
             ],
         )
-        for t in range(len(POSE))
+        for t in range(len(pose))
     ]  # fmt: skip
     labels = sio.Labels(frames, videos=[video], skeletons=[skeleton], tracks=tracks)
     labels.save(str(folder / "clip.slp"), verbose=False)
