@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch, here and in subprocesses
+
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
