@@ -76,11 +76,6 @@ def test_the_cue_changes_the_flag_and_not_the_world(cue: Any) -> None:
     assert row[-1] == told[0] and info["condition"] == condition[0]
 
 
-def test_a_flag_needs_a_species_with_conditions() -> None:
-    with pytest.raises(InputError, match="no experimental conditions"):
-        ConditionFlag(single("fly"))
-
-
 def test_gymnasiums_step_limit_holds_in_vectors_too() -> None:
     vector = gym.make_vec("AnimaRL/Fly-v0", num_envs=2, demos=None, max_episode_steps=4)
     vector.reset(seed=0)

@@ -11,7 +11,14 @@ import pytest
 
 import animarl_envs
 from animarl_envs.errors import InputError
-from animarl_envs.wrappers import ConditionFlag, ConditionFlagVector, DTWReward, DTWRewardVector
+from animarl_envs.wrappers import (
+    ConditionFlag,
+    ConditionFlagParallel,
+    ConditionFlagVector,
+    DTWReward,
+    DTWRewardParallel,
+    DTWRewardVector,
+)
 
 
 def agent(**options: Any) -> Any:
@@ -78,19 +85,65 @@ def test_the_flag_is_the_last_component_and_the_rest_is_untouched() -> None:
     assert flagged.observation_space.contains(told)
 
 
+VIEWS: dict[str, tuple[Any, Any, Any]] = {
+    "single": (lambda name, **o: gym.make(name, **o), DTWReward, ConditionFlag),
+    "vector": (
+        lambda name, **o: gym.make_vec(name, num_envs=2, **o), DTWRewardVector, ConditionFlagVector
+    ),
+    "parallel": (
+        lambda name, **o: animarl_envs.parallel_env(name[8:-3].lower(), **o),
+        DTWRewardParallel, ConditionFlagParallel,
+    ),
+}  # fmt: skip
+every_view = pytest.mark.parametrize("view", VIEWS)
+
+
+@every_view
 @pytest.mark.parametrize(
-    ("wrap", "word"),
+    ("which", "species", "options", "arguments", "says"),
     [
-        (lambda: DTWReward(agent(), alpha=-1.0), "alpha"),
-        (lambda: DTWReward(agent(), alpha=float("nan")), "alpha"),
-        (lambda: DTWReward(agent(), penalty="total"), "penalty"),
-        (lambda: DTWReward(agent(demos=None)), "demos="),
-        (lambda: DTWReward(agent(start="uniform")), "demos="),
-        (lambda: DTWReward(gym.make("CartPole-v1")), "AnimaRL"),
-        (lambda: ConditionFlag(agent(), cue="both"), "cue"),  # type: ignore[arg-type]
-        (lambda: ConditionFlag(gym.make(animarl_envs.environment_id("fly"))), "conditions"),
+        (1, "Agent", {}, {"alpha": -1.0}, "alpha is -1.0"),
+        (1, "Agent", {}, {"alpha": float("nan")}, "alpha is nan"),
+        (1, "Agent", {}, {"alpha": "much"}, "alpha is 'much'"),
+        (1, "Agent", {}, {"penalty": "total"}, "penalty"),
+        (1, "Agent", {"demos": None}, {}, "demos="),
+        (1, "Silkmoth", {"start": "uniform"}, {}, "demos="),
+        (2, "Agent", {}, {"cue": "both"}, "cue is 'both'"),
+        (2, "Agent", {}, {"cue": True}, "cue is True"),
+        (2, "Fly", {}, {}, "fly has no experimental conditions"),
+        (2, "Newt", {"demos": None}, {}, "newt has no experimental conditions"),
     ],
 )
-def test_a_wrapper_that_does_not_fit_is_refused(wrap: Any, word: str) -> None:
-    with pytest.raises(InputError, match=word):
-        wrap()
+def test_a_wrapper_that_does_not_fit_is_refused(
+    view: str, which: int, species: str, options: Any, arguments: Any, says: str
+) -> None:
+    env = VIEWS[view][0](f"AnimaRL/{species}-v0", **options)
+    with pytest.raises(InputError) as refusal:
+        VIEWS[view][which](env, **arguments)
+    assert says in str(refusal.value)
+
+
+@pytest.mark.parametrize("wrapper", [DTWReward, ConditionFlag])
+@pytest.mark.parametrize("wrapper_of_many", [DTWRewardVector, ConditionFlagVector])
+def test_other_peoples_environments_are_refused(wrapper: Any, wrapper_of_many: Any) -> None:
+    with pytest.raises(InputError, match="AnimaRL"):
+        wrapper(gym.make("CartPole-v1"))
+    with pytest.raises(InputError, match="AnimaRL"):
+        wrapper_of_many(gym.make_vec("CartPole-v1", num_envs=2))
+
+
+@pytest.mark.parametrize(("condition", "paid"), [(0, 0.0), (1, 1.0)])
+@pytest.mark.parametrize("cue", [0, 1, "flipped"])
+def test_the_world_changes_without_the_cue(condition: int, paid: float, cue: Any) -> None:
+    """Who is paid for a capture follows the world's condition, whatever is told."""
+    start = [[0.45, 0.0], [0.0, 0.4], [0.54, 0.0]]
+    env = ConditionFlagParallel(
+        animarl_envs.parallel_env("agent", demos=None, start=start, condition=condition), cue=cue
+    )
+    observations, _ = env.reset(seed=0)
+    told = {"flipped": 1 - condition}.get(cue, cue)
+    assert {row[-1] for row in observations.values()} == {told}
+    _, rewards, terminated, _, infos = env.step({"predator_0": 0, "predator_1": 12, "prey": 12})
+    assert terminated["prey"]
+    assert (rewards["predator_0"], rewards["predator_1"]) == (1.0, paid)
+    assert infos["prey"]["condition"] == condition

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from animarl_envs.errors import InputError
+from animarl_envs.scenario import Scenario
 
 Cue = Literal["actual", "flipped", 0, 1]
 
@@ -47,6 +48,11 @@ def with_flag(space: spaces.Box) -> spaces.Box:
 
 
 def _check(env: Any, cue: Any) -> None:
+    if not isinstance(getattr(env, "scenario", None), Scenario):
+        raise InputError(
+            f"the condition flag wraps AnimaRL environments, not {type(env).__name__}: it has no "
+            "experimental condition"
+        )
     species = env.scenario.species
     check_cue(cue, species.conditions, species.name)
 

@@ -28,8 +28,9 @@ from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
 
 def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DTWTracker:
     """A tracker following the world of an unwrapped view."""
-    if not np.isfinite(alpha) or alpha < 0:
-        raise InputError(f"alpha is {alpha}: it must be zero or positive")
+    number = isinstance(alpha, int | float | np.number) and not isinstance(alpha, bool)
+    if not number or not 0 <= alpha < np.inf:
+        raise InputError(f"alpha is {alpha!r}: it must be zero or positive")
     world = env.world
     demos = world.demos if world.scenario.paired else None
     tracker = DTWTracker(demos, world.num_copies, np.array(individuals), penalty)
