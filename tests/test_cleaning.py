@@ -263,3 +263,44 @@ def test_files_of_one_recording_are_merged() -> None:
     (merged,) = merge([one, two])
     assert merged.individuals == ("fish0", "fish1") and len(merged) == 5
     assert np.isnan(merged.positions[3:, 1]).all()
+
+
+def test_filled_gaps_are_marked_in_the_episodes_and_their_table() -> None:
+    from animarl_envs.demos.summary import episode_table
+
+    bodies = np.concatenate([wave(0.1, 30.0), 0.5 * wave(0.1, 30.0)], axis=1)
+    bodies[100:104, 1] = np.nan
+    recipe = Recipe(
+        target="animal_0", cleaning=Cleaning(max_gap=0.2), cutting=Cutting(piece=np.inf),
+        scaling=Scaling(width=2.0, centre=(0.0, 0.0)),
+    )  # fmt: skip
+    demos = demonstrations_from_tracks([tracks(bodies)], recipe)
+    assert demos.individuals == ("animal_1", "animal_0")
+    marked = np.argwhere(demos.signals["filled"])
+    assert marked.tolist() == [[frame - 1, 0] for frame in range(100, 104)]
+    (row,) = episode_table(demos)
+    assert row["filled_frames_animal_1"] == 4 and row["filled_frames_animal_0"] == 0
+    assert "filled" not in demonstrations_from_tracks([tracks(wave(0.1, 30.0))], Recipe()).signals
+
+
+@pytest.mark.parametrize("drop", [False, True])
+def test_jumps_are_flagged_or_dropped_and_told(drop: bool) -> None:
+    bodies = wave(0.1, 30.0)
+    bodies[200] += 5.0
+    cleaned, done = clean(tracks(bodies), Cleaning(drop_jumps=drop))
+    assert done["jumps"] == 2 and done["jumps_dropped"] is drop
+    assert [flag["frame"] for flag in done["first_jumps"]] == [200, 201]
+    assert done["first_jumps"][0]["time"] == pytest.approx(200 / 30, abs=1e-3)
+    assert done["first_jumps"][0]["individuals"] == ["animal_0"]
+    assert np.isnan(cleaned.bodies[[200, 201]]).all() == drop
+    assert np.isfinite(np.delete(cleaned.bodies, [200, 201], axis=0)).all()
+
+
+def test_straight_lines_between_frames_miss_by_the_stated_bound() -> None:
+    """At most a / (8 rate^2) for a path of acceleration a (docs/data/cleaning.md)."""
+    for frequency, rate in ((0.2, 30.0), (1.0, 24.0)):
+        found = resample(wave(frequency, rate), rate, 7.0)
+        exact = wave(frequency, 7.0)[: len(found)]
+        bound = (2 * np.pi * frequency) ** 2 / (8 * rate**2)
+        missed = np.linalg.norm(found - exact, axis=2).max()
+        assert 0.5 * bound < missed < 1.001 * bound

@@ -145,3 +145,65 @@ def test_recipes_are_plain_json(tmp_path: Path) -> None:
     )
     recipe = json.loads(json.dumps(dict(demos.provenance)))["recipe"]
     assert Recipe.from_dict(recipe) == default_recipe(get_reader("long-table"), frame_rate=20.0)
+
+
+def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
+    lines = ["frame,id,x,y"]
+    for t in range(400):
+        far = 30.0 if t == 150 else 0.0
+        lines += [f"{t},male,{np.cos(t / 40) + far},{np.sin(t / 40)}", f"{t},female,0.1,{t / 400}"]
+    (tmp_path / "pair.csv").write_text("\n".join(lines) + "\n")
+    words = ("--fps", 20, "--target", "female", "--arena-width", 80)
+    out = tmp_path / "kept.npz"
+    said = animarl("import", tmp_path / "pair.csv", *words, "--out", out)
+    named = "2 jumps and 0 swaps of identities flagged in 1 recording, first male at 7.5 s of pair"
+    assert f"hint: {named}" in said and "2 jumps" in said
+    assert f"check: {named}" in animarl("data", "check", out)
+    dropped = tmp_path / "dropped.npz"
+    said = animarl(
+        "import", tmp_path / "pair.csv", *words, "--drop-jumps", "--max-gap", 0.2, "--out", dropped
+    )
+    assert "flagged in" not in said
+    recipe = Recipe.load(tmp_path / "dropped.recipe.yaml")
+    assert recipe.cleaning.drop_jumps and recipe.cleaning.max_gap == 0.2
+    assert np.ptp(Demonstrations.load(out).positions[:, 0, 0]) > 0.7
+    assert np.ptp(Demonstrations.load(dropped).positions[:, 0, 0]) < 0.1
+
+
+@pytest.mark.parametrize("pursuers", [1, 2, 3])
+def test_imported_tracks_are_an_environment_at_once(pursuers: int, tmp_path: Path) -> None:
+    import gymnasium as gym
+
+    names = [*(f"hunter_{i}" for i in range(pursuers)), "hare"]
+    rng = np.random.default_rng(pursuers)
+    walk = (
+        np.cumsum(rng.normal(0, 0.02, (300, len(names), 2)), axis=0)
+        + np.arange(len(names))[:, None]
+    )
+    rows = [
+        f"{t},{name},{x},{y}"
+        for t, bodies in enumerate(walk.tolist())
+        for name, (x, y) in zip(names, bodies, strict=True)
+    ]
+    (tmp_path / "t.csv").write_text("frame,id,x,y\n" + "\n".join(rows) + "\n")
+    out = tmp_path / "demos.npz"
+    animarl("import", tmp_path / "t.csv", "--fps", 10, "--target", "hare", "--out", out)
+    assert "hare" in animarl("fit", out, "--bootstrap", 0)
+    env = gym.make("AnimaRL/Custom-v0", demos=str(out))
+    first, _ = env.reset(seed=0)
+    assert env.observation_space.contains(first)
+    seen = env.step(0)[0]
+    assert env.observation_space.contains(seen) and not np.array_equal(seen, first)
+
+
+@pytest.mark.parametrize("place", ["a folder", "a file as folder"])
+def test_import_to_a_place_that_cannot_be_written_is_refused(place: str, tmp_path: Path) -> None:
+    table = write_long(tmp_path)
+    out = tmp_path / "demos.npz"
+    if place == "a folder":
+        out.mkdir()
+    else:
+        out.write_text("a file")
+        out = out / "demos.npz"
+    with pytest.raises(InputError, match=r"it is a folder|cannot be written"):
+        animarl("import", table, "--fps", 20, "--out", out)

@@ -47,7 +47,7 @@ def describe(demos: Demonstrations) -> list[Row]:
         rows.append(
             (
                 f"speed of {name}",
-                f"median {speed['median']:.3g}, 99th percentile {speed['99 %']:.3g} arena units/s, "
+                f"median {speed['median']:.3g}, 99th percentile {speed['99 %']:.3g} units/s, "
                 f"at rest {speed['resting']:.0%} of the time",
             )
         )
@@ -57,7 +57,7 @@ def describe(demos: Demonstrations) -> list[Row]:
         first = float(np.median([row["first_distance"] for row in table]))
         least = float(np.median([row["least_distance"] for row in table]))
         rows.append(
-            (f"distance to the {to}", f"first {first:.3g}, least {least:.3g} arena units (medians)")
+            (f"distance to the {to}", f"first {first:.3g}, least {least:.3g} units (medians)")
         )
     for condition in np.unique(demos.condition):
         outcomes = found[f"outcomes, condition {condition}"]

@@ -7,7 +7,7 @@ time: the low-pass filter runs forwards and backwards, and filled gaps are strai
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from animarl_envs.errors import InputError, MissingExtraError
 
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
 SHOWN_JUMPS = 20
+FILLED = "filled"  # signal, (frames, individuals): the position was not tracked but filled in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,10 @@ class Cleaning:
 
 
 def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
-    """Clean one recording; returns it with one keypoint per individual, and what was done."""
+    """Clean one recording; returns it with one keypoint per individual, and what was done.
+
+    Where gaps were filled, a signal says at which frames and of whom.
+    """
     if tracks.frame_rate is None:
         raise InputError(f"{tracks.recording}: its frame rate is not known: give it with --fps")
     done: dict[str, Any] = {"frames": len(tracks)}
@@ -80,8 +84,11 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
         bodies = bodies.copy()
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
     done["untracked"] = int(np.count_nonzero(np.isnan(bodies).any(axis=2)))
-    bodies, filled = fill_gaps(bodies, round(settings.max_gap * tracks.frame_rate))
-    done["filled"] = filled
+    gaps = np.isnan(bodies).any(axis=2)
+    bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * tracks.frame_rate))
+    if settings.max_gap > 0:
+        inside = gaps & np.isfinite(bodies).all(axis=2)
+        tracks = replace(tracks, signals={**tracks.signals, FILLED: inside})
     if settings.smoothing_cutoff is not None:
         bodies = smooth(bodies, settings.smoothing_cutoff, tracks.frame_rate, tracks.recording)
         done["smoothing"] = {

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from animarl_envs.demos.cleaning import FILLED
 from animarl_envs.demos.cutting import distances_to_target
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT, Demonstrations
 
@@ -29,7 +30,7 @@ def outcome_name(outcome: int, demos: Demonstrations) -> str:
 
 
 def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
-    """One row per episode: duration [s], path length and top speed per individual, distances."""
+    """One row per episode: duration [s], path length, speeds and filled gaps, distances."""
     rows = []
     for one in demos:
         step = np.linalg.norm(np.diff(one.positions, axis=0), axis=2)
@@ -44,6 +45,9 @@ def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
             row[f"path_length_{name}"] = float(step[:, i].sum())
             row[f"median_speed_{name}"] = float(np.median(speed[:, i]))
             row[f"top_speed_{name}"] = float(speed[:, i].max())
+        if FILLED in one.signals:
+            for i, name in enumerate(demos.individuals):
+                row[f"filled_frames_{name}"] = int(one.signals[FILLED][:, i].sum())
         if np.isfinite(distance).all():
             row["first_distance"] = float(distance[0])
             row["least_distance"] = float(distance.min())

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.cleaning import FILLED
 from animarl_envs.demos.cutting import distances_to_target
 from animarl_envs.demos.demonstrations import Demonstrations, Episode
 from animarl_envs.demos.summary import TRACKING, episode_table, outcome_name, summarise
@@ -25,8 +26,9 @@ LEAST_EPISODES = 3  # a median over fewer is not drawn
 def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
     """Draw the summary of ``demos`` into a file (``.png``, ``.svg``, ``.pdf``).
 
-    Above: single episodes, spread evenly over the set, with start (dot) and end (cross). Below:
-    durations, path lengths, speeds, distances to the target, outcomes, and what the cleaning found.
+    Above: single episodes, spread evenly over the set, with start (dot), end (cross) and filled
+    gaps (black). Below: durations, path lengths, speeds, distances to the target, outcomes, and
+    what the cleaning found.
     """
     try:
         from matplotlib.figure import Figure
@@ -89,6 +91,9 @@ def _draw_episodes(figure: Any, demos: Demonstrations) -> None:
             axes.plot(x, y, color=colour, lw=0.9, label=demos.individuals[i])
             axes.plot(x[0], y[0], "o", color=colour, ms=3)
             axes.plot(x[-1], y[-1], "x", color=colour, ms=5)
+            if FILLED in one.signals:
+                gap = np.where(one.signals[FILLED][:, i, None], one.positions[:, i], np.nan)
+                axes.plot(*gap.T, ".", color="black", ms=3)
         axes.set_aspect("equal")
         axes.set_title(_caption(one, demos), fontsize="x-small")
         axes.tick_params(labelsize="x-small")
