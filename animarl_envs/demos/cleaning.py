@@ -66,6 +66,7 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     if tracks.frame_rate is None:
         raise InputError(f"{tracks.recording}: its frame rate is not known: give it with --fps")
     done: dict[str, Any] = {"frames": len(tracks)}
+    rate = tracks.frame_rate
     positions = tracks.positions
     if settings.min_confidence is not None:
         if tracks.confidence is None:
@@ -85,12 +86,12 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
     done["untracked"] = int(np.count_nonzero(np.isnan(bodies).any(axis=2)))
     gaps = np.isnan(bodies).any(axis=2)
-    bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * tracks.frame_rate))
+    bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
     if settings.max_gap > 0:
         inside = gaps & np.isfinite(bodies).all(axis=2)
         tracks = replace(tracks, signals={**tracks.signals, FILLED: inside})
     if settings.smoothing_cutoff is not None:
-        bodies = smooth(bodies, settings.smoothing_cutoff, tracks.frame_rate, tracks.recording)
+        bodies = smooth(bodies, settings.smoothing_cutoff, rate, tracks.recording)
         done["smoothing"] = {
             "filter": "Butterworth low-pass, order 1, forward and backward",
             "cutoff_hz": settings.smoothing_cutoff,
