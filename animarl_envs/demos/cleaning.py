@@ -88,7 +88,7 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     gaps = np.isnan(bodies).any(axis=2)
     bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
     if settings.max_gap > 0:
-        inside = gaps & np.isfinite(bodies).all(axis=2)
+        inside = np.asarray(gaps & np.isfinite(bodies).all(axis=2))
         tracks = replace(tracks, signals={**tracks.signals, FILLED: inside})
     if settings.smoothing_cutoff is not None:
         bodies = smooth(bodies, settings.smoothing_cutoff, rate, tracks.recording)
