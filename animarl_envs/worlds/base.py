@@ -169,7 +169,8 @@ class World(ABC):
 
         A copy whose episode has ended is advanced as well: reset it first.
         """
-        self._advance(actions)
+        # One type and layout of actions, or numba would compile a kernel for each.
+        self._advance(np.asarray(actions, np.int64, order="C"))
         if self._disturbed:
             self._disturb(self._everywhere)
         for tracker in self.trackers:
