@@ -67,7 +67,7 @@ class Phase:
 
 class ActionValues(Protocol):
     """What a network says about the T + 1 states of T steps; see
-    :class:`animarl_algos.recurrent.networks.QOutput`."""
+    :class:`animarl_algos.recurrent.output.QOutput`."""
 
     @property
     def values(self) -> torch.Tensor:

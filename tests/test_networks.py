@@ -13,7 +13,8 @@ from animarl_algos.losses import clip_grad_norm_per_individual, masked_mean, squ
 from animarl_algos.recurrent import gru as gru_module
 from animarl_algos.recurrent.gru import Packing, stacked_gru
 from animarl_algos.recurrent.gru_kernels import tanh_float32
-from animarl_algos.recurrent.networks import QOutput, StackedQNetwork, dueling_parts
+from animarl_algos.recurrent.networks import StackedQNetwork
+from animarl_algos.recurrent.output import QOutput, dueling_parts
 from animarl_algos.values import take_action
 from animarl_envs.errors import InputError
 
