@@ -28,6 +28,7 @@ app = typer.Typer(help="Look at, check, split, convert and plot demonstrations."
 DemosArgument = Annotated[
     str, typer.Argument(help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).")
 ]
+SHOWN_WARNINGS = 20
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
 
 
@@ -55,8 +56,11 @@ def check_command(
     demos = load(file)
     rows = episode_table(demos)
     console = wide_console()
-    for warning in suspicions(demos, rows):
+    warnings = suspicions(demos, rows)
+    for warning in warnings[:SHOWN_WARNINGS]:
         console.print(f"check: {warning}", highlight=False, soft_wrap=True)
+    if len(warnings) > SHOWN_WARNINGS:
+        console.print(f"check: and {len(warnings) - SHOWN_WARNINGS} more of this kind")
     if out is not None:
         with write_then_rename(out) as part, part.open("w", newline="") as target:
             writer = csv.DictWriter(target, fieldnames=list(rows[0]))
@@ -118,6 +122,11 @@ def load(file: str, source: str | None = None) -> Demonstrations:
     """A packaged set by name, or a file."""
     if file in packaged_names() and not Path(file).exists():
         return load_packaged(file)
+    if not Path(file).exists():
+        raise InputError(
+            f"{file}: there is no such file, and packaged are {', '.join(packaged_names())}: check "
+            "the path"
+        )
     return read(file, source)
 
 
@@ -148,7 +157,7 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
             f"{len(torn)} of {len(np.unique(demos.recording))} recordings lie in several splits, "
             f"{torn[0]} first"
         )
-    return found + hints(demos)
+    return hints(demos) + found
 
 
 def write_long_table(demos: Demonstrations, out: Path) -> None:

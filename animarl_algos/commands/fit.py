@@ -12,8 +12,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from animarl_algos.commands.data import load
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
@@ -31,7 +31,9 @@ class MethodChoice(StrEnum):
 
 
 def fit_command(
-    file: Annotated[Path, typer.Argument(help="Demonstrations, or a file that a reader knows.")],
+    file: Annotated[
+        str, typer.Argument(help="Demonstrations, a file that a reader knows, or a packaged set.")
+    ],
     source: Annotated[
         str | None, typer.Option(help="Reader; by default found by a look at the file.")
     ] = None,
@@ -63,7 +65,7 @@ def fit_command(
     """
     if out is not None and out.suffix not in {".csv", ".json"}:
         raise InputError(f"{out}: the suffix says how to save: use .csv or .json")
-    demos = read(file, source)
+    demos = load(file, source)
     if species is not None and onset_threshold is None:
         onset_threshold = get_species(species).recording.onset_threshold
     console = Console()

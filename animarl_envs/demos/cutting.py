@@ -220,7 +220,7 @@ def _from_table(
             stop = round(float(row["end"]) * frame_rate) + 1
             condition = int(row["condition"]) if row.get("condition") else None
             outcome = int(row["outcome"]) if row.get("outcome") else TIME_OUT
-        except (ValueError, OverflowError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{path}: line {number} is not numbers ({error}): mend it") from None
         if not 0 <= start < stop - 1 < len(bodies):
             raise InputError(

@@ -126,7 +126,9 @@ class Demonstrations:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
         object.__setattr__(self, "individuals", tuple(self.individuals))
         object.__setattr__(self, "roles", tuple(self.roles))
-        self._validate()
+        from animarl_envs.demos.validation import validate
+
+        validate(self)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Demonstrations:
         return self  # immutable
@@ -257,103 +259,6 @@ class Demonstrations:
         from animarl_envs.demos import storage
 
         return storage.load(path)
-
-    # -- validation -------------------------------------------------------------------------------
-
-    def _validate(self) -> None:
-        def refuse(what: str) -> None:
-            raise InputError(f"{self.name}: {what}")
-
-        names, num = self.individuals, len(self.individuals)
-        if num == 0:
-            refuse("it has no individuals: name at least one")
-        if len(set(names)) != num:
-            twice = next(n for n in names if names.count(n) > 1)
-            refuse(f"individual {twice!r} appears twice: give each individual its own name")
-        if len(self.roles) != num or set(self.roles) - {"pursuer", "target", "searcher"}:
-            refuse(f"roles {self.roles} do not fit: give pursuer, target or searcher to each")
-        targets = self.roles.count("target")
-        if targets > 1 or (targets and self.roles[-1] != "target"):
-            refuse(f"roles are {self.roles}: there is one target at most and it comes last")
-        if not 0 < self.dt < float("inf"):
-            refuse(f"dt is {self.dt} s: it must be positive; give the frame rate")
-        if self.positions.ndim != 3 or self.positions.shape[1:] != (num, 2):
-            refuse(
-                f"positions have shape {self.positions.shape}, not (frames, {num}, 2): "
-                f"give x and y of {num} individuals per frame"
-            )
-        count = len(self.lengths)
-        if self.lengths.ndim != 1 or count == 0:
-            refuse("it holds no episode: check the cut or the split")
-        for i, length in enumerate(self.lengths.tolist()):
-            if length < 2:
-                refuse(
-                    f"episode {i} has {length} frame{'s' * (length != 1)}: "
-                    "leave it out, an episode needs at least two"
-                )
-        if self.lengths.sum() != len(self.positions):
-            refuse(
-                f"episode lengths add up to {self.lengths.sum()} frames but there are "
-                f"{len(self.positions)} positions: cut the episodes again"
-            )
-        for key in ("condition", "outcome", "split", "recording"):
-            if getattr(self, key).shape != (count,):
-                refuse(
-                    f"{key} has {getattr(self, key).size} entries for {count} episodes: "
-                    "give one for each"
-                )
-        if self.initial_velocity.shape != (count, num, 2):
-            refuse(
-                f"initial_velocity has shape {self.initial_velocity.shape}, not ({count}, {num}, 2)"
-                ": give x and y of each individual and episode"
-            )
-        if not np.isfinite(self.initial_velocity).all():
-            refuse("initial_velocity holds NaN or infinity: use zeros for a start at rest")
-        bad = np.argwhere(~np.isfinite(self.positions).all(axis=2))
-        if len(bad):
-            refuse(
-                f"{self._place(*bad[0])}: the position is not a number: fill the gap or cut it out"
-            )
-        outside = ~self.arena.contains(self.positions, margin=self.OUTSIDE_MARGIN)
-        if outside.any():
-            place = np.argwhere(outside)[0]
-            x, y = self.positions[tuple(place)]
-            refuse(
-                f"{self._place(*place)}: position ({x:.3g}, {y:.3g}) lies outside the arena "
-                f"({self.arena.shape}, boundary {self.arena.boundary:g}): scale the tracks "
-                "or declare a larger arena"
-            )
-        for first in range(num):
-            for second in range(first + 1, num):
-                if np.array_equal(self.positions[:, first], self.positions[:, second]):
-                    refuse(
-                        f"individuals {names[first]!r} and {names[second]!r} have the same track: "
-                        "drop the duplicate"
-                    )
-        if set(np.unique(self.condition)) - {0, 1}:
-            refuse(f"condition {sorted(set(self.condition.tolist()))}: it must be 0 or 1")
-        if (self.outcome > num).any() or (self.outcome < UNFINISHED).any():
-            refuse(
-                f"outcome {self.outcome.min()} to {self.outcome.max()} is out of range: use "
-                f"{UNFINISHED} to {num}"
-            )
-        unknown = sorted(set(self.split.tolist()) - set(SPLITS))
-        if unknown:
-            refuse(f"split {unknown[0]!r} is unknown: choose one of {', '.join(SPLITS)}")
-        for key, value in self.signals.items():
-            if len(value) != len(self.positions):
-                refuse(
-                    f"signal {key!r} has {len(value)} frames, positions have "
-                    f"{len(self.positions)}: give one value per frame"
-                )
-        for key in ("source", "licence", "synthetic"):
-            if key not in self.provenance:
-                refuse(f"the provenance lacks {key!r}: say where the data comes from")
-
-    def _place(self, frame: int, individual: int) -> str:
-        episode = int(np.searchsorted(self.offsets, frame, side="right") - 1)
-        within = frame - self.offsets[episode]
-        return f"episode {episode}, frame {within}, {self.individuals[individual]}"
 
 
 def _frozen(value: Any, dtype: Any) -> NDArray[Any]:

@@ -11,9 +11,9 @@ from animarl_envs.demos.readers.registry import register_reader
 
 @register_reader(
     "minari",
-    "a Minari dataset written by 'animarl data convert --to minari'",
-    sniff=lambda path: path.name == DATA_FILE,
-    extensions=(".hdf5",),
+    "a Minari dataset written by 'animarl data convert' (its folder, or the file in it)",
+    sniff=lambda path: path.name == DATA_FILE or (path / "data" / DATA_FILE).is_file(),
+    extensions=(".hdf5", ""),  # a folder has no suffix
 )
 def read_minari(path: Path) -> Demonstrations:
     """Read the dataset back, exactly as it was exported."""

@@ -26,7 +26,10 @@ from animarl_envs.errors import InputError, MissingExtraError
     extensions=(".slp", ".h5", ".hdf5"),
 )
 def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
-    """Proofread or predicted tracks of all nodes, in pixels; SLEAP files hold no frame rate."""
+    """Proofread or predicted tracks of all nodes, in pixels; SLEAP files hold no frame rate.
+
+    A project of several videos gives a recording of each.
+    """
     if {"tracks", "track_names"} <= hdf_keys(path):
         return _analysis(path, fps)
     try:
@@ -43,18 +46,23 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
     labels = sleap_io.load_slp(str(path), open_videos=False)
     if not labels.tracks:
         raise InputError(f"{path}: it has no tracks: track the individuals in SLEAP first")
-    array = np.asarray(labels.numpy(return_confidence=True), dtype=np.float64)
     names = [track.name or f"track_{i}" for i, track in enumerate(labels.tracks)]
     nodes = labels.skeletons[0].node_names
-    predicted = np.isfinite(array[..., 2]) & (array[..., 2] != 1.0)
-    return [
-        Tracks(
-            recording=path.stem, individuals=tuple(names), keypoints=tuple(nodes),
-            positions=array[..., :2], frame_rate=fps, y_down=True,
-            confidence=array[..., 2] if predicted.any() else None,
-            provenance={"file": path.name, "tracker": "SLEAP"},
-        )
-    ]  # fmt: skip
+    videos = [video for video in labels.videos if labels.find(video)]
+    found = []
+    for number, video in enumerate(videos):
+        array = np.asarray(labels.numpy(video=video, return_confidence=True), dtype=np.float64)
+        predicted = np.isfinite(array[..., 2]) & (array[..., 2] != 1.0)
+        found.append(
+            Tracks(
+                recording=path.stem if len(videos) == 1 else f"{path.stem}/{number}",
+                individuals=tuple(names), keypoints=tuple(nodes),
+                positions=array[..., :2], frame_rate=fps, y_down=True,
+                confidence=array[..., 2] if predicted.any() else None,
+                provenance={"file": path.name, "tracker": "SLEAP"},
+            )
+        )  # fmt: skip
+    return found
 
 
 def _analysis(path: Path, fps: float | None) -> list[Tracks]:
