@@ -187,6 +187,9 @@ def test_event_tables(tmp_path: Path) -> None:
     table.write_text("recording,start,end\nr,1,99\n")
     with pytest.raises(InputError, match=r"events.csv: line 2 lies outside r \(6.100 s\)"):
         cut_episodes(approach_path(), CHASE, 10.0, settings, "r")
+    table.write_text("recording,start,end\nr,1\n")
+    with pytest.raises(InputError, match=r"events.csv: line 2 is not numbers"):
+        cut_episodes(approach_path(), CHASE, 10.0, settings, "r")
 
 
 def test_the_one_who_is_approached_is_the_target() -> None:

@@ -207,3 +207,57 @@ def test_import_to_a_place_that_cannot_be_written_is_refused(place: str, tmp_pat
         out = out / "demos.npz"
     with pytest.raises(InputError, match=r"it is a folder|cannot be written"):
         animarl("import", table, "--fps", 20, "--out", out)
+
+
+def test_data_split_by_group_keeps_groups_together(tmp_path: Path) -> None:
+    lines = ["run,frame,id,x,y"]
+    for run in range(12):
+        for t in range(20):
+            x = np.sin(t / 5 + run)
+            lines += [
+                f"day{run // 2}_{run},{t},a,{x},{t / 20}",
+                f"day{run // 2}_{run},{t},b,{-x},0",
+            ]
+    (tmp_path / "runs.csv").write_text("\n".join(lines) + "\n")
+    words = ("--source", "long-table", "--option", "recording=run", "--fps", 10, "--target", "b")
+    out = tmp_path / "runs.npz"
+    animarl("import", tmp_path / "runs.csv", *words, "--split-pattern", r"(day\d)", "--out", out)
+    dealt = tmp_path / "dealt.npz"
+    animarl(
+        "data", "split", out, "--by", "group", "--pattern", r"(day\d)", "--seed", 5, "--out", dealt
+    )
+    for demos in (Demonstrations.load(out), Demonstrations.load(dealt)):
+        day = np.array([name.split("_")[0] for name in demos.recording])
+        assert set(demos.split.tolist()) == {"train", "val", "test"}
+        assert all(len(np.unique(demos.split[day == one])) == 1 for one in np.unique(day))
+    for more, message in (
+        (("--by", "group"), "needs a pattern"),
+        (("--by", "nonsense"), "is unknown"),
+        (("--fractions", "0.5,0.2"), "add up to 1"),
+        (("--fractions", "a,b,c"), "three numbers"),
+        (("--by", "group", "--pattern", "("), "no regular expression"),
+        (("--by", "group", "--pattern", "(night)"), "does not fit every recording"),
+    ):
+        with pytest.raises(InputError, match=message):
+            animarl("data", "split", out, *more, "--out", tmp_path / "never.npz")
+    assert not (tmp_path / "never.npz").exists()
+
+
+def test_packaged_sets_are_known_by_name_where_no_such_file_is(tmp_path: Path) -> None:
+    said = animarl("data", "show", "agent")
+    assert "SYNTHETIC" in said and "prey (target)" in said
+    assert "predator_0" in animarl("fit", "agent", "--bootstrap", 0)
+    with pytest.raises(InputError, match="no such file, and packaged are agent"):
+        animarl("data", "show", tmp_path / "absent.npz")
+
+
+def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
+    native = write_native(tmp_path)
+    animarl("data", "convert", native, "--out", tmp_path / "set-v0")
+    animarl("data", "convert", tmp_path / "set-v0", "--out", tmp_path / "back.npz")
+    again = Demonstrations.load(tmp_path / "back.npz")
+    assert again.fingerprint() == Demonstrations.load(native).fingerprint()
+    with pytest.raises(InputError, match="suffix says the format"):
+        animarl("data", "convert", native, "--out", tmp_path / "demos.txt")
+    with pytest.raises(InputError, match=r"ends in \.png"):
+        animarl("data", "plot", native, "--out", tmp_path / "figure.txt")

@@ -24,6 +24,7 @@ from tracker_files import (
     write_minari,
     write_mothvr,
     write_native,
+    write_slp,
     write_termites,
     write_trex,
 )
@@ -279,3 +280,31 @@ def test_matlab_reader_agrees_with_scipy(packed: bool, tmp_path: Path) -> None:
     np.testing.assert_array_equal(tracks.bodies, BODIES)
     with pytest.raises(InputError, match=r"all\.mat: it holds .*name the one with the positions"):
         read_tracks(tmp_path / "all.mat")
+
+
+def test_sleap_project_of_two_videos_gives_two_recordings(tmp_path: Path) -> None:
+    import sleap_io as sio
+
+    labels = sio.load_slp(str(write_slp(tmp_path)), open_videos=False)
+    second = sio.Video("other.mp4", open_backend=False)
+    moved = [
+        sio.LabeledFrame(
+            video=second, frame_idx=frame.frame_idx,
+            instances=[
+                sio.Instance.from_numpy(
+                    one.numpy() + 5.0, skeleton=one.skeleton, track=one.track
+                )
+                for one in frame.instances
+            ],
+        )
+        for frame in labels.labeled_frames[:30]
+    ]  # fmt: skip
+    both = sio.Labels(
+        [*labels.labeled_frames, *moved], videos=[*labels.videos, second],
+        skeletons=labels.skeletons, tracks=labels.tracks,
+    )  # fmt: skip
+    both.save(str(tmp_path / "both.slp"), verbose=False)
+    first, other = read_tracks(tmp_path / "both.slp")
+    assert (first.recording, other.recording) == ("both/0", "both/1")
+    np.testing.assert_allclose(first.positions, POSE, rtol=1e-6)
+    np.testing.assert_allclose(other.positions, POSE[:30] + 5.0, rtol=1e-6)
