@@ -23,6 +23,7 @@ def main() -> None:
     run = RunFolder(ROOT / "out" / "demo")
     demos = run.demos.select(split="test")
     rollouts = Rollouts.load(run.path / "rollouts" / "DQDIL-PT.npz")
+    rollouts = rollouts.select(rollouts.cue == rollouts.condition)  # told the truth
     length = rollouts.lengths
     panels = []
     for percentile in PERCENTILES:
