@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import configure
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
 from animarl_algos.collection import check_environment
-from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.evaluation import Evaluation, evaluate
 from animarl_algos.evaluation.inputs import ReportInputs
@@ -170,7 +170,11 @@ def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Pol
 
 
 def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts]:
-    """Stage 4a: every method from each test demonstration's start, and what the learner values."""
+    """Stage 4a: every method from each test demonstration's start, and what the learner values.
+
+    Where the learners see the condition, trained ones are also told the other one, in the same
+    world: the counterfactual.
+    """
     settings, demos = run.settings, run.demos
     species = run.species(demos, fit(run))
     drivers = focal_drivers(species.individuals, settings.focal)
@@ -184,14 +188,21 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
         along.save(run.path / DECISIONS)
     rollouts = {}
     for name, policy in policies.items():
-        rollouts[name] = collect_rollouts(
-            partial(make_world, scenario),
-            _for_all(policy, scenario, settings.focal),
-            method=name,
-            seed=settings.seed,
-            repetitions=settings.repetitions,
-            cue="actual" if flagged and name != RANDOM else None,
-        )
+        cues: tuple[Cue | None, ...] = (None,)
+        if flagged and name != RANDOM:
+            cues = ("actual",) if name == UNTRAINED else ("actual", "flipped")
+        collected = [
+            collect_rollouts(
+                partial(make_world, scenario),
+                _for_all(policy, scenario, settings.focal),
+                method=name,
+                seed=settings.seed,
+                repetitions=settings.repetitions,
+                cue=cue,
+            )
+            for cue in cues
+        ]
+        rollouts[name] = Rollouts.concatenate(collected)
         rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
     return rollouts
 

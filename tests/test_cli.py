@@ -82,6 +82,7 @@ def test_from_a_file_to_a_report_and_again(
     run = tmp_path / "run"
     html = (run / "report.html").read_text()
     assert "DQDIL-PT" in html and "predator_0" in html
+    assert 'id="counterfactual"' in html  # both conditions were recorded, so both are asked
     record = json.loads((run / "settings.json").read_text())
     assert record["settings"]["steps"] == 300 and record["versions"]["torch"]
     methods = {path.stem for path in (run / "rollouts").glob("*.npz")}
