@@ -16,7 +16,7 @@ from animarl_envs.demos.summary import TRACKING, episode_table, summarise
 
 Row = tuple[str, str]
 _SPLITS = {
-    "auto": f"recording, with fewer than {FEWEST_RECORDINGS} by episode",
+    "auto": f"recording (by episode with fewer than {FEWEST_RECORDINGS})",
     "group": "groups of recordings",
 }
 
@@ -42,6 +42,10 @@ def describe(demos: Demonstrations) -> list[Row]:
     ]
     if "command" in demos.provenance:
         rows.insert(4, ("made by", str(demos.provenance["command"])))
+    keypoints = demos.provenance.get("keypoints", [])
+    if len(keypoints) > 1:
+        used = {one.get("keypoint") for one in demos.provenance.get("cleaning", {}).values()}
+        rows.append(("keypoints", f"{', '.join(keypoints)}; used: {', '.join(map(str, used))}"))
     for name in demos.individuals:
         speed = found[f"speed of {name}"]
         rows.append(

@@ -109,6 +109,7 @@ def demonstrations_from_tracks(
             **({} if recipe.licence == NOT_STATED else {"licence": recipe.licence}),
             "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
             "unit": cleaned[0].unit,
+            "keypoints": list(recordings[0].keypoints),
             "recipe": recipe.to_dict(),
             "scales": scales,
             "cleaning": done,
