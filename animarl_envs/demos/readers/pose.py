@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_envs.demos.readers.guards import check_size
 from animarl_envs.demos.readers.hdf import hdf_keys, open_hdf, read_dataset
@@ -37,12 +38,9 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
     except ImportError as error:
         raise MissingExtraError("reading SLEAP projects", "tracking") from error
     with open_hdf(path) as file:
-        for key in ("points", "pred_points", "instances", "frames"):
-            if key in file:
-                read_dataset(path, file, key)  # refuses absurd sizes before the library allocates
-        if "frames" in file and len(file["frames"]):
-            last = int(file["frames"]["frame_idx"].max())
-            check_size(path, (last + 1) * 16, f"frame number {last}")
+        keys = [k for k in ("points", "pred_points", "instances", "frames") if k in file]
+        tables = {key: read_dataset(path, file, key) for key in keys}  # refuses absurd sizes
+    _check_places(path, tables)
     labels = sleap_io.load_slp(str(path), open_videos=False)
     if not labels.tracks:
         raise InputError(f"{path}: it has no tracks: track the individuals in SLEAP first")
@@ -63,6 +61,30 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
             )
         )  # fmt: skip
     return found
+
+
+def _check_places(path: Path, tables: dict[str, NDArray[Any]]) -> None:
+    """Refuse frames and instances of a project that share rows or point outside the tables."""
+    instances, frames = tables["instances"], tables["frames"]
+    if len(frames):
+        last = int(frames["frame_idx"].max())
+        check_size(path, (last + 1) * 16, f"frame number {last}")
+    points = {0: "points", 1: "pred_points"}  # of user's and predicted instances
+    claims = [("instances", frames["instance_id_start"], frames["instance_id_end"])]
+    for kind, key in points.items():
+        own = instances[instances["instance_type"] == kind]
+        claims.append((key, own["point_id_start"], own["point_id_end"]))
+    if not set(np.unique(instances["instance_type"]).tolist()) <= set(points):
+        raise InputError(f"{path}: an instance is of no known type: copy the file again")
+    for key, start, end in claims:
+        order = np.argsort(start, kind="stable")
+        start, end = start[order].astype(np.int64), end[order].astype(np.int64)
+        rows = len(tables.get(key, ()))
+        if (start > end).any() or (start[1:] < end[:-1]).any() or (end > rows).any():
+            raise InputError(
+                f"{path}: entries of its table {key!r} are claimed twice or do not exist: copy the "
+                "file again"
+            )
 
 
 def _analysis(path: Path, fps: float | None) -> list[Tracks]:
