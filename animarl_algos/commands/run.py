@@ -43,7 +43,7 @@ PresetOption = Annotated[
     str, typer.Option(help="Settings of zoo_configs: paper (its numbers) or default (tuned).")
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option(help="YAML file to read instead of zoo_configs/<algo>.yml.")
+    Path | None, typer.Option(help="YAML file to read instead of zoo_configs/ALGO.yml.")
 ]
 StepsOption = Annotated[
     int | None,
