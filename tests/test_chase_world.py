@@ -18,6 +18,7 @@ from animarl_envs.locomotion import COAST, Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY
 from animarl_envs.worlds.chase import ChaseWorld
+from animarl_envs.worlds.rules import LOOKAHEAD, WALL_MARGIN
 
 Array = NDArray[Any]
 
@@ -235,6 +236,57 @@ def test_the_scripted_prey_outlives_a_resting_one() -> None:
             running &= ~(made.terminated | made.truncated)
         lasted.append(count.mean())
     assert lasted[0] > 2 * lasted[1]
+
+
+def reference_scripted(made: ChaseWorld, b: int) -> int:
+    """What the scripted target does in copy ``b``: the action with the least crowded outlook."""
+    species = made.scenario.species
+    position, velocity, target = made.position[b], made.velocity[b], made.num_individuals - 1
+    moves, size, dt = species.locomotion[target], species.arena.size, species.dt
+    focus = reference_focus(position)[target]
+    costs = []
+    for k in range(made.num_actions):
+        direction = math.atan2(focus[1], focus[0]) - math.radians(30 * k)
+        unit = np.array([math.cos(direction), math.sin(direction)]) * (k < COAST)
+        p, v = position[target], velocity[target]
+        for _ in range(LOOKAHEAD):
+            v = (1.0 - moves.damping) * v + moves.thrust * unit * dt
+            p = p + v * dt
+        reach = np.abs(p) if species.arena.shape == "square" else np.array([np.linalg.norm(p)])
+        depth = np.maximum(0.0, reach - size + WALL_MARGIN * size) / (WALL_MARGIN * size)
+        ahead = position[:target] + velocity[:target] * LOOKAHEAD * dt * 0.5
+        apart = np.linalg.norm(ahead - p, axis=1)
+        costs.append(10.0 * np.sum(depth**2) + np.sum(1.0 / (apart + 0.05 * size)))
+    return int(np.argmin(costs))
+
+
+@pytest.mark.parametrize("species", [AGENT, FLY])
+def test_the_scripted_target_takes_the_least_crowded_way(species: Any) -> None:
+    options = {"demos": None, "drivers": {species.individuals[-1]: "scripted"}}
+    made = ChaseWorld(make_scenario(species, **options), 40)
+    free = ChaseWorld(make_scenario(species, demos=None), 40)
+    made.reset()
+    rng = np.random.default_rng(0)
+    chosen = []
+    for _ in range(15):
+        state = made.get_state()
+        actions = rng.integers(13, size=(40, 3))
+        actions[:, -1] = [reference_scripted(made, b) for b in range(40)]
+        chosen.append(actions[:, -1])
+        made.step(rng.integers(13, size=(40, 3)) * [0, 0, 1] + actions * [1, 1, 0])
+        free.set_state(state)
+        free.step(actions)
+        assert np.array_equal(made.position, free.position)
+    assert len(np.unique(chosen)) > 6
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.int32, np.uint64])
+def test_actions_of_any_integer_type_mean_the_same(kind: Any) -> None:
+    one, other = world(6), world(6)
+    actions = np.random.default_rng(0).integers(13, size=(6, 3))
+    one.step(actions)
+    other.step(np.asfortranarray(actions.astype(kind)))
+    assert np.array_equal(one.observation, other.observation)
 
 
 def test_a_late_observation_is_that_of_steps_ago() -> None:

@@ -7,11 +7,9 @@ each of its 13 actions and takes the one that leaves it farthest from pursuers a
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numba as nb
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
@@ -75,24 +73,3 @@ def decide(i, position, velocity, towards, damping, thrust, dt, shape, size, act
             better = cost[b] < lowest[b]
             actions[i, b] = k if better else actions[i, b]
             lowest[b] = cost[b] if better else lowest[b]
-
-
-@jit
-def _decide_all(position, velocity, towards, damping, thrust, dt, shape, size, actions):  # type: ignore[no-untyped-def]
-    for i in range(len(actions)):
-        decide(
-            i, position, velocity, towards, damping[i], thrust[i], dt, shape, size, actions
-        )  # fmt: skip
-
-
-def scripted_actions(world: Any) -> NDArray[np.int64]:
-    """What the rules would do in every copy of a chase world, ``(B, K)``."""
-    actions = np.zeros((world.num_individuals, world.num_copies), dtype=np.int64)
-    species = world.scenario.species
-    _decide_all(
-        world._position, world._velocity, world._towards,
-        np.array([m.damping for m in species.locomotion]),
-        np.array([m.thrust for m in species.locomotion]),
-        species.dt, SHAPE_CODES[species.arena.shape], species.arena.size, actions,
-    )  # fmt: skip
-    return np.ascontiguousarray(actions.T)
