@@ -47,7 +47,7 @@ def test_the_commands_parse() -> None:
     lines = [line for block in blocks("") for line in block.splitlines()]
     assert len([line for line in lines if line.startswith("python -m animarl_algos.zoo ")]) == 3
     for line in lines:
-        words = shlex.split(line)
+        words = shlex.split(line.removeprefix("/usr/bin/time -v "))
         if words[0] == "animarl":
             context = root.make_context("animarl", words[1:], resilient_parsing=False)
             name, command, rest = root.resolve_command(context, words[1:])  # type: ignore[attr-defined]
