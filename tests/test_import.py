@@ -79,6 +79,13 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 0, "--out", out), "must be a positive number"),
         (("--fps", 20, "--decision-rate", 40, "--out", out), "no higher than that"),
         (("--fps", 20, "--farther-than", 1, "--out", out), "give both"),
+        (("--fps", 20, "--species", "unicorn", "--out", out), "species 'unicorn' is unknown"),
+        (("--fps", 20, "--split-seed", -1, "--out", out), "give zero or more"),
+        (("--fps", 20, "--contact", "nan", "--out", out), "must be a positive distance"),
+        (("--fps", 20, "--arena", "triangle", "--out", out), "triangle"),
+        (("--fps", 20, "--smoothing", -1, "--out", out), "give a positive one, or 0"),
+        (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
+        (("--fps", 20, "--option", "unit={a: 1}", "--out", out), "give a name, such as mm"),
     ):
         with pytest.raises(InputError, match=message):
             animarl("import", table, *words)

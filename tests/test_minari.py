@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -90,3 +91,17 @@ def test_minari_refuses_what_it_cannot_do(tmp_path: Path) -> None:
     metadata.write_text(json.dumps(record))
     with pytest.raises(InputError, match="another project"):
         import_minari(folder)
+
+
+def test_minari_round_trip_opens_no_connection(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a connection was opened")
+
+    monkeypatch.setattr(socket, "socket", refuse)
+    monkeypatch.setattr(socket, "create_connection", refuse)
+    demos = demonstrations(actions=False)
+    assert import_minari(export_minari(demos, tmp_path / "set-v0")).fingerprint() == (
+        demos.fingerprint()
+    )

@@ -81,6 +81,8 @@ class Cutting:
                     f"farther_than is {self.farther_than} and closer_than {self.closer_than}: "
                     "the first must be the larger, both positive"
                 )
+        if self.contact is not None and not self.contact > 0:
+            raise InputError(f"contact is {self.contact}: it must be a positive distance")
         if self.mode == "events" and self.events is None:
             raise InputError("cutting by events needs a table: give its path")
         if self.piece is not None and not self.piece > 0:

@@ -14,6 +14,7 @@ from animarl_envs.demos.scaling import Scaling
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename
+from animarl_envs.species import CUSTOM, SPECIES
 
 NOT_STATED = "not stated"  # the licence, where nobody said
 
@@ -53,7 +54,7 @@ class Recipe:
     frame_rate: float | None = None
     decision_rate: float | None = None
     keep_last_frame: bool = False
-    species: str = "custom"
+    species: str = CUSTOM
     condition: int | None = None
     licence: str = NOT_STATED
     synthetic: bool = False
@@ -69,6 +70,11 @@ class Recipe:
                 raise InputError(f"{name} is {rate} Hz: it must be a positive number")
         if self.individuals is not None:
             object.__setattr__(self, "individuals", tuple(self.individuals))
+        if self.species not in (*SPECIES, CUSTOM):
+            raise InputError(
+                f"species {self.species!r} is unknown: choose one of "
+                f"{', '.join([*SPECIES, CUSTOM])}"
+            )
         if self.target is not None and self.searcher:
             raise InputError("a searcher has no target: leave one of them out")
 

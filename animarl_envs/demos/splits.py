@@ -40,6 +40,8 @@ class Splitting:
             raise InputError(
                 f"splitting by {self.by!r} is unknown: choose auto, recording, episode or group"
             )
+        if self.seed < 0:
+            raise InputError(f"the seed of the splits is {self.seed}: give zero or more")
         if (self.by == "group") != (self.pattern is not None):
             raise InputError("splitting by group needs a pattern, and only it does: give both")
 

@@ -72,6 +72,10 @@ class Tracks:
             raise InputError(
                 f"{self.recording}: the frame rate is {self.frame_rate} Hz: it must be positive"
             )
+        if not isinstance(self.unit, str):
+            raise InputError(
+                f"{self.recording}: the unit is {self.unit!r}: give a name, such as mm"
+            )
         if np.isinf(self.positions).any():
             gaps = np.where(np.isinf(self.positions), np.nan, self.positions)
             object.__setattr__(self, "positions", gaps)
