@@ -9,8 +9,7 @@ STAMP := $(VENV)/.installed
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 10000 --seed 0 --out out/demo \
-		--set offline_epochs=40 --set offline_learning_rate=0.003 --set offline_gamma=0.5 \
-		--set offline_alpha=40 --set learning_rate=0.00002 --set alpha=0.02 --set gamma=0.9
+		--set offline_epochs=40 --set learning_rate=0.00002 --set alpha=0.02
 
 test: $(STAMP) lint types
 	$(BIN)/python -m pytest -q -m "not slow" --cov --cov-report=term:skip-covered
