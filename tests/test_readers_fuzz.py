@@ -236,8 +236,6 @@ def test_memory_is_measured(tmp_path: Path) -> None:
     if not peak.known:
         pytest.skip("this system does not tell a process's highest memory")
     size = 32 * 2**20
-    with mmap.mmap(
-        -1, size
-    ) as block:  # new pages; a heap may hand out such as are resident already
+    with mmap.mmap(-1, size) as block:  # pages that a heap had not resident
         block.write(b"1" * size)
         assert peak.beyond_start() >= 0.9 * size
