@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 10000 --seed 0 --out out/demo \
-		--set offline_epochs=40 --set learning_rate=0.00002 --set alpha=0.02
+		--set learning_rate=0.00002 --set alpha=0.02
 
 test: $(STAMP) lint types
 	$(BIN)/python -m pytest -q -m "not slow" --cov --cov-report=term:skip-covered
