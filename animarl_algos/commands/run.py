@@ -268,7 +268,7 @@ def _refuse_beside_resume(context: typer.Context) -> None:
 
 def _console() -> Console:
     console = Console()
-    console.width = max(console.width, 124)
+    console.width = max(console.width, 128)
     return console
 
 

@@ -48,7 +48,7 @@ def evaluation_table(
         padding=(0, 1),
     )
     table.add_column("method", no_wrap=True)
-    table.add_column("n", justify="right")
+    table.add_column("n", justify="right", no_wrap=True, min_width=3)
     for heading in (
         "target\nreached, %", "path length", "KDE", "duration, s", "KDE", "DTW distance",
         "within starts",
