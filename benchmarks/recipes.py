@@ -3,8 +3,8 @@
     python benchmarks/recipes.py [--species agent silkmoth] [--steps 100000] [--out out/recipes]
 
 Each learner takes its default preset and learns for so many steps of the world. Weights and losses
-are looked at after every update and must stay finite. Then it is saved and loaded (same weights,
-same decisions), and its last checkpoint is loaded into a learner made with another seed; both go on
+are looked at after every round of updates and must stay finite. Then it is saved and loaded (same
+weights and decisions), and its last checkpoint is loaded into a learner of another seed; both go on
 for some steps more and must end with the same weights, bit for bit. At last it acts from the starts
 of the validation demonstrations.
 
