@@ -7,11 +7,12 @@ import pickle
 import sys
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import Done
 
 from animarl_algos.cli import main
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -20,15 +21,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
 TINY = ["--steps", "300", "--copies", "4", "--set", "offline_epochs=1"]
-
-
-@dataclass(frozen=True)
-class Done:
-    """How a command ended."""
-
-    returncode: int
-    stdout: str
-    stderr: str
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import sys
@@ -54,7 +55,7 @@ def test_defaults_of_the_page_make_the_same_world(generator, name):
     species, env_id = SPECIES[name], animarl_envs.environment_id(name)
     shown = generator.option_defaults(species)
     taken_apart = {"arena", "boundary", "locomotion", "num_pursuers", "render_mode"}
-    given = {key: eval(text) for key, text in shown.items() if key not in taken_apart}
+    given = {key: ast.literal_eval(text) for key, text in shown.items() if key not in taken_apart}
     plain, spelled = gym.make(env_id).unwrapped, gym.make(env_id, **given).unwrapped
     assert plain.scenario.species == spelled.scenario.species
     assert plain.scenario.start == spelled.scenario.start

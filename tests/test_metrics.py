@@ -192,7 +192,9 @@ def test_comparison_counts_what_it_says() -> None:
     assert everything["rollouts"] == 40 and everything["seeds"] == 2
     assert everything["to_recorded"] == pytest.approx(1.0)
     assert (everything["to_recorded_low"], everything["to_recorded_high"]) == pytest.approx((1, 1))
-    assert everything["to_baseline"] == pytest.approx(-1.0)
+    pairs = pair_table(metrics, 20, rng, resamples=400)
+    to_bc = row(pairs, first="DQDIL", second="BC", metric="duration", counting="all")
+    assert to_bc["difference"] == pytest.approx(-1.0)
     assert everything["wasserstein"] == pytest.approx(1.0)
     assert everything["kde"] > everything["kde_null"]
     captures = row(table, method="DQDIL", metric="duration", counting="captures")

@@ -356,7 +356,7 @@ def comparison(mean: float, low: float, high: float) -> pd.DataFrame:
     rows = []
     for method, metric in [("bc", "path_length"), ("bc", "dtw"), ("random", "dtw")]:
         row = {"method": method, "metric": metric, "counting": "all", "rollouts": 5, "seeds": 1}
-        keys = ("mean", "to_recorded", "to_baseline", "kde", "kde_null", "wasserstein")
+        keys = ("mean", "to_recorded", "kde", "kde_null", "wasserstein")
         for key in keys:
             row |= {key: mean, f"{key}_low": low, f"{key}_high": high}
         rows.append(row)

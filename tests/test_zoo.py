@@ -5,7 +5,6 @@ from __future__ import annotations
 import sqlite3
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import rl_zoo3
 import rl_zoo3.exp_manager
 import rl_zoo3.utils
 import yaml
+from commands import Done
 
 from animarl_algos.presets import known_settings, learner_preset
 from animarl_algos.recipes import RECIPES
@@ -27,15 +27,6 @@ from animarl_envs.demos.packaged import load_packaged
 
 AGENT, NAME = "AnimaRL/Agent-v0", "AnimaRL-Agent-v0"
 TINY = ["--n-timesteps", "200", "--seed", "1", "--eval-freq", "100", "--eval-episodes", "2"]
-
-
-@dataclass(frozen=True)
-class Done:
-    """How a command ended."""
-
-    returncode: int
-    stdout: str
-    stderr: str
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Every method against the recordings and against behavioural cloning, in one table.
+"""Every method against the recordings and against every other one.
 
 Which episodes count is part of every row: ``"all"``, or ``"captures"`` (rollouts and recordings in
 which the target was reached). The two can point in opposite directions, so both are always there.
@@ -109,7 +109,6 @@ def comparison_table(
     num_demos: int,
     rng: np.random.Generator,
     *,
-    baseline: str = BASELINE,
     resamples: int = RESAMPLES,
     distance_resamples: int = DISTANCE_RESAMPLES,
 ) -> pd.DataFrame:
@@ -121,14 +120,12 @@ def comparison_table(
         Rows of :func:`~animarl_algos.evaluation.metrics.measure`, the recordings among them.
     num_demos
         Number of evaluated demonstrations.
-    baseline
-        The method that differences are taken to, where it is present.
 
     Returns
     -------
     One row per method, metric and counting rule. ``rollouts``, ``demos`` and ``seeds`` say how
-    many count. Each of ``mean``, ``within``, ``to_recorded``, ``to_baseline``, ``kde``,
-    ``kde_null``, ``wasserstein`` and ``wasserstein_null`` comes with ``_low`` and ``_high``; for
+    many count. Each of ``mean``, ``within``, ``to_recorded``, ``kde``, ``kde_null``,
+    ``wasserstein`` and ``wasserstein_null`` comes with ``_low`` and ``_high``; for
     the two nulls that is the central 95 % of the null distribution. ``within`` is the mean again,
     with the interval of
     :func:`~animarl_algos.evaluation.statistics.within_demo_intervals` among the simulated methods.
@@ -138,24 +135,21 @@ def comparison_table(
     metrics = factual(metrics)
     weights = draw_resamples(metrics, num_demos, rng, resamples)
     by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
-    recorded = by_method[RECORDED]
-    other = find_method(by_method, baseline)
     table = []
     for metric, counting in [(m, c) for m in METRICS for c in COUNTING]:
         if metric is RETURN and counting == "captures":
             continue
-        reference = method_cells(recorded, metric.key, num_demos, counting)
         nulls: dict[int, Distances] = {}
-        simulated = {
+        gathered = {
             name: method_cells(rows, metric.key, num_demos, counting)
             for name, rows in by_method.items()
-            if name != RECORDED
         }
+        simulated = {name: data for name, data in gathered.items() if name != RECORDED}
         within = dict(zip(simulated, weights.within(simulated)))
         for name, rows in by_method.items():
             if name == RECORDED and not metric.of_recordings:
                 continue
-            data = method_cells(rows, metric.key, num_demos, counting)
+            data, reference = gathered[name], gathered[RECORDED]
             number = int(data.counts.sum())
             row: dict[str, Any] = {
                 "method": name,
@@ -166,25 +160,12 @@ def comparison_table(
                 "seeds": len(data.counts),
             }
             compared = name != RECORDED and metric.of_recordings
-            with_baseline = other is not None and name not in (RECORDED, other)
             _put(row, "mean", weights.mean(name, data))
             _put(row, "within", within.get(name, UNDEFINED))
             _put(
                 row,
                 "to_recorded",
                 weights.difference(name, data, RECORDED, reference) if compared else UNDEFINED,
-            )
-            _put(
-                row,
-                "to_baseline",
-                weights.difference(
-                    name,
-                    data,
-                    other,
-                    method_cells(by_method[other], metric.key, num_demos, counting),
-                )
-                if with_baseline and other is not None
-                else UNDEFINED,
             )
             distances, null = Distances(UNDEFINED, UNDEFINED), Distances(UNDEFINED, UNDEFINED)
             if compared and metric is not RETURN:

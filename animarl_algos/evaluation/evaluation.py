@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from animarl_algos.evaluation.comparison import (
-    BASELINE,
     comparison_table,
     contrast_table,
     factual,
@@ -102,7 +101,6 @@ def evaluate(
     demos: Demonstrations,
     *,
     seed: int,
-    baseline: str = BASELINE,
     planned_flip: tuple[int, int] | None = None,
     resamples: int = RESAMPLES,
     distance_resamples: int = DISTANCE_RESAMPLES,
@@ -118,9 +116,8 @@ def evaluate(
         The evaluated demonstrations, which the rollouts started from.
     seed
         Of the resampling.
-    baseline, planned_flip
-        See :func:`~animarl_algos.evaluation.comparison.comparison_table` and
-        :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
+    planned_flip
+        See :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
     """
     import pandas as pd
 
@@ -144,7 +141,6 @@ def evaluate(
             metrics,
             demos.num_episodes,
             streams[0],
-            baseline=baseline,
             resamples=resamples,
             distance_resamples=distance_resamples,
         ),

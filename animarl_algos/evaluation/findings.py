@@ -7,7 +7,7 @@ from typing import Any
 
 from animarl_algos.evaluation import panels, wording
 from animarl_algos.evaluation.blocks import Block, Gallery, Group, Heading, Row, Table, Text
-from animarl_algos.evaluation.comparison import COUNTING, interval
+from animarl_algos.evaluation.comparison import BASELINE, COUNTING, find_method, interval
 from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WORLD_SHIFT
 from animarl_algos.evaluation.inputs import ReportInputs
 from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
@@ -55,7 +55,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
     rows = comparison[comparison["metric"] == metric.key]
     percent = metric is RETURN
     with_recorded = bool(rows["to_recorded"].notna().any())
-    with_baseline = bool(rows["to_baseline"].notna().any())
+    baseline = find_method(inputs.rollouts, BASELINE)
     groups = []
     for counting in COUNTING:
         chosen = rows[rows["counting"] == counting]
@@ -71,15 +71,18 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
             ]
             if with_recorded:
                 cells.append(with_interval(interval(row, "to_recorded"), percent))
-            if with_baseline:
-                cells.append(with_interval(interval(row, "to_baseline"), percent))
+            if baseline is not None:
+                less = pair_difference(
+                    inputs.evaluation.pairs, str(row["method"]), baseline, metric, counting
+                )
+                cells.append(with_interval(less, percent))
             if metric is DTW:
                 cells += _dtw_cells(inputs, row)
             lines.append(Row(cells, strong=row["method"] == inputs.focus))
         groups.append(Group(COUNTING[counting].capitalize() if metric is not RETURN else "", lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
     columns += ["Minus recorded"] if with_recorded else []
-    columns += ["Minus BC"] if with_baseline else []
+    columns += [f"Minus {BASELINE}"] if baseline is not None else []
     note = ""
     if metric is DTW:
         columns += ["Within starts", f"Minus {method_label(inputs.focus)}", "Per step"]
