@@ -14,6 +14,7 @@ from rich.console import Console
 
 from animarl_algos import pipeline
 from animarl_algos.commands.fit import format_fit_table
+from animarl_algos.commands.run_options import with_run_options
 from animarl_algos.evaluation.evaluation import Evaluation
 from animarl_algos.evaluation.terminal import evaluation_table
 from animarl_algos.presets import pipeline_settings
@@ -23,76 +24,14 @@ from animarl_envs import environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.species import CUSTOM, SPECIES
 
-File = Annotated[
-    str, typer.Argument(help="Recorded episodes, or 'packaged' for those of the species.")
-]
-SourceOption = Annotated[
-    str | None, typer.Option(help="Reader; by default found by a look at the file.")
-]
-EnvOption = Annotated[
-    str | None, typer.Option(help="Environment id, such as AnimaRL/Fly-v0: names the species.")
-]
-SpeciesOption = Annotated[
-    str | None,
-    typer.Option(help="agent, fly, newt, silkmoth or custom; by default what FILE says."),
-]
-AlgoOption = Annotated[
-    str, typer.Option(help="dqn, bc, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt, or a qr- twin.")
-]
-PresetOption = Annotated[
-    str, typer.Option(help="Settings of zoo_configs: paper (its numbers) or default (tuned).")
-]
-ConfigOption = Annotated[
-    Path | None, typer.Option(help="YAML file to read instead of zoo_configs/ALGO.yml.")
-]
-StepsOption = Annotated[
-    int | None,
-    typer.Option(help="Environment steps of the online phase; by default the preset's."),
-]
-SeedOption = Annotated[int, typer.Option(help="Root of all randomness.")]
-OutOption = Annotated[Path, typer.Option(help="Run folder; made if absent, continued if killed.")]
-CopiesOption = Annotated[
-    int | None, typer.Option(help="Worlds simulated side by side; by default the preset's.")
-]
-FocalOption = Annotated[
-    str | None, typer.Option(help="Only this individual learns, the others replay; default: all.")
-]
-PolicyOption = Annotated[
-    str | None, typer.Option(help="GruPolicy (with a memory, the presets' choice) or MlpPolicy.")
-]
-DeviceOption = Annotated[str | None, typer.Option(help="cpu (default) or cuda.")]
-FitOption = Annotated[
-    str | None, typer.Option(help="joint or onset (the paper's rule); by default the preset's.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="A setting of the learner, KEY=VALUE; may be repeated."),
-]
-OUT = Path("runs/run")
 
-
+@with_run_options(before="settings")
 def run_command(
     context: typer.Context,
-    file: File = pipeline.PACKAGED,
-    env: EnvOption = None,
-    species: SpeciesOption = None,
-    algo: AlgoOption = "dqdil-pt",
-    preset: PresetOption = "default",
-    steps: StepsOption = None,
-    seed: SeedOption = 0,
-    out: OutOption = OUT,
-    source: SourceOption = None,
-    copies: CopiesOption = None,
-    focal: FocalOption = None,
-    policy: PolicyOption = None,
-    device: DeviceOption = None,
-    config: ConfigOption = None,
-    fit_method: FitOption = None,
     repetitions: Annotated[int, typer.Option(help="Rollouts per test demonstration.")] = 5,
     baselines: Annotated[
         bool, typer.Option(help="Also train BC and evaluate an untrained network and chance.")
     ] = True,
-    settings: SetOption = None,
 ) -> None:
     """Fit, pretrain, adapt, evaluate and report: recordings in, simulator and page out.
 
@@ -112,8 +51,8 @@ def run_command(
     run = _open(context.params)
     _say(console, "1/4", "fitting locomotion")
     console.print(format_fit_table(pipeline.fit(run), run.demos))
-    _say(console, "2/4", f"training {algo.upper()}")
-    pipeline.train(run, algo)
+    _say(console, "2/4", f"training {run.settings.algo.upper()}")
+    pipeline.train(run, run.settings.algo)
     _say(console, "3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
     console.print(evaluation_table(evaluation))
@@ -122,27 +61,12 @@ def run_command(
     console.print(f"\nOpen [bold]{page}[/bold]", soft_wrap=True, highlight=False)
 
 
+@with_run_options(before="source")
 def train_command(
     context: typer.Context,
-    file: File = pipeline.PACKAGED,
-    env: EnvOption = None,
-    species: SpeciesOption = None,
-    algo: AlgoOption = "dqdil-pt",
-    preset: PresetOption = "default",
-    steps: StepsOption = None,
-    seed: SeedOption = 0,
-    out: OutOption = OUT,
     resume: Annotated[
         Path | None, typer.Option(help="Continue this run folder, up to --steps.")
     ] = None,
-    source: SourceOption = None,
-    copies: CopiesOption = None,
-    focal: FocalOption = None,
-    policy: PolicyOption = None,
-    device: DeviceOption = None,
-    config: ConfigOption = None,
-    fit_method: FitOption = None,
-    settings: SetOption = None,
 ) -> None:
     """Train only: fit the locomotion and learn. A run that was killed is resumed exactly.
 
@@ -160,7 +84,7 @@ def train_command(
     if resume is not None:
         _refuse_beside_resume(context)
         run = RunFolder(resume)
-        run.extend(steps, device)
+        run.extend(context.params["steps"], context.params["device"])
     else:
         run = _open(context.params)
     pipeline.train(run, run.settings.algo)
