@@ -4,24 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import toys
+from pair_learners import SETTINGS, FlaggedPair, Split, demonstrations
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
-from test_recipes import SETTINGS, FlaggedPair, Split, demonstrations
 
 import animarl_envs
-from animarl_algos.checkpoint import load_checkpoint, save_checkpoint
 from animarl_algos.dqaas import DQAAS
 from animarl_algos.dqcil import DQCIL
 from animarl_algos.dqdil import DQDIL
 from animarl_algos.dqn import DQN
 from animarl_algos.offline_data import OfflineDataset
 from animarl_algos.qrdqn import QRDQN
+from animarl_algos.recipes import named_recipe
 from animarl_algos.run_settings import RunSettings, asked_species, checked_species
 from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.demos.packaged import load_packaged
@@ -64,6 +63,15 @@ class Case:
     more: Callable[[], dict[str, Any]] = dict
 
 
+def wrong(words: str, **settings: Any) -> Case:
+    """A setting that no learner can use."""
+    return Case(words, DQN, lambda: toys.Pair(2), lambda: settings)
+
+
+def with_convolutions(_: str, env: Any, **settings: Any) -> DQN:
+    return DQN("CnnPolicy", env, **settings)
+
+
 def offline(data: Callable[[], Split]) -> Callable[[], dict[str, Any]]:
     return lambda: {"demonstrations": data(), "offline_epochs": 1}
 
@@ -77,6 +85,7 @@ CASES = {
         lambda: SlotVecEnv("agent", 2, dtw=None),
         lambda: {"offline_epochs": 1},
     ),
+    "no alignment, no distance": Case("'aligned_action'", DQAAS, lambda: toys.Recall(2)),
     "no alignment": Case("'aligned_action'", DQAAS, lambda: toys.Lock(2)),
     "no alignment in a single environment": Case(
         "'aligned_action'", DQAAS, lambda: DTWReward(gym.make("AnimaRL/Agent-v0"))
@@ -110,11 +119,17 @@ CASES = {
         "not a Box", DQN, lambda: gym.make("Taxi-v4"), lambda: {"max_episode_steps": 5}
     ),
     "episodes without end": Case("give max_episode_steps", DQN, lambda: gym.make("Blackjack-v1")),
+    "unknown policy": Case("'CnnPolicy' is unknown", with_convolutions, lambda: toys.Pair(2)),
+    "gamma": wrong("online gamma is 1.5", gamma=1.5),
+    "offline alpha": wrong("offline alpha is -1.0", offline_alpha=-1.0),
+    "batch size": wrong("batch_size is 0", batch_size=0),
+    "training frequency": wrong("train_freq", train_freq=(1, "game")),
+    "exploration": wrong("exploration_final_eps", exploration_final_eps=2.0),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_learner_that_cannot_learn_says_so_before_it_starts(name: str) -> None:
+def test_recipes_that_cannot_learn_say_so_before_they_start(name: str) -> None:
     case, updates = CASES[name], []
     with pytest.raises(InputError, match=case.words) as caught:
         model = case.learner("GruPolicy", case.env(), **SETTINGS | case.more())
@@ -122,6 +137,11 @@ def test_a_learner_that_cannot_learn_says_so_before_it_starts(name: str) -> None
         model.learn(20)
     assert not updates
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_unknown_recipes_are_refused() -> None:
+    with pytest.raises(InputError, match="choose one of dqn, bc"):
+        named_recipe("dqm")
 
 
 def test_actions_missing_from_demonstrations_are_refused_at_the_door() -> None:
@@ -201,36 +221,3 @@ def test_environment_and_species_must_agree() -> None:
     for foreign in ("CartPole-v1", "AnimaRL/Dodo-v0"):
         with pytest.raises(InputError, match="none of AnimaRL's"):
             asked_species(foreign, None)
-
-
-# -- checkpoints ----------------------------------------------------------------------------------
-
-
-def learner(kind: Any = DQN, **more: Any) -> Any:
-    return kind("GruPolicy", toys.Pair(2), **SETTINGS | more)
-
-
-@pytest.mark.parametrize(
-    ("other", "words"),
-    [
-        (lambda: learner(QRDQN), "algorithm is 'DQN' there, 'QRDQN' here"),
-        (lambda: learner(policy_kwargs={"hidden": 16}), "parameters is"),
-        (lambda: DQN("GruPolicy", toys.Pair(4), **SETTINGS), "num_copies is 2 there, 4 here"),
-        (lambda: DQN("MlpPolicy", toys.Pair(2), **SETTINGS), "policy is 'GruPolicy' there"),
-    ],
-)
-def test_a_foreign_checkpoint_is_refused(
-    other: Callable[[], Any], words: str, tmp_path: Path
-) -> None:
-    save_checkpoint(learner().learn(20), tmp_path)
-    with pytest.raises(InputError, match=words):
-        load_checkpoint(other(), tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"PK\x03\x04", b"{}", b"[1, 2]"])
-@pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz", "state.json"])
-def test_a_corrupt_checkpoint_is_refused(name: str, content: bytes, tmp_path: Path) -> None:
-    checkpoint = save_checkpoint(learner().learn(20), tmp_path)
-    (checkpoint / name).write_bytes(content)
-    with pytest.raises(InputError, match="damaged"):
-        load_checkpoint(learner(), tmp_path)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 import toys
-from test_recipes import SETTINGS, demonstrations
+from pair_learners import SETTINGS, demonstrations, weights
 
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.checkpoint import (
@@ -32,13 +33,7 @@ STEPS = 400
 
 
 def make(recipe: type[SequenceQLearning] = DQDIL, **more: Any) -> SequenceQLearning:
-    torch.set_num_threads(1)
     return recipe("GruPolicy", toys.Pair(2), **SETTINGS | more)
-
-
-def weights(model: SequenceQLearning) -> torch.Tensor:
-    nets = (model.policy.q_net, model.policy.q_net_target)
-    return torch.cat([p.detach().flatten() for net in nets for p in net.parameters()])
 
 
 def go_on(model: SequenceQLearning, folder: Path, steps: int = STEPS) -> SequenceQLearning:
@@ -153,16 +148,46 @@ def test_a_failed_write_leaves_the_last_one(
     load_checkpoint(make(), tmp_path)
 
 
-def test_foreign_and_damaged_checkpoints_are_refused(tmp_path: Path) -> None:
+def test_a_folder_without_checkpoint_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no checkpoint"):
         load_checkpoint(make(), tmp_path)
-    whole = save_checkpoint(make().learn(100), tmp_path)
-    with pytest.raises(InputError, match="algorithm is 'DQDIL' there, 'DQN' here"):
-        load_checkpoint(make(DQN), tmp_path)
-    for name in ("model.pt", "replay.npz", "run.npz", "state.json"):
-        content = (whole / name).read_bytes()
-        (whole / name).write_bytes(content[: len(content) // 2])
-        with pytest.raises(InputError, match="damaged"):
-            load_checkpoint(make(), tmp_path)
-        (whole / name).write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: make(DQN), "algorithm is 'DQDIL' there, 'DQN' here"),
+        (lambda: make(QRDQN), "algorithm is 'DQDIL' there, 'QRDQN' here"),
+        (lambda: make(policy_kwargs={"hidden": 16}), "parameters is"),
+        (lambda: DQDIL("GruPolicy", toys.Pair(4), **SETTINGS), "num_copies is 2 there, 4 here"),
+        (lambda: DQDIL("MlpPolicy", toys.Pair(2), **SETTINGS), "policy is 'GruPolicy' there"),
+    ],
+)
+def test_a_foreign_checkpoint_is_refused(
+    other: Callable[[], SequenceQLearning], words: str, tmp_path: Path
+) -> None:
+    save_checkpoint(make().learn(20), tmp_path)
+    with pytest.raises(InputError, match=words):
+        load_checkpoint(other(), tmp_path)
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "text": lambda _: b"not a checkpoint",
+    "head of an archive": lambda _: b"PK\x03\x04",
+    "another object": lambda _: b"{}",
+    "a list": lambda _: b"[1, 2]",
+    "half": lambda whole: whole[: len(whole) // 2],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz", "state.json"])
+def test_a_damaged_checkpoint_is_refused(name: str, damage: str, tmp_path: Path) -> None:
+    file = save_checkpoint(make().learn(100), tmp_path) / name
+    whole = file.read_bytes()
+    file.write_bytes(DAMAGE[damage](whole))
+    with pytest.raises(InputError, match="damaged"):
+        load_checkpoint(make(), tmp_path)
+    file.write_bytes(whole)
     load_checkpoint(make(), tmp_path)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 import toys
+from pair_learners import Split
 
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.bc import BC
@@ -32,11 +31,6 @@ LEARN: dict[str, Any] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def greedy_returns(model: SequenceQLearning, env: toys.Toy, steps: int) -> np.ndarray[Any, Any]:
     """Returns of the episodes that the greedy policy finishes within ``steps``."""
     observation, state = env.reset(), None
@@ -50,12 +44,6 @@ def greedy_returns(model: SequenceQLearning, env: toys.Toy, steps: int) -> np.nd
         finished.append(running[starts])
         running[starts] = 0.0
     return np.concatenate(finished)
-
-
-@dataclass(frozen=True)
-class Split:
-    train: OfflineDataset
-    val: OfflineDataset
 
 
 def test_recall_needs_the_gru() -> None:

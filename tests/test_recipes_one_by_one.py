@@ -1,0 +1,71 @@
+"""The recipes train each individual as if it were alone: what is stacked does not mix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+import toys
+from pair_learners import SETTINGS, demonstrations, evaluated, make_pair_learner
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.dqdil import DQDIL
+from animarl_algos.recipes import named_recipe
+from animarl_algos.updates import update
+
+
+def assert_weights_of_one(
+    together: SequenceQLearning, k: int, alone: SequenceQLearning, **tolerance: Any
+) -> None:
+    """Individual ``k``'s online network equals that of the learner who learns it alone."""
+    for ours, own in zip(
+        together.policy.q_net.parameters(), alone.policy.q_net.parameters(), strict=True
+    ):
+        torch.testing.assert_close(ours[k], own[0], **tolerance)
+
+
+@pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-dqdil-pt"])
+def test_individuals_together_are_individuals_alone(name: str) -> None:
+    """Offline, from the same demonstrations and seed: the same weights, to rounding."""
+
+    class Alone(toys.Recall):
+        num_observations = 4
+
+    together = make_pair_learner(name)
+    together.pretrain()
+    for k, who in enumerate(toys.Pair.individuals):
+        env = Alone(2)
+        env.individuals = (who,)
+        settings = SETTINGS | {"offline_epochs": 2}
+        alone = named_recipe(name).algorithm(
+            "GruPolicy", env, demonstrations=demonstrations(individuals=(who,)), **settings
+        )
+        run = alone.pretrain()
+        for whole, single in zip(together.offline_progress.history, run.history, strict=True):
+            assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
+        if run.best_epoch == together.offline_progress.best_epoch:
+            assert_weights_of_one(together, k, alone, atol=1e-6, rtol=1e-5)
+
+
+def test_replayed_individuals_together_are_individuals_alone() -> None:
+    """Online updates from one fixed memory: the same weights, to rounding."""
+    together = make_pair_learner("dqdil").learn(100)
+    start = make_pair_learner("dqdil")
+    together.policy.load_state_dict(start.policy.state_dict())
+    together.reset_optimizer(1e-3)
+    assert together.replay_buffer is not None
+    alone = []
+    for k, who in enumerate(toys.Pair.individuals):
+        env = toys.Pair(2)
+        env.individuals = (who,)
+        toys.VecEnv.__init__(env, 2, env.observation_space, env.action_space)
+        alone.append(DQDIL("GruPolicy", env, **SETTINGS))
+        assert_weights_of_one(together, k, alone[k])
+    for _ in range(5):
+        batch = together.replay_buffer.sample(4).clone()
+        parts = [(together, batch), *((alone[k], batch.individual(k)) for k in (0, 1))]
+        for model, part in parts:
+            update(evaluated(model, part), model.recipe.online, model.policy.optimizer)
+    for k in (0, 1):
+        assert_weights_of_one(together, k, alone[k], atol=1e-6, rtol=1e-5)
