@@ -30,6 +30,7 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 
+from animarl_algos.recurrent.buffer_state import buffer_state, restore_buffer
 from animarl_algos.training_state import identity, restore_training_state, training_state
 from animarl_envs.errors import InputError
 
@@ -68,7 +69,7 @@ def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
         tensors["torch_random_state"] = torch.get_rng_state()
         _write(part / "model.pt", lambda file: torch.save(tensors, file))
         if model.replay_buffer is not None:
-            replay = model.replay_buffer.get_state()
+            replay = buffer_state(model.replay_buffer)
             _write(part / "replay.npz", lambda file: np.savez(file, **replay))
         _write(part / "run.npz", lambda file: np.savez(file, **run))
         state = {
@@ -129,7 +130,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
             with np.load(path / "replay.npz", allow_pickle=False) as file:
                 replay = dict(file)
         if replay is not None and model.replay_buffer is not None:
-            model.replay_buffer.set_state(replay)
+            restore_buffer(model.replay_buffer, replay)
         torch_random_state = tensors.pop("torch_random_state")
         restore_training_state(model, state["counters"], arrays, tensors)
         torch.set_rng_state(torch_random_state)

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.storage import read_npz
+from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 
-if TYPE_CHECKING:
-    from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
-
-State = dict[str, Any]
 _SETTINGS = (
     "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
     "stride", "burn_in", "state_size", "prioritized", "max_episodes",
@@ -24,10 +18,10 @@ _SETTINGS = (
 """What must be equal for a state to fit a buffer."""
 
 
-def get_state(buffer: SequenceReplayBuffer) -> State:
+def buffer_state(buffer: SequenceReplayBuffer) -> dict[str, Any]:
     """Arrays (copies) and plain numbers: the used part of the ring and the running episodes."""
     rows, slots = buffer.used_rows(), buffer.used_slots()
-    state: State = {name: getattr(buffer, name) for name in _SETTINGS}
+    state: dict[str, Any] = {name: getattr(buffer, name) for name in _SETTINGS}
     state["num_copies"] = buffer.num_copies
     state["cursor"] = buffer.cursor.copy()
     state["streams"] = buffer.streams.copy()
@@ -46,8 +40,8 @@ def get_state(buffer: SequenceReplayBuffer) -> State:
     return state
 
 
-def set_state(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> None:
-    """Go on from the state of a buffer with the same settings.
+def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> None:
+    """Go on from the :func:`buffer_state` of a buffer with the same settings.
 
     Raises
     ------
@@ -89,19 +83,6 @@ def set_state(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> None:
             f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
             "start from another checkpoint"
         ) from error
-
-
-def save_npz(state: Mapping[str, Any], path: str | Path) -> Path:
-    """Write a state without pickle: to a temporary file first, then renamed."""
-    path = Path(path)
-    with write_then_rename(path) as part, part.open("wb") as file:
-        np.savez(file, **state)
-    return path
-
-
-def load_npz(path: str | Path) -> State:
-    """The state in a file of :func:`save_npz`."""
-    return dict(read_npz(Path(path)))
 
 
 def _running_rows(buffer: SequenceReplayBuffer) -> NDArray[np.int64]:

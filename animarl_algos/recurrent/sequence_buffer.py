@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.recurrent import buffer_state
 from animarl_algos.recurrent import sequence_kernels as kernels
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.recurrent.gather import BatchBuffers, Frames, Sequences
@@ -362,35 +360,20 @@ class SequenceReplayBuffer:
             errors,
         )
 
-    # -- storage ----------------------------------------------------------------------------------
-
-    def get_state(self) -> buffer_state.State:
-        """Arrays (copies) and plain numbers from which :meth:`set_state` goes on exactly."""
-        return buffer_state.get_state(self)
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Go on from :meth:`get_state` of a buffer with the same settings."""
-        buffer_state.set_state(self, state)
-
-    def save_npz(self, path: str | Path) -> Path:
-        """Write the state without pickle: to a temporary file first, then renamed."""
-        return buffer_state.save_npz(self.get_state(), path)
-
-    def load_npz(self, path: str | Path) -> None:
-        """Go on from a file of :meth:`save_npz`."""
-        self.set_state(buffer_state.load_npz(path))
-
     # -- inside -----------------------------------------------------------------------------------
 
     def used_rows(self) -> NDArray[np.int64]:
+        """Rows of the ring that hold finished episodes, oldest first."""
         used, end = self.cursor[kernels.ROWS_USED], self.cursor[kernels.NEXT_ROW]
         return np.asarray(np.arange(end - used, end) % self.buffer_size)
 
     def used_slots(self) -> NDArray[np.int64]:
+        """Slots of the sequences that can be drawn, oldest first."""
         oldest, end = self.cursor[kernels.OLDEST], self.cursor[kernels.NEXT]
         return np.asarray(np.arange(oldest, end) % self.num_slots)
 
     def allocate_staging(self, copies: int) -> None:
+        """Make room for the running episodes of so many copies, none of them begun."""
         k, rows = self.num_individuals, copies * (self.max_episode_steps + 1)
         pieces = math.ceil(self.max_episode_steps / self.stride)
         refuse_too_large(
