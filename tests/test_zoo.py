@@ -150,6 +150,32 @@ def test_the_same_seed_gives_the_same_scores(
     np.testing.assert_array_equal(*scores)
 
 
+@pytest.mark.parametrize(
+    ("steps", "asked", "at"),
+    [
+        (320, [], [32 * k for k in range(1, 11)]),
+        (320, ["--eval-freq=160"], [160, 320]),
+        (320, ["--eval-freq", "-1"], None),
+    ],
+)
+def test_evaluations_are_a_tenth_of_the_run_apart_unless_told(
+    steps: int, asked: list[str], at: list[int] | None, zoo: Callable[..., Done], small: Path,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    done = zoo("train", "--algo", "dqn", "--env", AGENT, "--n-timesteps", str(steps), "--seed", "1",
+               "--eval-episodes", "1", "--env-kwargs", f"demos:{small}", *asked)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "logs" / "dqn" / f"{NAME}_1"
+    if at is None:
+        assert not (run / "evaluations.npz").exists()
+        return
+    with np.load(run / "evaluations.npz") as evaluations:
+        assert evaluations["timesteps"].tolist() == at
+    frequency = yaml.safe_load((run / NAME / "args.yml").read_text())["eval_freq"]
+    assert frequency == (160 if asked else 32)
+    assert (run / "best_model.zip").exists()
+
+
 def test_one_individual_in_training_and_on_show(
     zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
@@ -196,6 +222,7 @@ def test_optimize_tunes_into_sqlite(
     with sqlite3.connect(database) as connection:
         rows = connection.execute("select state from trials").fetchall()
     assert rows == [("COMPLETE",)] * 4
+    assert not list(database.parent.glob(f"{NAME}_*/"))  # no run for enjoy to find
     if algo == "bc":
         return
     study = optuna.load_study(study_name=f"{algo} {AGENT}", storage=f"sqlite:///{database}")

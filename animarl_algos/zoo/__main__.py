@@ -20,7 +20,7 @@ from animarl_algos.presets import PRESETS
 from animarl_algos.recipes import RECIPES
 from animarl_algos.zoo.enjoy import enjoy
 from animarl_algos.zoo.environments import species_of_id
-from animarl_algos.zoo.manager import AnimalExperimentManager
+from animarl_algos.zoo.manager import EVAL_BY_LENGTH, AnimalExperimentManager
 from animarl_algos.zoo.samplers import converted, sampler
 from animarl_envs.errors import InputError
 
@@ -42,6 +42,7 @@ COMMAND --help lists the options of a command."""
 TRAIN_NOTE = """Learners of this project through rl_zoo3, whose options follow. Beside them:
 
   --preset {paper,default}  settings of zoo_configs/<algo>.yml (default: default)
+  --eval-freq               unless given: a tenth of the steps, at most 25,000; -1 for none
 
 KEY:VALUE pairs are YAML, never evaluated (-params learning_rate:0.001 offline_epochs:5).
 AnimaRL ids train all individuals; --env-kwargs focal:prey trains one. The model, its settings,
@@ -103,7 +104,8 @@ def train(arguments: list[str]) -> None:
 
     vars(rl_zoo3.train).update(ExperimentManager=Manager, StoreDict=StoreData)
     warnings.filterwarnings("ignore", message="Training and eval env are not of the same type")
-    sys.argv = ["python -m animarl_algos.zoo train", *rest]
+    # The last of a repeated option counts, so this one only if the user gives none.
+    sys.argv = ["python -m animarl_algos.zoo train", f"--eval-freq={EVAL_BY_LENGTH}", *rest]
     rl_zoo3.train.train()
 
 

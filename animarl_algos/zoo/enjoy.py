@@ -66,6 +66,8 @@ def run(model: SequenceQLearning, env: VecEnv, steps: int, seed: int) -> None:
             print(f"episode {len(returns)}: return {returns[-1]:.3f}, {episode['l']} steps")
     if returns:
         print(f"{len(returns)} episodes, mean return {np.mean(returns):.3f}")
+    else:
+        print(f"no episode ended within {steps} steps: give more with -n")
     env.close()
 
 
@@ -172,6 +174,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--episodes", type=int, default=1, help="episodes to show")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--stochastic", action="store_true", help="act with the last epsilon")
-    parser.add_argument("--no-render", action="store_true", help="figures only, no picture")
+    parser.add_argument(
+        "--no-render",
+        action="store_true",
+        help="no picture: the task return of every episode, a mean over the pursuers that learned",
+    )
     parser.add_argument("--out", type=Path, help="clip to write, .gif or .mp4, instead of a window")
     return parser

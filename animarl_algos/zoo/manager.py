@@ -29,6 +29,11 @@ from animarl_algos.zoo.environments import (
 )
 from animarl_envs.errors import InputError
 
+EVAL_BY_LENGTH = 0
+"""An evaluation frequency that stands for a tenth of the run, at most :data:`MOST_BETWEEN`."""
+MOST_BETWEEN = 25_000
+"""Steps of the world; rl_zoo3's own default, longer than many a run."""
+
 
 class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
     """Settings from a preset; AnimaRL ids as slots in training, as validation in evaluation.
@@ -92,11 +97,19 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         env.seed(self.seed)
         return env
 
+    def create_log_folder(self) -> None:
+        """None for tuning, which would leave it empty for ``enjoy`` to find as the latest run."""
+        if not self.optimize_hyperparameters:
+            super().create_log_folder()  # type: ignore[no-untyped-call]
+
     def create_callbacks(self) -> None:
         """rl_zoo3's, with a progress bar in steps of the world and every individual scored."""
         if self.show_progress:
             self.callbacks.append(ProgressBar())
             self.show_progress = False
+        if self.eval_freq == EVAL_BY_LENGTH:
+            self.eval_freq = min(MOST_BETWEEN, max(1, self.n_timesteps // 10))
+            self.args.eval_freq = self.eval_freq
         super().create_callbacks()  # type: ignore[no-untyped-call]
         for callback in self.callbacks:
             if isinstance(callback, EvalCallback):
