@@ -4,166 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 import torch
+from sequences import LENGTHS, A, B, H, K, N, T, batch, torch_gru, valid_steps
 from torch import nn
 
 from animarl_algos.losses import clip_grad_norm_per_individual, masked_mean, squared_l2
-from animarl_algos.recurrent import gru as gru_module
-from animarl_algos.recurrent.gru import Packing, stacked_gru
-from animarl_algos.recurrent.gru_kernels import tanh_float32
+from animarl_algos.recurrent.gru import Packing
 from animarl_algos.recurrent.networks import StackedQNetwork
 from animarl_algos.recurrent.output import QOutput, dueling_parts
 from animarl_algos.values import take_action
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")
-K, T, B, N, H, A = 3, 7, 4, 5, 6, 4
-LENGTHS = np.array([[7, 5, 4, 1], [6, 6, 2, 2], [7, 3, 3, 0]])
-
-devices = pytest.mark.parametrize(
-    "device",
-    [
-        "cpu",
-        pytest.param(
-            "cuda",
-            marks=[
-                pytest.mark.cuda,
-                pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-            ],
-        ),
-    ],
-)
 
 
 def make(
     individuals: tuple[str, ...] = NAMES, observation_size: int = N, **kwargs
 ) -> StackedQNetwork:
     return StackedQNetwork(individuals, observation_size, A, units=H, **kwargs)
-
-
-def batch(individuals: int = K, features: int = N, seed: int = 0):
-    generator = torch.Generator().manual_seed(seed)
-    observations = torch.randn(individuals, T, B, features, generator=generator)
-    previous = torch.randint(0, A + 1, (individuals, T, B), generator=generator)
-    return observations, previous
-
-
-def valid_steps(lengths: np.ndarray = LENGTHS) -> torch.Tensor:
-    return torch.from_numpy(np.arange(T)[None, :, None] < lengths[:, None, :])
-
-
-def gru_arguments(dtype: torch.dtype, device: str = "cpu", seed: int = 0) -> list[torch.Tensor]:
-    generator = torch.Generator().manual_seed(seed)
-    shapes = [(K, B, H), (K, N, 3 * H), (K, H, 3 * H), (K, 1, 3 * H), (K, 1, 3 * H)]
-    draws = [torch.randn(s, generator=generator, dtype=torch.float64) / 2 for s in shapes]
-    return [d.to(device, dtype).requires_grad_() for d in draws]
-
-
-def reference_gru(arguments: list[torch.Tensor], k: int) -> nn.GRU:
-    """Individual k's weights in PyTorch's own GRU."""
-    _, weight_input, weight_hidden, bias_input, bias_hidden = arguments
-    reference = nn.GRU(N, H).to(weight_input.device, weight_input.dtype)
-    with torch.no_grad():
-        reference.weight_ih_l0.copy_(weight_input[k].T)
-        reference.weight_hh_l0.copy_(weight_hidden[k].T)
-        reference.bias_ih_l0.copy_(bias_input[k, 0])
-        reference.bias_hh_l0.copy_(bias_hidden[k, 0])
-    return reference
-
-
-@devices
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("packed", [False, True])
-def test_gru_equals_torch_in_values_and_all_gradients(dtype, packed, device) -> None:
-    tolerance = (
-        dict(rtol=1e-4, atol=3e-6) if dtype == torch.float32 else dict(rtol=1e-9, atol=1e-11)
-    )
-    arguments = gru_arguments(dtype, device)
-    inputs = batch()[0].to(device, dtype).requires_grad_()
-    seen = torch.ones(K, T, B, dtype=torch.bool)
-    packing = Packing.full(T, B, device)
-    if packed:
-        packing, seen = Packing.from_lengths(LENGTHS, T, device), valid_steps()
-    upstream = torch.randn(K, T, B, H, dtype=torch.float64).to(device, dtype)
-    upstream = upstream * seen[..., None].to(device)
-    out = packing.unpack(stacked_gru(packing.pack(inputs), *arguments, packing))
-    final = packing.final(packing.pack(out), arguments[0])
-    gradients = torch.autograd.grad((out * upstream).sum(), [inputs, *arguments])
-    for k in range(K):
-        reference = reference_gru(arguments, k)
-        one_input = inputs[k].detach().requires_grad_()
-        one_state = arguments[0][k].detach().unsqueeze(0).requires_grad_()
-        expected, _ = reference(one_input, one_state)
-        keep = seen[k].to(device)
-        torch.testing.assert_close(out[k][keep], expected[keep], **tolerance)
-        (expected * upstream[k]).sum().backward()
-        wanted = [
-            one_input.grad,
-            one_state.grad[0],
-            reference.weight_ih_l0.grad.T,
-            reference.weight_hh_l0.grad.T,
-            reference.bias_ih_l0.grad[None],
-            reference.bias_hh_l0.grad[None],
-        ]
-        for got, want in zip(gradients, wanted):
-            torch.testing.assert_close(got[k], want, **tolerance)
-        for b in range(B):
-            last = int(seen[k, :, b].sum()) - 1
-            want = expected[last, b] if last >= 0 else arguments[0][k, b]
-            torch.testing.assert_close(final[k, b], want, **tolerance)
-
-
-def test_gru_gradcheck() -> None:
-    packing = Packing.from_lengths(np.array([[3, 2], [3, 0]]), 3)
-    shapes = [(2, len(packing.rows), 3), (2, 2, 2), (2, 3, 6), (2, 2, 6), (2, 1, 6), (2, 1, 6)]
-    generator = torch.Generator().manual_seed(1)
-    arguments = [
-        torch.randn(s, generator=generator, dtype=torch.float64, requires_grad=True) for s in shapes
-    ]
-    assert torch.autograd.gradcheck(lambda *a: stacked_gru(*a, packing), arguments)
-
-
-def test_kernels_equal_the_tensor_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    arguments = gru_arguments(torch.float32)
-    packing = Packing.from_lengths(LENGTHS, T)
-    inputs = packing.pack(batch()[0]).requires_grad_()
-    upstream = torch.randn(K, inputs.shape[1], H)
-
-    def results() -> tuple[torch.Tensor, ...]:
-        out = stacked_gru(inputs, *arguments, packing)
-        return (out, *torch.autograd.grad(out, [inputs, *arguments], upstream))
-
-    compiled = results()
-    monkeypatch.setattr(gru_module.gru_kernels, "usable", lambda tensor: False)
-    for got, want in zip(compiled, results()):
-        torch.testing.assert_close(got, want, rtol=1e-4, atol=3e-6)
-
-
-def test_tanh_approximation_is_within_float32_rounding() -> None:
-    x = np.linspace(-20, 20, 4001, dtype=np.float32)
-    got = np.array([tanh_float32(v) for v in x])
-    np.testing.assert_allclose(got, np.tanh(x.astype(np.float64)), atol=4e-7)
-
-
-@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
-def test_packing_keeps_every_valid_step_in_any_order(order: list[int]) -> None:
-    lengths = LENGTHS[:, order]
-    packing = Packing.from_lengths(lengths, T)
-    assert (np.diff(packing.active) <= 0).all()
-    observations = batch()[0]
-    restored = packing.unpack(packing.pack(observations))
-    valid = valid_steps(lengths)
-    assert torch.equal(restored[valid], observations[valid])
-    if order == [0, 1, 2, 3]:
-        assert packing.active.tolist() == [4, 4, 3, 3, 2, 2, 1]
-
-
-@pytest.mark.parametrize("lengths", [[8, 1], [-1, 3], []])
-def test_impossible_lengths_are_refused(lengths: list[int]) -> None:
-    with pytest.raises(InputError, match="lengths"):
-        Packing.from_lengths(np.array(lengths), T)
 
 
 def reference_network(
@@ -179,13 +38,9 @@ def reference_network(
     x = torch.cat((sensed, one_hot), dim=-1) if network.previous_action else sensed
     x = torch.relu(linear(network.encoder_2, torch.relu(linear(network.encoder_1, x))))
     if network.gru is not None:
-        reference = nn.GRU(H, H)
-        with torch.no_grad():
-            reference.weight_ih_l0.copy_(network.gru.weight_input[k].T)
-            reference.weight_hh_l0.copy_(network.gru.weight_hidden[k].T)
-            reference.bias_ih_l0.copy_(network.gru.bias_input[k, 0])
-            reference.bias_hh_l0.copy_(network.gru.bias_hidden[k, 0])
-        x, _ = reference(x)
+        gru = network.gru
+        weights = (gru.weight_input, gru.weight_hidden, gru.bias_input, gru.bias_hidden)
+        x, _ = torch_gru(k, *weights)(x)
     if network.condition_flag:
         x = torch.cat((x, observations[..., -1:]), dim=-1)
     head = network.dueling
