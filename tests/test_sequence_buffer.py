@@ -1,10 +1,8 @@
-"""The sequence replay against a plain Python reference, and the rules of prioritised sampling."""
+"""The sequence replay against a plain Python reference that keeps everything in lists."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,63 +10,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
+from step_streams import NUM_ACTIONS, STATE, Stream, fill, make_buffer
 
-from animarl_algos.recurrent import memory_limit
 from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.recurrent.buffer_state import buffer_state, restore_buffer
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.recurrent.sum_tree import SumTrees
-from animarl_envs.errors import InputError
-
-NUM_ACTIONS = 5
-STATE = 2
-
-
-# -- a stream of steps, and a reference that keeps everything in lists ----------------------------
-
-
-@dataclass
-class Stream:
-    """Random steps of ``copies`` worlds; every number in it is drawn once and so recognisable."""
-
-    copies: int
-    individuals: int
-    dim: int
-    max_steps: int
-    seed: int
-    end_rate: float = 0.2
-    warmup_steps: int = 0
-
-    def steps(self, count: int) -> Iterator[dict[str, Any]]:
-        rng = np.random.default_rng(self.seed)
-        each, pair = (self.copies,), (self.copies, self.individuals)
-        now = rng.normal(size=(*pair, self.dim)).astype(np.float32)
-        age = np.zeros(self.copies, dtype=int)
-        condition = rng.integers(0, 2, each)
-        for _ in range(count):
-            following = rng.normal(size=(*pair, self.dim)).astype(np.float32)
-            terminated = rng.random(self.copies) < self.end_rate / 2
-            truncated = (rng.random(self.copies) < self.end_rate / 2) | (age + 1 == self.max_steps)
-            truncated &= ~terminated
-            yield {
-                "observations": now,
-                "actions": rng.integers(0, NUM_ACTIONS, pair),
-                "rewards": rng.normal(size=pair).astype(np.float32),
-                "next_observations": following,
-                "terminated": terminated,
-                "truncated": truncated,
-                "penalties": rng.random(pair).astype(np.float32),
-                "labels": rng.integers(-1, NUM_ACTIONS, pair),
-                "warmup": age < self.warmup_steps,
-                "hidden": rng.normal(size=(*pair, STATE)).astype(np.float32),
-                "condition": condition.copy(),
-            }
-            done = terminated | truncated
-            age = np.where(done, 0, age + 1)
-            now = np.where(done[:, None, None], rng.normal(size=now.shape), following)
-            now = now.astype(np.float32)
-            condition[done] = rng.integers(0, 2, done.sum())
 
 
 @dataclass
@@ -150,18 +95,6 @@ def check_column(
             assert batch.labels[k, t, b] == -1
 
 
-def make(stream: Stream, capacity: int, **options: Any) -> SequenceReplayBuffer:
-    return SequenceReplayBuffer(
-        capacity, stream.dim, stream.individuals, NUM_ACTIONS, stream.max_steps, **options
-    )
-
-
-def fill(buffer: SequenceReplayBuffer, stream: Stream, count: int = 60) -> SequenceReplayBuffer:
-    for step in stream.steps(count):
-        buffer.add(**step)
-    return buffer
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
@@ -191,7 +124,7 @@ def test_content_equals_a_plain_reference(
         options |= {"sequence_length": stride + burn_in, "burn_in": burn_in}
     if stored:
         options |= {"state_mode": "stored", "state_size": STATE}
-    buffer = make(stream, max_steps + 1 + room, **options)
+    buffer = make_buffer(stream, max_steps + 1 + room, **options)
     reference = Reference(max_steps + 1 + room, stride, burn_in)
     for number, step in enumerate(stream.steps(30)):
         buffer.add(**step)
@@ -235,7 +168,9 @@ def test_a_time_out_bootstraps_and_a_contact_does_not() -> None:
 @pytest.mark.parametrize("burn_in", [0, 2, 7])
 def test_pieces_train_each_step_exactly_once(burn_in: int) -> None:
     stream = Stream(2, 2, 2, 23, seed=4, end_rate=0.05)
-    buffer = fill(make(stream, 100_000, sequence_length=5 + burn_in, burn_in=burn_in), stream, 200)
+    buffer = fill(
+        make_buffer(stream, 100_000, sequence_length=5 + burn_in, burn_in=burn_in), stream, 200
+    )
     reference = Reference(100_000, 5, burn_in)
     for step in stream.steps(200):
         reference.add(step)
@@ -251,10 +186,33 @@ def test_pieces_train_each_step_exactly_once(burn_in: int) -> None:
     assert set(seen) == steps
 
 
+@pytest.mark.parametrize(("dropped_at", "steps_kept"), [(3, 3), (8, 6)])
+def test_dropping_running_episodes_keeps_the_finished(dropped_at: int, steps_kept: int) -> None:
+    """Both copies end an episode at the sixth step, and begin another that is not finished."""
+    stream = Stream(2, 1, 2, 6, seed=5, end_rate=0.0)
+    buffer = make_buffer(stream, 100)
+    for number, step in enumerate(stream.steps(10)):
+        if number == dropped_at:
+            buffer.drop_running()
+        buffer.add(**step)
+    assert (buffer.num_episodes, buffer.num_steps) == (2, 2 * steps_kept)
+
+
+def test_no_more_episodes_are_kept_than_asked_for() -> None:
+    """The oldest goes, as if the rows were full, and what is left is what is drawn."""
+    stream = Stream(2, 1, 2, 6, seed=5)
+    capped = fill(make_buffer(stream, 200, max_episodes=3, seed=1), stream)
+    whole = fill(make_buffer(stream, 200, seed=1), stream)
+    assert whole.num_episodes > capped.num_episodes == 3
+    frames = whole.sequences.frames[: whole.num_sequences]
+    assert capped.num_steps == int(frames[-3:].sum()) - 3
+    assert capped.sample(50).lengths.max() <= frames[-3:].max() - 1
+
+
 def test_individuals_together_draw_what_each_would_alone() -> None:
     stream = Stream(3, 3, 2, 8, seed=2)
     names = ("male_0", "male_1", "female")
-    together = fill(make(stream, 90, seed=7, names=names), stream)
+    together = fill(make_buffer(stream, 90, seed=7, names=names), stream)
     alone = [
         SequenceReplayBuffer(90, 2, 1, NUM_ACTIONS, 8, seed=7, names=(name,)) for name in names
     ]
@@ -280,275 +238,18 @@ def test_individuals_together_draw_what_each_would_alone() -> None:
 
 def test_individuals_draw_differently() -> None:
     stream = Stream(2, 2, 2, 8, seed=2)
-    batch = fill(make(stream, 500), stream, 200).sample(32)
+    batch = fill(make_buffer(stream, 500), stream, 200).sample(32)
     assert set(batch.indices[0]) != set(batch.indices[1])
-
-
-# -- priorities -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("stratified", [True, False])
-def test_the_sum_tree_draws_in_proportion(stratified: bool) -> None:
-    priorities = np.array([0.5, 0.0, 3.0, 1.5, 0.0, 2.0, 1.0])
-    trees = SumTrees(2, 7)
-    trees.set(1, np.arange(7), priorities)
-    streams = np.array([1, 2], dtype=np.uint64)
-    size = 8000 if not stratified else 10
-    draws = np.concatenate(
-        [trees.draw(1, size, streams, stratified=stratified) for _ in range(8000 // size)]
-    )
-    counts = np.bincount(draws, minlength=7)
-    assert counts[priorities == 0].sum() == 0
-    drawn = priorities > 0
-    expected = 8000 * priorities[drawn] / priorities.sum()
-    assert stats.chisquare(counts[drawn], expected).pvalue > 0.001
-    np.testing.assert_allclose(trees.total, [0.0, priorities.sum()])
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, 12), st.floats(0, 1e6)), min_size=1, max_size=40))
-def test_the_sum_tree_keeps_its_sums(changes: list[tuple[int, float]]) -> None:
-    trees, plain = SumTrees(1, 13), np.zeros(13)
-    for leaf, value in changes:
-        trees.set(0, [leaf], [value])
-        plain[leaf] = value
-    np.testing.assert_array_equal(trees.priorities[0], plain)
-    np.testing.assert_allclose(trees.total[0], plain.sum(), rtol=1e-12)
-    again = SumTrees(1, 13)
-    held = np.flatnonzero(plain)
-    again.restore(held, plain[None, held])
-    np.testing.assert_array_equal(again.nodes, trees.nodes)
-
-
-def filled_with_priorities(
-    alpha: float = 0.7, **options: Any
-) -> tuple[SequenceReplayBuffer, np.ndarray]:
-    """A buffer of at least 8 episodes whose errors are 1, 2, 3, ... by serial number."""
-    stream = Stream(1, 1, 2, 4, seed=3)
-    buffer = fill(make(stream, 2000, alpha=alpha, **options), stream, 40)
-    serials = np.arange(buffer.num_sequences)[None]
-    buffer.update_priorities(serials, serials + 1.0)
-    return buffer, (serials[0] + 1.0 + 1e-6) ** alpha
-
-
-@pytest.mark.parametrize("stratified", [True, False])
-def test_draws_follow_the_proportional_rule(stratified: bool) -> None:
-    buffer, priorities = filled_with_priorities(stratified=stratified)
-    size = 8 if stratified else 4000
-    draws = np.concatenate([buffer.sample(size).indices[0].copy() for _ in range(4000 // size)])
-    counts = np.bincount(draws, minlength=len(priorities))
-    expected = len(draws) * priorities / priorities.sum()
-    assert stats.chisquare(counts, expected).pvalue > 0.001
-
-
-def test_uniform_draws_are_uniform_and_unweighted() -> None:
-    stream = Stream(1, 2, 2, 4, seed=3)
-    buffer = fill(make(stream, 30, prioritized=False, stratified=False), stream, 80)
-    batch = buffer.sample(3000)
-    counts = np.unique(batch.indices[1], return_counts=True)[1]
-    assert len(counts) == buffer.num_sequences > 3
-    assert stats.chisquare(counts).pvalue > 0.001
-    assert (batch.weights == 1).all()
-
-
-def test_importance_weights_by_formula() -> None:
-    buffer, priorities = filled_with_priorities(beta_start=0.4, beta_end=1.0)
-    for progress, beta in ((0.0, 0.4), (0.5, 0.7), (1.0, 1.0), (2.0, 1.0)):
-        batch = buffer.sample(16, progress)
-        probability = priorities[batch.indices[0]] / priorities.sum()
-        weights = (len(priorities) * probability) ** -beta
-        np.testing.assert_allclose(batch.weights[0], weights / weights.max(), rtol=1e-5)
-
-
-def test_new_sequences_get_the_largest_priority_seen() -> None:
-    buffer, _ = filled_with_priorities(alpha=1.0)
-    count = buffer.num_sequences
-    # The episode with the largest error loses it; a new one still enters with that error.
-    buffer.update_priorities(np.array([[count - 1]]), np.array([[0.5]]))
-    for step in Stream(1, 1, 2, 4, seed=9, end_rate=2.0).steps(1):
-        buffer.add(**step)
-    assert buffer.num_sequences == count + 1
-    held = buffer.trees.priorities[0, : count + 1]
-    assert held[count - 1] == pytest.approx(0.5, abs=1e-5)
-    assert held[count] == pytest.approx(count, abs=1e-5)
-
-
-def test_errors_of_evicted_sequences_change_nothing() -> None:
-    stream = Stream(1, 1, 2, 4, seed=3)
-    buffer = make(stream, 12)
-    steps = list(stream.steps(80))
-    for step in steps[:20]:
-        buffer.add(**step)
-    old = buffer.sample(4).indices.copy()
-    for step in steps[20:]:
-        buffer.add(**step)
-    before = buffer.trees.nodes.copy()
-    buffer.update_priorities(old, np.full(old.shape, 50.0))
-    np.testing.assert_array_equal(buffer.trees.nodes, before)
-    assert buffer.max_priority.tolist() == [1.0]
 
 
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_batches_reach_the_gpu_unchanged() -> None:
     stream = Stream(2, 2, 2, 8, seed=2)
-    there, here = (fill(make(stream, 200, device=d), stream) for d in ("cuda", "cpu"))
+    there, here = (fill(make_buffer(stream, 200, device=d), stream) for d in ("cuda", "cpu"))
     for _ in range(3):
         sent, kept = there.sample(6), here.sample(6)
         assert sent.observations.is_cuda and sent.weights.is_cuda
         np.testing.assert_array_equal(sent.indices, kept.indices)
         assert torch.equal(sent.observations.cpu(), kept.observations)
         assert torch.equal(sent.mask.cpu(), kept.mask)
-
-
-# -- resume ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["episodes", "pieces", "uniform"])
-def test_a_restored_buffer_goes_on_identically(kind: str, tmp_path: Path) -> None:
-    stream = Stream(3, 2, 3, 9, seed=11, warmup_steps=1)
-    options: dict[str, Any] = {
-        "episodes": {},
-        "pieces": {
-            "sequence_length": 5,
-            "burn_in": 2,
-            "state_mode": "stored",
-            "state_size": STATE,
-        },
-        "uniform": {"prioritized": False},
-    }[kind]
-    steps = list(stream.steps(120))
-    one, other = make(stream, 60, seed=1, **options), make(stream, 60, seed=2, **options)
-
-    def go(buffer: SequenceReplayBuffer, part: list[dict[str, Any]]) -> list[SequenceBatch]:
-        batches = []
-        for step in part:
-            buffer.add(**step)
-            if buffer.num_sequences:
-                batches.append(buffer.sample(4, 0.3).clone())
-                errors = np.cos(batches[-1].indices) + 1.5
-                buffer.update_priorities(batches[-1].indices, errors)
-        return batches
-
-    go(one, steps[:71])
-    go(other, steps[50:60])  # what it held is replaced
-    np.savez(tmp_path / "replay.npz", **buffer_state(one))
-    with np.load(tmp_path / "replay.npz", allow_pickle=False) as stored:
-        restore_buffer(other, stored)
-    for left, right in zip(go(one, steps[71:]), go(other, steps[71:]), strict=True):
-        np.testing.assert_array_equal(left.indices, right.indices)
-        for name in ("observations", "previous_actions", "rewards", "mask", "weights", "labels"):
-            assert torch.equal(getattr(left, name), getattr(right, name))
-        if kind == "pieces":
-            assert left.initial_state is not None and right.initial_state is not None
-            assert torch.equal(left.initial_state, right.initial_state)
-    for name, value in buffer_state(one).items():
-        np.testing.assert_array_equal(value, buffer_state(other)[name])
-
-
-def test_only_the_used_part_is_saved() -> None:
-    stream = Stream(1, 1, 2, 4, seed=3)
-    buffer = fill(make(stream, 100_000), stream, 40)
-    saved = sum(np.asarray(value).nbytes for value in buffer_state(buffer).values())
-    assert saved < 10_000 < buffer.nbytes
-
-
-def test_dropping_running_episodes_keeps_the_finished() -> None:
-    stream = Stream(2, 1, 2, 6, seed=5, end_rate=0.0)
-    buffer = make(stream, 100)
-    for number, step in enumerate(stream.steps(10)):
-        if number == 3:
-            buffer.drop_running()
-        buffer.add(**step)
-    assert (
-        buffer.num_episodes == 2
-    )  # the episodes of six steps that began at step 3 or before ended
-
-
-def test_no_more_episodes_are_kept_than_asked_for() -> None:
-    """The oldest goes, as if the rows were full, and what is left is what is drawn."""
-    stream = Stream(2, 1, 2, 6, seed=5)
-    capped = fill(make(stream, 200, max_episodes=3, seed=1), stream)
-    whole = fill(make(stream, 200, seed=1), stream)
-    assert whole.num_episodes > capped.num_episodes == 3
-    frames = whole.sequences.frames[: whole.num_sequences]
-    assert capped.num_steps == int(frames[-3:].sum()) - 3
-    assert capped.sample(50).lengths.max() <= frames[-3:].max() - 1
-
-
-# -- memory and refusals --------------------------------------------------------------------------
-
-
-def test_memory_is_allocated_once_and_stated() -> None:
-    stream = Stream(4, 2, 3, 9, seed=11)
-    buffer = make(stream, 600, num_copies=4)
-    fill(buffer, stream, 30).sample(8)
-    stated = buffer.nbytes
-    buffer.drop_running()
-    fill(buffer, stream, 300)
-    for _ in range(5):
-        buffer.sample(8)
-    assert buffer.nbytes <= stated + 8 * 2 * 11 * 8 * 8  # at most the padding of longer batches
-    rows = buffer.ring.observations.nbytes
-    assert rows == 600 * 2 * 3 * 4
-    assert stated > rows
-
-
-def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory_limit, "available_memory", lambda: 10 * 2**20)
-    with pytest.raises(InputError, match=r"buffer_size 1000000 needs .* GiB .* available"):
-        SequenceReplayBuffer(1_000_000, 18, 3, 13, 148)
-    with pytest.raises(InputError, match="5000 copies"):
-        SequenceReplayBuffer(1000, 18, 3, 13, 148, num_copies=5000)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"buffer_size": 9}, "buffer_size 9 cannot hold an episode of 9 steps"),
-        ({"sequence_length": 4, "burn_in": 4}, "burn_in 4 does not fit"),
-        ({"burn_in": 2}, "set sequence_length"),
-        ({"state_mode": "zero", "sequence_length": 4, "burn_in": 1}, "set it to 0"),
-        ({"state_mode": "stored", "sequence_length": 4}, "needs state_size"),
-        ({"state_mode": "kept", "sequence_length": 4}, "choose one of recompute, stored, zero"),
-        ({"names": ("a", "a")}, "do not name 2 individuals"),
-    ],
-)
-def test_bad_settings_are_refused(options: dict[str, Any], message: str) -> None:
-    settings_ = {"buffer_size": 100} | options
-    with pytest.raises(InputError, match=message):
-        SequenceReplayBuffer(
-            observation_dim=3,
-            num_individuals=2,
-            num_actions=5,
-            max_episode_steps=9,
-            **settings_,
-        )
-
-
-def test_bad_steps_are_refused() -> None:
-    stream = Stream(2, 2, 3, 4, seed=1, end_rate=0.0)
-    step = next(stream.steps(1))
-    buffer = make(stream, 50, num_copies=2)
-    with pytest.raises(InputError, match="observations of a step have shape"):
-        buffer.add(**step | {"observations": np.zeros((2, 2, 4))})
-    with pytest.raises(InputError, match=r"must lie in 0 \.\. 4"):
-        buffer.add(**step | {"actions": np.full((2, 2), 5)})
-    with pytest.raises(InputError, match="no finished episode"):
-        buffer.sample(2)
-    with pytest.raises(InputError, match="past 4 steps"):
-        for _ in range(5):
-            buffer.add(**step | {"truncated": np.zeros(2, dtype=bool)})
-    with pytest.raises(InputError, match="finite"):
-        buffer.update_priorities(np.zeros((2, 1), dtype=np.int64), np.full((2, 1), np.nan))
-
-
-def test_a_foreign_or_damaged_state_is_refused() -> None:
-    stream = Stream(1, 1, 2, 4, seed=3)
-    buffer = fill(make(stream, 50), stream, 30)
-    with pytest.raises(InputError, match="buffer_size 60, this run has 50"):
-        restore_buffer(buffer, buffer_state(make(stream, 60)))
-    state = buffer_state(buffer)
-    state["ring_rewards"] = state["ring_rewards"][:-1]
-    with pytest.raises(InputError, match="damaged"):
-        restore_buffer(buffer, state)
