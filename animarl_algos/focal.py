@@ -5,12 +5,11 @@ Used when a run trained a single individual (``focal``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from animarl_envs.scenario import Scenario
 
 
 def focal_drivers(names: tuple[str, ...], focal: str | None) -> dict[str, str]:
@@ -25,17 +24,17 @@ class FocalPolicy:
     ----------
     policy
         With stable-baselines3's ``predict``; its slots are the copies.
-    scenario
-        Of the world it acts in.
+    names
+        Of all individuals of the world it acts in.
     focal
         Whom it drives.
     """
 
-    def __init__(self, policy: Any, scenario: Scenario, focal: str) -> None:
+    def __init__(self, policy: Any, names: Sequence[str], focal: str) -> None:
         self.policy = policy
         self.observation_space = policy.observation_space
-        self.individuals = len(scenario.names)
-        self.index = scenario.names.index(focal)
+        self.individuals = len(names)
+        self.index = tuple(names).index(focal)
 
     def predict(
         self,

@@ -29,7 +29,8 @@ from animarl_algos.run_folder import RunFolder
 from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_algos.settings import constructed
 from animarl_algos.vec_env import SlotVecEnv
-from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
@@ -182,9 +183,11 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
     flagged = run.environment(species, demos).condition_flag
     policies = test_policies(run, progress_bar=progress_bar)
     focus = policies[method_name(settings.algo)]
-    if settings.focal is None and isinstance(focus, SequenceQLearning):
+    if isinstance(focus, SequenceQLearning):
         test = demos.select(split="test")
-        along = decide_along(focus.policy, species, test, condition_flag=flagged)
+        along = decide_along(
+            focus.policy, species, test, condition_flag=flagged, focal=settings.focal
+        )
         along.save(run.path / DECISIONS)
     rollouts = {}
     for name, policy in policies.items():
@@ -209,7 +212,7 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
 
 def _for_all(policy: Policy, scenario: Scenario, focal: str | None) -> Policy:
     learned_one = focal is not None and isinstance(policy, SequenceQLearning)
-    return FocalPolicy(policy, scenario, focal) if learned_one and focal else policy
+    return FocalPolicy(policy, scenario.names, focal) if learned_one and focal else policy
 
 
 def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:

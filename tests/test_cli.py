@@ -15,6 +15,7 @@ import pytest
 from commands import Done
 
 from animarl_algos.cli import main
+from animarl_algos.commands.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -152,6 +153,16 @@ def test_one_individual_learns_and_is_evaluated(
         assert apart[:2].max() < 1e-9  # predators, as recorded
         moved.append(apart[2])
     assert max(moved) > 1e-3
+    assert "Action values of prey" in (run.path / "report.html").read_text()
+    clip = animarl("watch", "AnimaRL/Agent-v0", "--model", str(run.path), "--out", "prey.gif",
+                   "--steps", "3")  # fmt: skip
+    assert clip.returncode == 0 and (tmp_path / "prey.gif").exists(), clip.stderr
+    world, actor = prepare("AnimaRL/Agent-v0", model=run.path)
+    assert world.scenario.drivers == ("replay", "replay", "action")
+    world.reset()
+    assert actor(world, True)[0, :2].tolist() == [0, 0]
+    other = animarl("watch", "AnimaRL/Agent-v0", "--model", str(run.path), "--focal", "predator_0")
+    assert other.returncode == 2 and "prey alone learned" in other.stderr
 
 
 def test_ones_own_animals_need_no_species(

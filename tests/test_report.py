@@ -504,6 +504,13 @@ def test_decisions_follow_the_recorded_path_and_pass_through_a_file(tmp_path: Pa
     # The map is taken with the memory of that moment, for each place of the arena.
     assert made.map_q[..., 0] == pytest.approx(10.0 * made.moment + 1.0 + flag)
     assert np.allclose(np.linalg.norm(made.focus, axis=-1), 1.0)
+    # One that knows a single individual tells that one's values, from its own slots.
+    prey = decide_along(Counter(), SPECIES["agent"], demos, condition_flag=True, focal="prey")
+    assert (prey.individual, len(prey.q), seen[-1].shape) == ("prey", steps, (len(prey.x) ** 2,))
+    assert not np.array_equal(prey.actions, made.actions)
+    assert prey.map_q.max(axis=-1) == pytest.approx(10.0 * prey.moment + 1.0 + flag)
+    assert np.array_equal(prey.others[0], demos.episode(median).positions[prey.moment, 0])
+    assert "target dark" not in render_report(dataclasses.replace(make_inputs(), decisions=prey))
     made.save(tmp_path / "decisions.npz")
     read = Decisions.load(tmp_path / "decisions.npz")
     assert all(np.array_equal(getattr(read, k), v) for k, v in dataclasses.asdict(made).items())

@@ -58,7 +58,8 @@ def watch_command(
         int | None, typer.Option(min=1, help="Most steps of an episode; by default to its end.")
     ] = None,
     focal: Annotated[
-        str | None, typer.Option(help="The model drives this individual only.")
+        str | None,
+        typer.Option(help="The model drives this individual only: by default all that it learned."),
     ] = None,
     by: Annotated[
         Rule | None,
@@ -169,7 +170,12 @@ def prepare(
     policy = None
     if model is not None:
         name = species if isinstance(species, str) else species.name
-        policy, species, recorded = load_trained(model, name, seed)
+        policy, species, recorded, learned = load_trained(model, name, seed)
+        if learned is not None and focal not in (None, learned):
+            raise InputError(
+                f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
+            )
+        focal = focal or learned
         if options.get("demos", "packaged") == "packaged":
             options["demos"] = recorded
     plain = make_scenario(species, **options)
@@ -189,14 +195,19 @@ def prepare(
     return world, idle_actor
 
 
-def load_trained(folder: Path, species: str, seed: int) -> tuple[Any, Species, Demonstrations]:
+def load_trained(
+    folder: Path, species: str, seed: int
+) -> tuple[Any, Species, Demonstrations, str | None]:
     """The trained policy of a run, as it acts in tests, its fitted species, and its demonstrations.
+
+    Last comes whom it drives, if a single individual learned; its actions for the others are idle.
 
     Raises
     ------
     InputError
         If the folder holds no trained policy, or one of another species.
     """
+    from animarl_algos.focal import FocalPolicy
     from animarl_algos.run_folder import RunFolder
 
     run = RunFolder(folder)
@@ -213,7 +224,10 @@ def load_trained(folder: Path, species: str, seed: int) -> tuple[Any, Species, D
     run.load_policy(settings.algo, learner)
     learner.policy.epsilon = settings.test_epsilon
     learner.policy.seed(seed)
-    return learner, fitted, recorded
+    if settings.focal is None:
+        return learner, fitted, recorded, None
+    policy = FocalPolicy(learner, fitted.individuals, settings.focal)
+    return policy, fitted, recorded, settings.focal
 
 
 def idle_actor(world: World, start: bool) -> NDArray[np.integer]:

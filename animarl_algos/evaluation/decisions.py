@@ -39,7 +39,7 @@ class Decisions:
     Parameters
     ----------
     individual
-        Whose values they are: the first that moves towards the target or source.
+        Whose values they are.
     demo
         The demonstration, counted in the evaluated set.
     q, actions
@@ -53,7 +53,7 @@ class Decisions:
         ``(rows, columns, 13)`` and ``(rows, columns, 2)``: its values there and the direction
         towards its focus. All four are empty in an open field, where no map is drawn.
     others
-        ``(K - 1, 2)``, where the others stand at that moment, the target last.
+        ``(K - 1, 2)``, where the others stand at that moment, the target last if it is one of them.
     """
 
     individual: str
@@ -92,43 +92,58 @@ class Decisions:
 
 
 def decide_along(
-    policy: QPolicy, species: Species, demos: Demonstrations, *, condition_flag: bool = False
+    policy: QPolicy,
+    species: Species,
+    demos: Demonstrations,
+    *,
+    condition_flag: bool = False,
+    focal: str | None = None,
 ) -> Decisions:
     """What ``policy`` values in the demonstration of median length, where all move as recorded.
 
     Parameters
     ----------
     policy
-        Of all individuals, in the order of ``demos``.
+        Of all individuals, in the order of ``demos``, or of ``focal`` alone.
     species
         As the policy was trained in; its locomotion tells the recorded actions.
     demos
         The evaluated set.
     condition_flag
         Whether the condition is the last component of an observation.
+    focal
+        The individual that learned, whose values are told. If all did: those of the first that
+        moves towards the target or source.
     """
     order = np.argsort(demos.lengths, kind="stable")
     demo = int(order[len(order) // 2])
     one = demos.select(episodes=[demo])
-    movers = [i for i, role in enumerate(one.roles) if role != "target"]
-    who, steps = movers[0], int(one.lengths[0]) - 1
+    steps = int(one.lengths[0]) - 1
+    if focal is None:
+        slots = np.arange(len(one.roles))
+        who = next(i for i, role in enumerate(one.roles) if role != "target")
+    else:
+        who = one.individuals.index(focal)
+        slots = np.array([who])
     observations = _flagged(demonstration_observations(species, one), one, condition_flag)
     actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
+    own = int(np.flatnonzero(slots == who)[0])
     values = np.empty((steps, NUM_ACTIONS))
     state: Any = None
     moment, memory = steps // 2, None
     for t in range(steps):
         if t == moment:
             memory = state
-        q_values, hidden, _ = policy.advance(observations[t], state, np.zeros(len(one.roles), bool))
-        values[t] = q_values[who]
-        state = (hidden, np.maximum(actions[t], 0))
+        going = np.zeros(len(slots), dtype=bool)
+        q_values, hidden, _ = policy.advance(observations[t, slots], state, going)
+        values[t] = q_values[own]
+        state = (hidden, np.maximum(actions[t, slots], 0))
     empty = np.empty(0)
     decisions: dict[str, Any] = {
         "x": empty, "y": empty, "map_q": empty, "focus": empty, "others": np.empty((0, 2))
     }  # fmt: skip
     if isinstance(species, ChaseSpecies):
-        decisions = _map(policy, species, one, who, moment, memory, condition_flag)
+        decisions = _map(policy, species, one, who, slots, moment, memory, condition_flag)
     return Decisions(
         individual=one.individuals[who],
         demo=demo,
@@ -144,23 +159,27 @@ def _map(
     species: ChaseSpecies,
     one: Demonstrations,
     who: int,
+    slots: NDArray[np.int64],
     moment: int,
     memory: Any,
     condition_flag: bool,
 ) -> dict[str, Any]:
-    """Values of one individual put at every place of the arena, the others where they were."""
+    """Values of one individual put at every place of the arena, the others where they were.
+
+    ``slots`` are the individuals that the policy acts for, ``who`` one of them.
+    """
     side = np.linspace(-species.arena.size, species.arena.size, MAP_POINTS)
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     position = np.repeat(one.positions[moment][None], len(places), axis=0)
     velocity = np.repeat(one.velocities()[moment][None], len(places), axis=0)
     position[:, who], velocity[:, who] = places, 0.0
     observations, focus = observe(species, position, velocity)
-    slots = len(places) * len(one.roles)
-    flat = _flagged(observations, one, condition_flag).reshape(slots, -1)
+    rows = len(places) * len(slots)
+    flat = _flagged(observations[:, slots], one, condition_flag).reshape(rows, -1)
     state = None if memory is None else tuple(np.tile(m.T, len(places)).T for m in memory)
-    q_values = policy.advance(flat, state, np.zeros(slots, dtype=bool))[0]
+    q_values = policy.advance(flat, state, np.zeros(rows, dtype=bool))[0]
     shape = (len(side), len(side))
-    map_q = q_values.reshape(len(places), len(one.roles), -1)[:, who].astype(np.float64)
+    map_q = q_values.reshape(len(places), len(slots), -1)[:, slots == who][:, 0].astype(np.float64)
     if species.arena.shape == "disc":
         map_q[np.hypot(places[:, 0], places[:, 1]) > species.arena.size] = np.nan
     return {

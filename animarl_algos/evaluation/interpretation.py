@@ -84,6 +84,7 @@ def value_map(
     arena: Arena,
     *,
     others: Floats | None = None,
+    target_last: bool = True,
     title: str = "",
 ) -> Figure:
     """Best action value at every place of the arena, with the accelerations it calls for.
@@ -98,7 +99,9 @@ def value_map(
         ``(rows, columns, 2)``, unit vectors towards the focus, arena frame: they turn
         an action into a direction in the arena.
     others
-        ``(individuals, 2)``, where the others stand; the target last.
+        ``(individuals, 2)``, where the others stand.
+    target_last
+        Whether the last of them is the target, which is drawn dark.
     """
     _check(q, "(rows, columns, 13)", 3)
     if q.shape[:2] != (len(y), len(x)) or focus.shape != (*q.shape[:2], 2):
@@ -130,8 +133,10 @@ def value_map(
         )  # fmt: skip
         if others is not None:
             marks: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 1.0}
-            panel.plot(*others[:-1].T, "o", color=style.SIMULATED_COLOUR, markersize=6, **marks)
-            panel.plot(*others[-1], "o", color=style.RECORDED_COLOUR, markersize=6, **marks)
+            marks["markersize"] = 6
+            pursuers = len(others) - target_last
+            panel.plot(*others[:pursuers].T, "o", color=style.SIMULATED_COLOUR, **marks)
+            panel.plot(*others[pursuers:].T, "o", color=style.RECORDED_COLOUR, **marks)
         panel.set_aspect("equal")
         panel.set(xlabel="x (arena units)", ylabel="y (arena units)", title=title)
         if arena.shape == "disc":

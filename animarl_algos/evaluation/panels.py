@@ -135,6 +135,11 @@ def counterfactual_panels(inputs: ReportInputs, conditions: Sequence[str]) -> li
     return images
 
 
+def is_target(inputs: ReportInputs, individual: str) -> bool:
+    """Whether it is the one that the others pursue."""
+    return inputs.demos.roles[inputs.demos.individuals.index(individual)] == "target"
+
+
 def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
     """Values along the recorded path and, where there is an arena, over it."""
     who, dt = decisions.individual, inputs.demos.dt
@@ -148,6 +153,7 @@ def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
             decisions.focus,
             inputs.demos.arena,
             others=decisions.others,
+            target_last=not is_target(inputs, who),
             title=f"{who} at {number(decisions.moment * dt)} s",
         )
         images.append(to_image(figure, f"Best action value of {who} over the arena"))

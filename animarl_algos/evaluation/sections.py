@@ -138,10 +138,15 @@ def _decisions(inputs: ReportInputs) -> Iterator[Block]:
     decisions = inputs.decisions
     if decisions is None:
         return
+    others = (
+        "the others"
+        if panels.is_target(inputs, decisions.individual)
+        else ("the others (the target dark)")
+    )
     over = (
         " Over the arena: the value of the best action and the acceleration it calls for, were the "
-        "animal put there at rest halfway through that episode, its memory and the others (the "
-        "target dark) as they then were."
+        f"animal put there at rest halfway through that episode, its memory and {others} as they "
+        "then were."
         if decisions.map_q.size
         else ""
     )

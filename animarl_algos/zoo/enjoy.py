@@ -74,7 +74,9 @@ def run(model: SequenceQLearning, env: VecEnv, steps: int, seed: int) -> None:
 def show(model: SequenceQLearning, env: SlotVecEnv, asked: argparse.Namespace) -> None:
     """Draw episodes of the validation split, in a window or into a clip."""
     one = len(env.individuals) < len(env.scenario.names)
-    actor = trained_actor(FocalPolicy(model, env.scenario, env.individuals[0]) if one else model)
+    actor = trained_actor(
+        FocalPolicy(model, env.scenario.names, env.individuals[0]) if one else model
+    )
     env.world.seed(np.array([asked.seed], dtype=np.uint64))
     fps = 1.0 / env.scenario.species.dt
     renderer = Renderer("human" if asked.out is None else "rgb_array", fps=fps)
