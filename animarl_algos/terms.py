@@ -7,6 +7,7 @@ the sum of its terms, each with its weight of the phase (offline or online).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -114,7 +115,7 @@ class Evaluation:
     online: ActionValues
     target: ActionValues | None
     treatment_logits: torch.Tensor | None
-    parameters: list[torch.Tensor]
+    parameters: Sequence[torch.Tensor]
     errors: torch.Tensor | None = field(default=None)
 
     @property

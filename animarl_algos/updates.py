@@ -70,7 +70,7 @@ def evaluate(
         online=output,
         target=target_output,
         treatment_logits=None if logits is None else logits[:, :-1],
-        parameters=list(online.parameters()),
+        parameters=online.all_parameters,
     )
 
 

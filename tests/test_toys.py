@@ -155,11 +155,13 @@ def test_flipping_a_confounded_condition_needs_the_reversal() -> None:
     """Action 1 is right under condition 1, and a louder nuisance always agrees with the condition.
 
     Both learners act rightly in training. Only the one whose memory must not tell the condition has
-    to take it from the flag, and so follows when the flag alone is flipped. (How well the treatment
-    head does meanwhile is no stable figure: head and encoder keep chasing each other.)
+    to take it from the flag, and so follows when the flag alone is flipped. The learning rate falls
+    to zero, for head and encoder chase each other as long as they may. (How well the head does
+    meanwhile is no stable figure.)
     """
     followed = {}
     settings = LEARN | {"gamma": 0.0, "exploration_final_eps": 0.5, "updates_per_episode": 0.8}
+    settings["learning_rate"] = lambda remaining: 3e-3 * remaining
     for recipe in (DQDIL, DQCIL):
         model = recipe("MlpPolicy", toys.Confounded(16), lambda2=0.3, **settings).learn(2_500)
         env = toys.Confounded(64, seed=9)

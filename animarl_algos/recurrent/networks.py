@@ -16,11 +16,14 @@ together is training each alone. Axes: (individual, time, batch, feature).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import torch
 from torch import nn
 
 from animarl_algos.gradient_reversal import reverse_gradient
+from animarl_algos.recurrent import feed_forward
+from animarl_algos.recurrent.feed_forward import WeightViews
 from animarl_algos.recurrent.gru import Packing
 from animarl_algos.recurrent.layers import (
     DuelingHead,
@@ -28,7 +31,7 @@ from animarl_algos.recurrent.layers import (
     StackedLinear,
     individual_generators,
 )
-from animarl_algos.recurrent.output import QOutput
+from animarl_algos.recurrent.output import Head, HeadUnits, HeadValues, QOutput
 from animarl_envs.errors import InputError
 
 TREATMENT_UNITS = 8
@@ -151,27 +154,58 @@ class StackedQNetwork(nn.Module):
             packing = Packing.full(time, batch, observations.device)
         if state is None:
             state = self.initial_state(batch)
-        packed = packing.pack(observations)
-        features = self._encode(packed, packing.pack(previous_actions))
-        if self.gru is not None:
-            features = self.gru(features, state, packing)
+        observed, previous = packing.pack(observations), packing.pack(previous_actions)
+        head: Head
+        if self.gru is None and feed_forward.usable(observed):
+            features, values = feed_forward.features_and_values(
+                observed,
+                previous,
+                self.weights,
+                self.num_actions,
+                flagged=self.condition_flag,
+                sees_previous=self.previous_action,
+            )
+            head = HeadValues(values)
+        else:
+            features = self._encode(observed, previous)
+            if self.gru is not None:
+                features = self.gru(features, state, packing)
+            head = self._head(self._with_flag(features, observed))
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(
                 self.treatment(reverse_gradient(features, self.reversal))[..., 0]
             )
-        weight, bias = self.dueling.combined()
         return QOutput(
             treatment_logits=logits,
             features=features,
             initial_state=state,
             packing=packing,
             recurrent=self.recurrent,
-            head_units=self.dueling.units(self._with_flag(features, packed)),
-            head_weight=weight,
-            head_bias=bias,
-            num_actions=self.num_actions,
+            head=head,
         )
+
+    def _head(self, inputs: torch.Tensor) -> Head:
+        weight, bias = self.dueling.combined()
+        units = self.dueling.units(inputs)
+        if self.num_quantiles > 1:
+            return HeadUnits(units, weight, bias, self.num_actions)
+        return HeadValues(torch.baddbmm(bias, units, weight).unsqueeze(-1))
+
+    @cached_property
+    def weights(self) -> WeightViews:
+        """Weights and biases of all layers in the order of the equations, but the GRU's."""
+        dueling = self.dueling
+        layers = (
+            *(self.encoder_1, self.encoder_2),
+            *(dueling.hidden, dueling.value, dueling.advantage),
+        )
+        return WeightViews([p for layer in layers for p in (layer.weight, layer.bias)])
+
+    @cached_property
+    def all_parameters(self) -> list[nn.Parameter]:
+        """Every parameter, found once: ``parameters()`` walks all modules anew."""
+        return list(self.parameters())
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
         if not self.condition_flag:

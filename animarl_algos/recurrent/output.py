@@ -4,12 +4,84 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import torch
 
 from animarl_algos.recurrent import chosen_head
 from animarl_algos.recurrent.gru import Packing
 from animarl_algos.values import take_action
+
+
+class Head(Protocol):
+    """What the dueling head says about packed rows."""
+
+    def values(self) -> torch.Tensor:
+        """Quantiles of all action values, (K, row, actions, quantiles)."""
+        ...
+
+    def means(self) -> torch.Tensor:
+        """Expected values of all actions, (K, row, actions)."""
+        ...
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Quantiles of one action's value in each row: (K, row) to (K, row, quantiles)."""
+        ...
+
+
+@dataclass(frozen=True)
+class HeadUnits:
+    """A quantile network's head, known by its hidden units: of its many outputs few are asked for.
+
+    Attributes
+    ----------
+    units : Tensor (K, row, 2H)
+    weight, bias : Tensor (K, 2H, actions * quantiles), (K, 1, actions * quantiles)
+        From them to the values.
+    num_actions
+    """
+
+    units: torch.Tensor
+    weight: torch.Tensor
+    bias: torch.Tensor
+    num_actions: int
+
+    @property
+    def num_quantiles(self) -> int:
+        return self.weight.shape[-1] // self.num_actions
+
+    def values(self) -> torch.Tensor:
+        return self._per_action(torch.baddbmm(self.bias, self.units, self.weight))
+
+    def means(self) -> torch.Tensor:
+        weight, bias = (self._per_action(t).mean(-1) for t in (self.weight, self.bias))
+        return torch.baddbmm(bias, self.units, weight)
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        if not chosen_head.usable(self.units):
+            return take_action(self.values(), actions)
+        return chosen_head.chosen_values(
+            self.units, self.weight, self.bias, actions, self.num_quantiles
+        )
+
+    def _per_action(self, flat: torch.Tensor) -> torch.Tensor:
+        return flat.view(*flat.shape[:-1], self.num_actions, self.num_quantiles)
+
+
+@dataclass(frozen=True)
+class HeadValues:
+    """A head known by its values, (K, row, actions, quantiles)."""
+
+    known: torch.Tensor
+
+    def values(self) -> torch.Tensor:
+        return self.known
+
+    def means(self) -> torch.Tensor:
+        return self.known.squeeze(-1) if self.known.shape[-1] == 1 else self.known.mean(-1)
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        return take_action(self.known, actions)
 
 
 @dataclass(frozen=True)
@@ -28,11 +100,8 @@ class QOutput:
         Of the features.
     recurrent
         Whether the features are states.
-    head_units : Tensor (K, row, 2H)
-        The dueling head's hidden units, packed.
-    head_weight, head_bias : Tensor (K, 2H, actions * quantiles), (K, 1, actions * quantiles)
-        From them to the values.
-    num_actions
+    head
+        Of the values of the packed rows.
     """
 
     treatment_logits: torch.Tensor | None
@@ -40,14 +109,7 @@ class QOutput:
     initial_state: torch.Tensor
     packing: Packing
     recurrent: bool
-    head_units: torch.Tensor
-    head_weight: torch.Tensor
-    head_bias: torch.Tensor
-    num_actions: int
-
-    @property
-    def num_quantiles(self) -> int:
-        return self.head_weight.shape[-1] // self.num_actions
+    head: Head
 
     @cached_property
     def values(self) -> torch.Tensor:
@@ -55,34 +117,16 @@ class QOutput:
 
         One "quantile" where the expected value is learned.
         """
-        flat = torch.baddbmm(self.head_bias, self.head_units, self.head_weight)
-        padded = self.packing.unpack(flat)
-        return padded.view(*padded.shape[:-1], self.num_actions, self.num_quantiles)
+        return self.packing.unpack(self.head.values())
 
     @cached_property
     def q_values(self) -> torch.Tensor:
         """Expected values of all actions, (K, T, B, actions)."""
-        if self.num_quantiles == 1:
-            return self.values.squeeze(-1)
-        weight, bias = (
-            tensor.view(*tensor.shape[:-1], self.num_actions, self.num_quantiles).mean(-1)
-            for tensor in (self.head_weight, self.head_bias)
-        )
-        return self.packing.unpack(torch.baddbmm(bias, self.head_units, weight))
+        return self.packing.unpack(self.head.means())
 
     def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Quantiles of one action's value at each step: (K, T, B) to (K, T, B, quantiles)."""
-        if self.num_quantiles == 1 or not chosen_head.usable(self.head_units):
-            return take_action(self.values, actions)
-        return self.packing.unpack(
-            chosen_head.chosen_values(
-                self.head_units,
-                self.head_weight,
-                self.head_bias,
-                self.packing.pack(actions),
-                self.num_quantiles,
-            )
-        )
+        return self.packing.unpack(self.head.of_actions(self.packing.pack(actions)))
 
     @property
     def hidden(self) -> torch.Tensor:
