@@ -219,16 +219,26 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 f"{self.individuals}: give the observations of all of them, copy by copy"
             )
         flat = np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32)
-        hidden, previous = self.initial_state(slots)
-        if state is not None:
-            keep = np.ones(slots, dtype=bool)
-            if episode_start is not None:
-                keep &= ~np.asarray(episode_start, dtype=bool)
-            hidden[keep] = np.reshape(state[0], hidden.shape)[keep]
-            previous[keep] = np.reshape(state[1], previous.shape)[keep]
+        hidden, previous = self._remembered(state, episode_start, slots)
         if self.q_net.encoder_1.weight.is_cpu:  # self.device would walk all parameters
             return self._actor.decide(flat, previous, hidden), hidden, single
         return *self._advance_on_device(flat, previous, hidden), single
+
+    def _remembered(
+        self,
+        state: tuple[NDArray[Any], ...] | None,
+        episode_start: NDArray[Any] | None,
+        slots: int,
+    ) -> State:
+        """A copy of the memory, without that of slots whose episode begins."""
+        if state is None:
+            return self.initial_state(slots)
+        hidden = np.array(state[0], dtype=np.float32, order="C").reshape(slots, self.q_net.units)
+        previous = np.array(state[1], dtype=np.int64, order="C").reshape(slots)
+        if episode_start is not None:
+            begins = np.asarray(episode_start, dtype=bool)
+            hidden[begins], previous[begins] = 0.0, self.num_actions
+        return hidden, previous
 
     def _advance_on_device(
         self,
