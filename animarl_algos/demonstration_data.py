@@ -9,13 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.offline_data import OfflineDataset, dynamics_scored_penalties
-from animarl_envs.demos.demonstrations import (
-    PURSUER_OUT,
-    TARGET_OUT,
-    TIME_OUT,
-    UNFINISHED,
-    Demonstrations,
-)
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import demonstration_focus
 from animarl_envs.locomotion import NUM_ACTIONS

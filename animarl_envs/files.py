@@ -1,11 +1,16 @@
-"""Files that are either whole or not there."""
+"""Files: written whole or not at all, arrays read without pickle."""
 
 from __future__ import annotations
 
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 
@@ -37,3 +42,33 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
     except BaseException:
         part.unlink(missing_ok=True)
         raise
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of an ``.npz`` without pickle, or one sentence that says why not."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise InputError(
+                    f"{path}: it is a single array, not an npz archive: save it with np.savez"
+                )
+            return {key: archive[key] for key in archive.files}
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file: check the path") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: it is a folder: name a file in it") from None
+    except (zipfile.BadZipFile, EOFError, OSError, zipfile.LargeZipFile) as error:
+        raise InputError(
+            f"{path}: the archive is damaged or cut short ({error}): copy it again"
+        ) from None
+    except ValueError as error:
+        if "pickle" in str(error).lower():
+            raise InputError(
+                f"{path}: it is not a plain npz archive or holds a pickle, which is never opened "
+                "here: save plain arrays with np.savez"
+            ) from None
+        raise InputError(
+            f"{path}: it cannot be read ({error}): save it again with np.savez"
+        ) from None

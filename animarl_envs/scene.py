@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import TARGET_OUT
+from animarl_envs.demos.episode import TARGET_OUT
 from animarl_envs.errors import InputError
-from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.species import SearchSpecies
 
 AT_REST = 1e-9  # a slower individual keeps its heading [arena unit / s]
 GLOW_TIME = 1.0  # an odour fades from the picture over this time [s]
@@ -185,7 +185,7 @@ class SceneRecorder:
             arena=species.arena,
             contact_radius=species.contact_radius,
             names=species.individuals,
-            roles=roles_of(species),
+            roles=species.roles,
             positions=position,
             trails=np.stack(self._trail),
             touched=_touched(position, species.contact_radius),
@@ -244,13 +244,6 @@ class Afterglow:
         scale = world.scenario.species.metres_per_unit
         left, right, low, high = (edge / scale for edge in self._extent)
         return PlumeField(values=self._values, extent=(left, right, low, high))
-
-
-def roles_of(species: Species) -> tuple[str, ...]:
-    """The role of each individual: pursuers and a target, or searchers."""
-    if isinstance(species, SearchSpecies):
-        return ("searcher",) * species.num_individuals
-    return ("pursuer",) * (species.num_individuals - 1) + ("target",)
 
 
 def _touched(position: NDArray[np.float64], contact_radius: float) -> NDArray[np.bool_]:

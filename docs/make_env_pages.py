@@ -23,7 +23,7 @@ from option_notes import CHASE_ONLY, NOTES, SEARCH_ONLY
 
 import animarl_envs
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import SPLITS
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, COAST

@@ -17,8 +17,8 @@ import numpy as np
 
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.cutting import Cutting
-from animarl_envs.demos.following import demonstrations_from_tracks, follow
-from animarl_envs.demos.readers import default_recipe, get_reader, read, read_tracks
+from animarl_envs.demos.following import demonstrations_from_tracks
+from animarl_envs.demos.readers import default_recipe, follow, get_reader, read, read_tracks
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.demos.tracks import merge
 from animarl_envs.fitting import LocomotionFit, fit_locomotion

@@ -37,23 +37,14 @@ def scripted_chase(
         path.append(world.position.copy())
     positions = np.stack(path)
     several = {
-        "species": species.name,
         "condition": np.zeros(episodes),
         "outcome": np.full(episodes, UNFINISHED),
         "split": np.resize(SPLITS, episodes),
         "recording": np.array([f"field {e}" for e in range(episodes)]),
+        "provenance": SYNTHETIC,
     }
-    return Demonstrations(
-        individuals=species.individuals,
-        roles=(*("pursuer",) * species.num_pursuers, "target"),
-        dt=species.dt,
-        arena=species.arena,
-        positions=np.concatenate([positions[:n, e] for e, n in enumerate(lengths)]),
-        lengths=lengths,
-        initial_velocity=np.zeros((episodes, species.num_individuals, 2)),
-        provenance=SYNTHETIC,
-        **several | what,
-    )
+    paths = [positions[:n, e] for e, n in enumerate(lengths)]
+    return Demonstrations.of_species(species, paths, {}, **several | what)
 
 
 @cache

@@ -16,8 +16,7 @@ from animarl_algos.commands import data
 from animarl_algos.commands.fit import fit_command
 from animarl_algos.commands.importing import import_command
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.following import follow
-from animarl_envs.demos.readers import default_recipe, get_reader, read
+from animarl_envs.demos.readers import default_recipe, follow, get_reader, read
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.following import follow
-from animarl_envs.demos.readers import default_recipe, get_reader
+from animarl_envs.demos.readers import default_recipe, follow, get_reader
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.fitting import fit_locomotion
 

@@ -29,7 +29,7 @@ from tracker_files import (
     write_trex,
 )
 
-from animarl_envs.demos.readers import available_readers, find_reader, read, read_tracks
+from animarl_envs.demos.readers import available_readers, find_reader, follow, read, read_tracks
 from animarl_envs.errors import InputError
 
 HOLDING = {holds: [k for k in KINDS if KINDS[k].holds == holds] for holds in ("bodies", "poses")}
@@ -94,7 +94,6 @@ def test_movement_loads_what_this_project_has_no_reader_for(tmp_path: Path) -> N
 
 
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
-    from animarl_envs.demos.following import follow
     from animarl_envs.demos.recipe import Recipe
 
     write_trex(tmp_path)

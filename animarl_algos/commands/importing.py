@@ -13,8 +13,7 @@ from rich.progress import Progress
 
 from animarl_algos.commands.data import report, show_rows, wide_console
 from animarl_algos.commands.describing import hints, understood
-from animarl_envs.demos.following import follow
-from animarl_envs.demos.readers import default_recipe, find_reader, read
+from animarl_envs.demos.readers import default_recipe, find_reader, follow, read
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.errors import InputError
 

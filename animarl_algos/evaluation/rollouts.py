@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.storage import read_npz
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_npz, write_then_rename
 
 FORMAT = "animarl-rollouts"
 FORMAT_VERSION = 1

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 import animarl_envs
 from animarl_algos.recurrent.policies import MlpPolicy
 from animarl_algos.trained_chase.training import load_weights, make_policy, weights_file
-from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
@@ -74,23 +75,16 @@ def generate(folder: Path, seed: int, episodes: int, epsilon: float = EPSILON) -
         policy = make_policy(weights, epsilon=epsilon, seed=seed)
         parts.append(chase(policy, c, episodes, seed))
     condition = np.repeat(np.arange(len(parts), dtype=np.int8), episodes)
-    paths = [path for part in parts for path in part.paths]
-    return Demonstrations(
-        species=AGENT.name,
-        individuals=AGENT.individuals,
-        roles=("pursuer",) * AGENT.num_pursuers + ("target",),
-        dt=AGENT.dt,
-        arena=AGENT.arena,
-        positions=np.concatenate(paths),
-        lengths=np.array([len(path) for path in paths]),
-        initial_velocity=np.zeros((len(paths), AGENT.num_individuals, 2)),
+    return Demonstrations.of_species(
+        AGENT,
+        paths=[path for part in parts for path in part.paths],
+        signals={"actions": [acted for part in parts for acted in part.actions]},
         condition=condition,
         outcome=np.concatenate([part.outcome for part in parts]),
         split=np.tile(_splits(episodes), len(parts)),
         recording=np.array(
             [f"{AGENT.conditions[c]} {e:04d}" for c in range(len(parts)) for e in range(episodes)]
         ),
-        signals={"actions": np.concatenate([a for part in parts for a in part.actions])},
         provenance={
             "source": "trajectories of trained artificial agents (two predators and a prey, "
             "independent DQN of this project), made by python -m animarl_algos.trained_chase",

@@ -27,13 +27,8 @@ from animarl_algos.trained_chase.training import (
     mixed_weights,
     weights_file,
 )
-from animarl_envs.demos.demonstrations import (
-    PURSUER_OUT,
-    TARGET_OUT,
-    TIME_OUT,
-    UNFINISHED,
-    Demonstrations,
-)
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
 from animarl_envs.species import AGENT

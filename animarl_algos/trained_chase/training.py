@@ -21,9 +21,8 @@ from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load
 from animarl_algos.dqn import DQN
 from animarl_algos.recurrent.policies import MlpPolicy
 from animarl_algos.vec_env import SlotVecEnv
-from animarl_envs.demos.storage import read_npz
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_npz, write_then_rename
 from animarl_envs.species import AGENT
 
 PACKAGED_WEIGHTS = Path(__file__).parent / "weights"

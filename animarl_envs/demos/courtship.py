@@ -96,20 +96,15 @@ def _demonstrations(species: ChaseSpecies, windows: Sequence[Window], seed: int)
         actions.append(acted)
         first.append(w.sessions.velocity[w.start, w.session])
     shares = tuple(n / published.episodes for n in published.splits)
-    return Demonstrations(
-        species=species.name,
-        individuals=species.individuals,
-        roles=("pursuer",) * species.num_pursuers + ("target",),
-        dt=species.dt,
-        arena=species.arena,
-        positions=np.concatenate(paths),
-        lengths=np.array([len(path) for path in paths]),
+    return Demonstrations.of_species(
+        species,
+        paths,
+        signals={"actions": actions},
         initial_velocity=np.array(first),
         condition=np.zeros(len(windows), dtype=np.int8),
         outcome=np.array([w.outcome for w in windows], dtype=np.int8),
         split=assign_splits([f"{e:04d}" for e in range(len(windows))], seed, shares),  # type: ignore[arg-type]
         recording=np.array([w.label for w in windows]),
-        signals={"actions": np.concatenate(actions)},
         provenance={
             "source": "synthetic courtship, not recorded from animals, made by python -m "
             f"animarl_envs.demos.courtship make {species.name} --seed {seed}",

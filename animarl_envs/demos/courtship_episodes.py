@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.courtship_behaviour import Behaviour, Sessions, simulate
 from animarl_envs.demos.courtship_published import Published
-from animarl_envs.demos.demonstrations import TIME_OUT
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies
 

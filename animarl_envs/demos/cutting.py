@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.cleaning import runs
-from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 
 FEWEST_PIECES = 10

@@ -8,53 +8,29 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.demos import storage
+from animarl_envs.demos.episode import (
+    PURSUER_OUT,
+    SPLITS,
+    TARGET_OUT,
+    TIME_OUT,
+    UNFINISHED,
+    Episode,
+)
+from animarl_envs.demos.validation import validate
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import velocities
+from animarl_envs.species.base import Species
 
-SPLITS = ("train", "val", "test")
-Split = Literal["train", "val", "test"]
-
-# Outcome codes, one per episode. k > 0: contact by individual k - 1.
-TIME_OUT = 0
-TARGET_OUT = -1  # the target left the boundary
-PURSUER_OUT = -2  # a pursuer left the boundary
-UNFINISHED = -3  # the recording was cut for another reason
-
-
-@dataclass(frozen=True)
-class Episode:
-    """One recorded episode; arrays are read-only views into the container.
-
-    ``positions`` is ``(frames, individuals, 2)`` in the arena frame [arena unit], ``velocities``
-    the same in arena unit / s with the velocity belonging to the position it led to, ``signals``
-    the per-frame channels by name.
-    """
-
-    index: int
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    signals: Mapping[str, NDArray[Any]]
-    condition: int
-    outcome: int
-    split: str
-    recording: str
-    dt: float
-
-    @property
-    def num_steps(self) -> int:
-        """Decision steps: one less than the frames."""
-        return len(self.positions) - 1
-
-    @property
-    def duration(self) -> float:
-        """Duration [s]."""
-        return self.num_steps * self.dt
+__all__ = [
+    "PURSUER_OUT", "SPLITS", "TARGET_OUT", "TIME_OUT", "UNFINISHED", "Demonstrations", "Episode",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,7 +55,7 @@ class Demonstrations:
         ``(episodes, individuals, 2)``, velocity at each first frame [arena unit / s]. A reader that
         does not know it drops the first recorded frame and keeps the velocity that it makes.
     condition, outcome
-        ``(episodes,)`` int8: 0 or 1; and the outcome codes of this module.
+        ``(episodes,)`` int8: 0 or 1; and the outcome codes of :mod:`animarl_envs.demos.episode`.
     split
         ``(episodes,)``, ``"train"``, ``"val"`` or ``"test"``.
     recording
@@ -126,9 +102,41 @@ class Demonstrations:
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
         object.__setattr__(self, "individuals", tuple(self.individuals))
         object.__setattr__(self, "roles", tuple(self.roles))
-        from animarl_envs.demos.validation import validate
-
         validate(self)
+
+    @classmethod
+    def of_species(
+        cls,
+        species: Species,
+        paths: Sequence[NDArray[np.float64]],
+        signals: Mapping[str, Sequence[NDArray[Any]]],
+        **more: Any,
+    ) -> Demonstrations:
+        """Episodes of all individuals of a species, one by one.
+
+        Parameters
+        ----------
+        species
+            Gives its name, the individuals and their roles, ``dt`` and the arena.
+        paths
+            Of each episode, ``(frames, individuals, 2)``, arena frame [arena unit].
+        signals
+            By name, for each episode ``(frames,)`` or ``(frames, individuals, ...)``.
+        more
+            The other fields; by default everybody starts at rest.
+        """
+        at_rest = np.zeros((len(paths), species.num_individuals, 2))
+        return cls(
+            species=species.name,
+            individuals=species.individuals,
+            roles=species.roles,
+            dt=species.dt,
+            arena=species.arena,
+            positions=np.concatenate(paths),
+            lengths=np.array([len(path) for path in paths]),
+            signals={name: np.concatenate(series) for name, series in signals.items()},
+            **{"initial_velocity": at_rest} | more,
+        )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Demonstrations:
         return self  # immutable
@@ -249,16 +257,13 @@ class Demonstrations:
 
     def save(self, path: str | Path, *, dtype: type[np.floating] = np.float64) -> Path:
         """Write an ``.npz`` without pickle; see :func:`animarl_envs.demos.storage.save`."""
-        from animarl_envs.demos import storage
-
-        return storage.save(self, path, dtype=dtype)
+        return storage.save(vars(self), path, dtype=dtype)
 
     @classmethod
     def load(cls, path: str | Path) -> Demonstrations:
         """Read a file written by :meth:`save`; see :func:`animarl_envs.demos.storage.load`."""
-        from animarl_envs.demos import storage
-
-        return storage.load(path)
+        with storage.refusing_damage(path):
+            return cls(**storage.load(path))
 
 
 def _frozen(value: Any, dtype: Any) -> NDArray[Any]:

@@ -1,10 +1,9 @@
-"""Following a recipe: files are read, cleaned, scaled, cut, thinned and dealt to the splits."""
+"""Following a recipe: tracks are cleaned, scaled, cut, thinned and dealt to the splits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,41 +21,23 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.recipe import NOT_STATED, Recipe
 from animarl_envs.demos.scaling import scale_of
 from animarl_envs.demos.splits import split_recordings
-from animarl_envs.demos.tracks import Tracks, merge
+from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
 
 
-def follow(
-    recipe: Recipe, files: Sequence[Path], progress: Callable[[float], None] | None = None
+def demonstrations_from_tracks(
+    recordings: Sequence[Tracks], recipe: Recipe, name: str = "tracks"
 ) -> Demonstrations:
-    """Read, clean, scale, cut, resample and split.
-
-    ``progress`` is told the share of the work done, 0 to 1.
+    """Clean, scale, cut, resample and split; ``name`` is for messages.
 
     Raises
     ------
     InputError
         One sentence that names the file, the place and the mend.
     """
-    from animarl_envs.demos.readers.registry import read_tracks
-
-    if not files:
-        raise InputError("no file was given: name at least one")
-    parts: list[Tracks] = []
-    for number, file in enumerate(files):
-        told = _part_of(progress, number, len(files))
-        parts += read_tracks(file, recipe.source, progress=told, **recipe.options)
-    name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
-    return demonstrations_from_tracks(merge(parts), recipe, name)
-
-
-def demonstrations_from_tracks(
-    recordings: Sequence[Tracks], recipe: Recipe, name: str = "tracks"
-) -> Demonstrations:
-    """The same from tracks already in memory."""
     cleaned, bodies, scales, done = [], [], {}, {}
     for tracks in recordings:
         tracks = _named(tracks, recipe)
@@ -241,11 +222,3 @@ def _episode(
         "recording": tracks.recording,
         "signals": signals,
     }
-
-
-def _part_of(
-    progress: Callable[[float], None] | None, number: int, total: int
-) -> Callable[[float], None] | None:
-    if progress is None:
-        return None
-    return lambda share: progress((number + share) / total)

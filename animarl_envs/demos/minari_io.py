@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.locomotion import NUM_ACTIONS
 

@@ -135,10 +135,8 @@ def generate(
                 programme=programme,
             )  # fmt: skip
             parts.append((condition, split, one))
-    signals: dict[str, list[NDArray[np.generic]]] = {
-        name: [] for name in ("odour_left", "odour_right", "heading", "plume", "plume_step")
-    }
-    actions: list[NDArray[np.int8]] = []
+    names = ("odour_left", "odour_right", "heading", "plume", "plume_step", "actions")
+    signals: dict[str, list[NDArray[np.generic]]] = {name: [] for name in names}
     for _, _, one in parts:
         for i, frames in enumerate(one.frames):
             signals["odour_left"].append(one.hits[:frames, i, 0])
@@ -146,24 +144,18 @@ def generate(
             signals["heading"].append(one.heading[:frames, i])
             signals["plume"].append(np.full(frames, one.pattern[i], dtype=np.int8))
             signals["plume_step"].append((one.step[i] + np.arange(frames)).astype(np.int32))
-            actions.append(np.append(one.actions[: frames - 1, i], np.int8(-1)))
-    return Demonstrations(
-        species=SILKMOTH.name,
-        individuals=SILKMOTH.individuals,
-        roles=("searcher",),
-        dt=SILKMOTH.dt,
-        arena=SILKMOTH.arena,
-        positions=np.concatenate([t for _, _, one in parts for t in one.tracks()])[:, None],
-        lengths=np.concatenate([one.frames for _, _, one in parts]),
-        initial_velocity=np.zeros((trials * len(parts), 1, 2)),
+            acted = np.append(one.actions[: frames - 1, i], np.int8(-1))
+            signals["actions"].append(acted[:, None])
+    return Demonstrations.of_species(
+        SILKMOTH,
+        paths=[track[:, None] for _, _, one in parts for track in one.tracks()],
+        signals=signals,
         condition=np.repeat([condition for condition, _, _ in parts], trials),
         outcome=np.concatenate([one.reached for _, _, one in parts]).astype(np.int8),
         split=np.repeat([split for _, split, _ in parts], trials),
         recording=np.array(
             [f"synthetic, plume {p}" for _, _, one in parts for p in one.pattern.tolist()]
         ),
-        signals={name: np.concatenate(series) for name, series in signals.items()}
-        | {"actions": np.concatenate(actions)[:, None]},
         provenance={
             "source": "programmed moths in the modelled plume, made by "
             "python -m animarl_envs.demos.moth_searches",

@@ -102,8 +102,7 @@ def of_demonstrations(demos: Demonstrations) -> SearchStatistics:
 
 def recorded_moths(folder: Path) -> Demonstrations:
     """The recorded runs in ``folder/raw``, imported as ``animarl import --source mothvr`` does."""
-    from animarl_envs.demos.following import follow
-    from animarl_envs.demos.readers import default_recipe, get_reader
+    from animarl_envs.demos.readers import default_recipe, follow, get_reader
 
     files = sorted((folder / "raw").glob("*.csv"))
     if not files:

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 
 

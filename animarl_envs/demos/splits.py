@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.demonstrations import SPLITS, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
 
 FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.cleaning import FILLED
 from animarl_envs.demos.cutting import distances_to_target
-from animarl_envs.demos.demonstrations import Demonstrations, Episode
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import Episode
 from animarl_envs.demos.summary import TRACKING, episode_table, outcome_name, summarise
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from animarl_envs.demos.demonstrations import SPLITS, UNFINISHED, Demonstrations
+from animarl_envs.demos.episode import SPLITS, UNFINISHED
 from animarl_envs.errors import InputError
+
+if TYPE_CHECKING:
+    from animarl_envs.demos.demonstrations import Demonstrations
 
 
 def validate(demos: Demonstrations) -> None:

@@ -81,6 +81,11 @@ class Species:
     def num_individuals(self) -> int:
         return len(self.individuals)
 
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual."""
+        raise NotImplementedError
+
     def _positive(self, *names: str, or_zero: bool = False) -> None:
         """Refuse what is not a finite positive number (or zero, if that will do).
 
@@ -129,6 +134,10 @@ class ChaseSpecies(Species):
     @property
     def num_pursuers(self) -> int:
         return self.num_individuals - 1
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        return ("pursuer",) * self.num_pursuers + ("target",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,6 +193,10 @@ class SearchSpecies(Species):
             from animarl_envs.worlds.plume import as_plume  # the model itself is made when needed
 
             as_plume(self.plume)
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        return ("searcher",) * self.num_individuals
 
 
 def _is_number(value: Any) -> bool:

@@ -14,7 +14,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.scenario import DRIVERS, Scenario

@@ -16,7 +16,7 @@ from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.arctangent import angle_of

@@ -16,8 +16,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.storage import read_npz
 from animarl_envs.errors import InputError
+from animarl_envs.files import read_npz
 from animarl_envs.species import SILKMOTH
 from animarl_envs.worlds.filaments import FilamentModel
 from animarl_envs.worlds.plume import NUM_PATTERNS, ModelPlume, is_hit

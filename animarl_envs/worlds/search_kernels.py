@@ -14,7 +14,7 @@ import numpy as np
 from numba.core import types
 from numba.experimental import structref
 
-from animarl_envs.demos.demonstrations import TIME_OUT
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.plume import is_hit

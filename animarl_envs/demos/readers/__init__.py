@@ -18,6 +18,7 @@ from animarl_envs.demos.readers.registry import (
     available_readers,
     default_recipe,
     find_reader,
+    follow,
     get_reader,
     read,
     read_tracks,
@@ -27,6 +28,6 @@ from animarl_envs.demos.readers.registry import (
 
 __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
-    "default_recipe", "find_reader", "get_reader", "minari", "mothvr", "native", "pose", "read",
-    "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
+    "default_recipe", "find_reader", "follow", "get_reader", "minari", "mothvr", "native", "pose",
+    "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
 ]  # fmt: skip

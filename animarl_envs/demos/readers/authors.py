@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.demos.readers.guards import check_size, npz_members
 from animarl_envs.demos.readers.registry import register_track_reader
 from animarl_envs.demos.readers.unpickle import count_leaves, load_object_npy

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import read_npz
 
 EXPANSION = 64
 ALLOWANCE = 16 * 2**20  # [bytes]
@@ -116,8 +117,6 @@ def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[A
 
 def guarded_npz(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an ``.npz`` without pickle, within the memory that its size allows."""
-    from animarl_envs.demos.storage import read_npz
-
     if not path.is_file():
         return read_npz(path)
     check_npz(path)

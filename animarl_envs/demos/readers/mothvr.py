@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.demos.readers.registry import register_track_reader
 from animarl_envs.demos.readers.tabular import column_names, read_columns
 from animarl_envs.demos.tracks import Tracks

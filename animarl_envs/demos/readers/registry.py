@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.following import follow
+from animarl_envs.demos.following import demonstrations_from_tracks
 from animarl_envs.demos.readers.guards import refusing
 from animarl_envs.demos.readers.hdf import is_hdf, open_hdf
 from animarl_envs.demos.recipe import Recipe
-from animarl_envs.demos.tracks import Tracks
+from animarl_envs.demos.tracks import Tracks, merge
 from animarl_envs.errors import InputError
 
 ReadDemonstrations = Callable[..., Demonstrations]
@@ -180,6 +180,28 @@ def read_tracks(
         return reader.read_tracks(path, **options)
 
 
+def follow(
+    recipe: Recipe, files: Sequence[Path], progress: Callable[[float], None] | None = None
+) -> Demonstrations:
+    """The demonstrations that a recipe makes of a tracker's files.
+
+    ``progress`` is told the share of the work done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        One sentence that names the file, the place and the mend.
+    """
+    if not files:
+        raise InputError("no file was given: name at least one")
+    parts: list[Tracks] = []
+    for number, file in enumerate(files):
+        told = _part_of(progress, number, len(files))
+        parts += read_tracks(file, recipe.source, progress=told, **recipe.options)
+    name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+    return demonstrations_from_tracks(merge(parts), recipe, name)
+
+
 def _check_options(reader: Reader, options: Mapping[str, Any]) -> None:
     unknown = sorted(set(options) - set(reader.options))
     if unknown:
@@ -193,3 +215,11 @@ def _add(reader: Reader) -> None:
     if reader.name in _READERS:
         raise ValueError(f"reader {reader.name!r} is registered twice")
     _READERS[reader.name] = reader
+
+
+def _part_of(
+    progress: Callable[[float], None] | None, number: int, total: int
+) -> Callable[[float], None] | None:
+    if progress is None:
+        return None
+    return lambda share: progress((number + share) / total)
