@@ -1,0 +1,143 @@
+"""A made-up run, as a report takes it, and the page made of it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pandas as pd
+
+from animarl_algos.evaluation import ReportInputs, Rollouts, evaluate
+from animarl_algos.evaluation.report import render_report
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.fitting import IndividualFit, LocomotionFit
+
+HOSTILE = '<script>alert("x")</script> & $\\frac{a}$'
+
+
+def walk(rng: np.random.Generator, frames: int) -> np.ndarray:
+    return np.clip(np.cumsum(rng.normal(0, 0.02, (frames, 3, 2)), axis=0), -0.9, 0.9)
+
+
+def make_demos(
+    individuals: tuple[str, ...] = ("predator_0", "predator_1", "prey"),
+) -> Demonstrations:
+    rng = np.random.default_rng(0)
+    lengths = rng.integers(8, 20, 12)
+    return Demonstrations(
+        species="agent",
+        individuals=individuals,
+        roles=("pursuer", "pursuer", "target"),
+        dt=0.1,
+        arena=Arena(),
+        positions=np.concatenate([walk(rng, n) for n in lengths]),
+        lengths=lengths,
+        initial_velocity=np.zeros((12, 3, 2)),
+        condition=np.repeat([0, 1], 6),
+        outcome=np.tile([1, 0, 2], 4),
+        split=np.array(["test"] * 12),
+        recording=np.array([f"r{i}" for i in range(12)]),
+        provenance={"source": HOSTILE, "licence": "MIT", "synthetic": True, "made": {"seed": 1}},
+    )
+
+
+def make_rollouts(demos: Demonstrations, method: str, flipped: bool = False) -> Rollouts:
+    rng = np.random.default_rng(len(method))
+    demo = np.tile(np.arange(12), 4)
+    lengths = rng.integers(8, 25, len(demo))
+    condition = demos.condition[demo]
+    cue = np.full(len(demo), -1)
+    if flipped:
+        cue = np.where(np.arange(len(demo)) < 24, condition, 1 - condition)
+    return Rollouts(
+        method=method,
+        individuals=demos.individuals,
+        roles=demos.roles,
+        dt=0.1,
+        positions=np.concatenate([walk(rng, n) for n in lengths]),
+        lengths=lengths,
+        outcome=rng.integers(0, 2, len(demo)),
+        condition=condition,
+        cue=cue,
+        demo=demo,
+        seed=np.tile(np.repeat([0, 1], 12), 2),
+        repetition=np.repeat([0, 1], 24),
+    )
+
+
+def locomotion_fit(individuals: tuple[str, ...]) -> LocomotionFit:
+    """The same figures for each."""
+    return LocomotionFit(
+        method="joint",
+        species="agent",
+        dt=0.1,
+        individuals=tuple(
+            IndividualFit(
+                name=name,
+                damping=0.25,
+                thrust=2.4,
+                damping_interval=(0.24, 0.26),
+                thrust_interval=(2.3, 2.5),
+                velocity_rmse=0.0123,
+                steps=100,
+                top_speed=0.9,
+                terminal_speed=0.96,
+                braking_time=0.3476,
+            )
+            for name in individuals
+        ),
+        fitted_on="train",
+        validated_on="val",
+        episodes=80,
+        validation_episodes=10,
+        onset_threshold=None,
+        bootstrap=100,
+        seed=0,
+        fingerprint="0",
+    )
+
+
+def loss_curves() -> pd.DataFrame:
+    """Of one method, in both phases, for two seeds."""
+    rows = [
+        ("dqdil", phase, seed, step, "loss", 1.0 / (1 + step))
+        for phase in ("offline", "online")
+        for seed in (0, 1)
+        for step in range(5)
+    ]
+    return pd.DataFrame(rows, columns=["method", "phase", "seed", "step", "quantity", "value"])
+
+
+@cache
+def report_inputs() -> ReportInputs:
+    """Five methods, one of them asked about the other condition, with all that a report shows."""
+    demos = make_demos()
+    rollouts = {
+        method: make_rollouts(demos, method, flipped=method == "dqcil")
+        for method in ("random", "bc", "dqaas", "dqcil", "dqdil")
+    }
+    return ReportInputs(
+        title="A run",
+        focus="dqdil",
+        demos=demos,
+        rollouts=rollouts,
+        evaluation=evaluate(
+            rollouts, demos, seed=0, planned_flip=(0, 1), resamples=100, distance_resamples=50
+        ),
+        conditions=("individual", "shared"),
+        fit=locomotion_fit(demos.individuals),
+        learning_curves=loss_curves(),
+        settings={"algo": "dqdil", "online": {"alpha": 1.0, "prioritised": True}},
+        seeds=(0, 1),
+        versions={"torch": "2.13.0"},
+        command="animarl run demos.npz --algo dqdil",
+        created="2026-11-21",
+        episodes={"train": 80, "val": 10, "test": 12},
+    )
+
+
+@cache
+def report_page() -> str:
+    """That run's page."""
+    return render_report(report_inputs())

@@ -1,0 +1,65 @@
+"""The evaluation behind the report: saved, repeatable, and of rollouts that belong together."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from report_inputs import make_demos, make_rollouts, report_inputs, report_page
+from rich.console import Console
+
+from animarl_algos.evaluation import Evaluation, evaluate, evaluation_table, measure, panels
+from animarl_algos.evaluation.report import render_report
+from animarl_envs.errors import InputError
+
+
+def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
+    inputs = report_inputs()
+    read = Evaluation.load(inputs.evaluation.save(tmp_path / "evaluation"))
+    for name in ("metrics", "comparison", "pairs", "contrasts", "counterfactual"):
+        pd.testing.assert_frame_equal(
+            getattr(read, name), getattr(inputs.evaluation, name), check_dtype=False
+        )
+    # The same inputs give the same bytes, also after a passage through files.
+    assert render_report(dataclasses.replace(inputs, evaluation=read)) == report_page()
+    (tmp_path / "evaluation" / "metrics.csv").unlink()
+    with pytest.raises(InputError, match=r"metrics\.csv is missing"):
+        Evaluation.load(tmp_path / "evaluation")
+
+
+def test_evaluation_is_repeatable() -> None:
+    inputs = report_inputs()
+    again = evaluate(
+        inputs.rollouts, inputs.demos, seed=0, planned_flip=(0, 1), resamples=100,
+        distance_resamples=50,
+    )  # fmt: skip
+    pd.testing.assert_frame_equal(again.comparison, inputs.evaluation.comparison)
+    with pytest.raises(InputError, match="no rollouts"):
+        evaluate({}, inputs.demos, seed=0)
+
+
+def test_rollouts_in_another_condition_alone_are_refused() -> None:
+    demos = make_demos()
+    made = make_rollouts(demos, "bc")
+    changed = dataclasses.replace(made, condition=1 - made.condition)
+    with pytest.raises(InputError, match="condition of its recording"):
+        evaluate({"bc": changed}, demos, seed=0, resamples=50, distance_resamples=50)
+
+
+def test_examples_are_factual_and_in_order() -> None:
+    """A flipped cue, or rollouts in another order, must not mix up paths and their distances."""
+    flipped = dataclasses.replace(report_inputs(), focus="dqcil")
+    rollouts, dtw = panels._factual(flipped)
+    assert len(rollouts) == 24 and (rollouts.cue == rollouts.condition).all()
+    assert dtw == pytest.approx(measure(rollouts, flipped.demos)["dtw"].to_numpy())
+
+
+def test_the_terminal_table_names_every_method() -> None:
+    console = Console(width=120)
+    with console.capture() as printed:
+        console.print(evaluation_table(report_inputs().evaluation, focus="dqdil"))
+    text = printed.get()
+    for name in ("recorded", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
+        assert name in text

@@ -1,0 +1,78 @@
+"""The figures of a report: what they hold, what they are called, what they refuse."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from animarl_algos.evaluation.figures import shared_bins, trajectory_pair
+from animarl_algos.evaluation.interpretation import advantage, value_map, values_along_path
+from animarl_algos.evaluation.learning import chosen_curves
+from animarl_algos.evaluation.style import to_image
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError
+
+
+def test_bins_are_shared_and_hold_everything() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.exponential(size=500), rng.exponential(2.0, size=90)
+    edges = shared_bins(first, second)
+    assert edges[0] == 0.0 and edges[-1] == max(first.max(), second.max())
+    assert len(shared_bins(np.zeros(5), np.zeros(3))) == 51
+    assert np.histogram(first, edges)[0].sum() == 500
+
+
+def test_learning_curves_are_chosen_and_named() -> None:
+    logged = [
+        ("bc", "offline/val/top_1"), ("bc", "offline/val/top_1/prey"),
+        ("dqdil", "offline/val/top_1"), ("dqdil", "offline/train/td"),
+        ("dqdil", "offline/train/td/prey"), ("dqdil", "offline/train/td/predator_0"),
+        ("dqdil", "offline/train/l2"), ("dqdil", "offline/odd_one"),
+    ]  # fmt: skip
+    rows = [(method, 0, step, name, 1.0) for method, name in logged for step in range(3)]
+    curves = pd.DataFrame(rows, columns=["method", "seed", "step", "quantity", "value"])
+    shown = {c.title: sorted(c.rows["method"].unique()) for c in chosen_curves(curves, "DQDIL")}
+    assert shown == {
+        "Demonstrated action first (share)": ["bc", "dqdil"],
+        "Temporal-difference loss": ["predator_0", "prey"],
+        "odd_one": ["dqdil"],
+    }
+    assert list(shown)[-1] == "odd_one"
+    assert all(len(c.rows) == 6 for c in list(chosen_curves(curves, "DQDIL"))[:2])
+
+
+def test_interpretation_figures() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(30, 13))
+    assert advantage(q).mean(axis=1) == pytest.approx(0.0, abs=1e-12)
+    assert (advantage(q).argmax(axis=1) == q.argmax(axis=1)).all()
+    along = to_image(values_along_path(q, rng.integers(-1, 13, 30), 0.1), "values")
+    assert "Advantage" in base64.b64decode(along.source.partition(",")[2]).decode()
+    x, y = np.linspace(-1, 1, 20), np.linspace(-1, 1, 15)
+    focus = np.tile([1.0, 0.0], (15, 20, 1))
+    others = np.array([[0.5, 0.5], [0.0, 0.0]])
+    drawn = to_image(
+        value_map(x, y, rng.normal(size=(15, 20, 13)), focus, Arena("disc"), others=others), "map"
+    )
+    assert drawn.source.startswith("data:image/svg+xml;base64,")
+    with pytest.raises(InputError, match="one value per action"):
+        values_along_path(q[:, :5], np.zeros(30, dtype=int), 0.1)
+    with pytest.raises(InputError, match="15 rows"):
+        value_map(x, y, rng.normal(size=(20, 15, 13)), focus, Arena())
+
+
+def test_a_lost_searcher_does_not_hide_the_recording() -> None:
+    recorded = np.linspace([0.3, 0.0], [0.02, 0.01], 30)[:, None]
+    lost = np.linspace([0.3, 0.0], [-40.0, 9.0], 90)[:, None]
+    figure = trajectory_pair(lost, recorded, Arena("open", size=0.35), ("searcher",))
+    for panel in figure.axes:
+        low, high = panel.get_xlim()
+        assert low < 0.0 and 0.3 < high < 1.0
+    indoors = trajectory_pair(
+        np.full((4, 1, 2), 1.1), recorded, Arena("square"), ("pursuer",)
+    )  # fmt: skip
+    low, high = indoors.axes[0].get_xlim()
+    assert low < -1.0 and high > 1.1
