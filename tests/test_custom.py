@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,15 +27,10 @@ from animarl_envs.species.custom import contact_radius_of, species_of
 from animarl_envs.views import AnimalVectorEnv
 from animarl_envs.worlds.chase import ChaseWorld
 
+pytestmark = pytest.mark.filterwarnings("error")
+
 ID = "AnimaRL/Custom-v0"
 EPISODES, STEPS = 8, 60
-
-
-@pytest.fixture(autouse=True)
-def warnings_are_errors() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 # -- every view, any number of pursuers -----------------------------------------------------------

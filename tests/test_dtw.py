@@ -136,15 +136,3 @@ def test_parallel_view_keeps_a_row_for_each_individual() -> None:
             assert infos[agent]["dtw_distance"] == pytest.approx(rows[-1].min(), abs=1e-9)
             paid = infos[agent]["task_reward"] - 2.0 * infos[agent]["dtw_penalty"]
             assert rewards[agent] == pytest.approx(paid)
-
-
-def test_without_demonstrations_it_is_refused() -> None:
-    env = gym.make("AnimaRL/Agent-v0", demos=None)
-    with pytest.raises(InputError, match="demonstrations"):
-        DTWReward(env)
-
-
-@pytest.mark.parametrize(("option", "value"), [("alpha", -1.0), ("penalty", "squared")])
-def test_bad_options_are_refused_by_name(option: str, value: Any) -> None:
-    with pytest.raises(InputError, match=option):
-        DTWReward(gym.make("AnimaRL/Agent-v0"), **{option: value})

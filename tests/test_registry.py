@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import itertools
 import json
 import pickle
@@ -11,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -36,6 +38,8 @@ from animarl_envs.wrappers import (
     DTWRewardParallel,
     DTWRewardVector,
 )
+
+pytestmark = pytest.mark.filterwarnings("error")
 
 NAMES = (*SPECIES, CUSTOM)
 WRAPPERS: dict[str, tuple[tuple[Any, Any, Any], ...]] = {  # single, vector, parallel
@@ -98,13 +102,6 @@ def table() -> Iterator[Case]:
 
 CASES = tuple(table())
 every_case = pytest.mark.parametrize("case", CASES, ids=str)
-
-
-@pytest.fixture(autouse=True)
-def warnings_are_errors() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
 
 
 def test_registry_is_what_is_tested() -> None:
@@ -189,32 +186,25 @@ def test_registry_parallel_equals_single(case: Case) -> None:
 
 # -- determinism, copies, memory ------------------------------------------------------------------
 
-DIGESTS = """
-import hashlib, sys
-import gymnasium as gym, numpy as np
-import animarl_envs
-from recordings import dogs, recordings_of
 
-def digest(name):
-    made = dogs(2) if name == "custom" else recordings_of(name)
-    v = gym.make_vec(animarl_envs.environment_id(name), num_envs=5, demos=made)
-    h = hashlib.sha256(v.reset(seed=11)[0].tobytes())
+def digest(name: str) -> str:
+    """Of all that 60 steps of five copies return."""
+    case = Case(name, recorded=True, condition="demo", wrappers="bare")
+    vector = case.vector(5)
+    returned = hashlib.sha256(vector.reset(seed=11)[0].tobytes())
     for k in range(60):
-        o, r, *_ = v.step(np.array([(k // 3 + b) % 13 for b in range(5)]))
-        h.update(o.tobytes() + r.tobytes())
-    return h.hexdigest()
-"""
+        observations, rewards, *_ = vector.step(np.array([(k // 3 + b) % 13 for b in range(5)]))
+        returned.update(observations.tobytes() + rewards.tobytes())
+    return returned.hexdigest()
 
 
 def test_registry_same_seed_same_bytes_in_another_process() -> None:
-    here: dict[str, Any] = {}
-    exec(DIGESTS, here)
-    program = f"{DIGESTS}\nprint([digest(n) for n in {NAMES}])"
+    program = f"from test_registry import digest\nprint([digest(n) for n in {NAMES}])"
     done = subprocess.run(
         [sys.executable, "-c", program],
-        capture_output=True, text=True, check=True, cwd=__file__.rpartition("/")[0],
+        capture_output=True, text=True, check=True, cwd=Path(__file__).parent,
     )  # fmt: skip
-    assert done.stdout.strip() == str([here["digest"](name) for name in NAMES])
+    assert done.stdout.strip() == str([digest(name) for name in NAMES])
 
 
 def _same(one: Any, two: Any) -> bool:

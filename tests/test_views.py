@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-import animarl_envs
 from animarl_envs.errors import InputError
 from animarl_envs.views import AnimalVectorEnv
-from animarl_envs.wrappers import (
-    ConditionFlag,
-    ConditionFlagVector,
-)
 
-
-@pytest.fixture(autouse=True)
-def warnings_are_errors() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        yield
-
-
-def single(name: str, **options: Any) -> gym.Env[Any, Any]:
-    return gym.make(animarl_envs.environment_id(name), **options)
+pytestmark = pytest.mark.filterwarnings("error")
 
 
 def test_same_step_hands_out_the_last_observation() -> None:
@@ -59,21 +41,6 @@ def test_disabled_autoreset_wants_a_mask() -> None:
         vector.step(np.full(4, 12))
     vector.reset(options={"reset_mask": over})
     vector.step(np.full(4, 12))
-
-
-@pytest.mark.parametrize("cue", ["actual", "flipped", 0, 1])
-def test_the_cue_changes_the_flag_and_not_the_world(cue: Any) -> None:
-    plain = gym.make_vec("AnimaRL/Agent-v0", num_envs=20)
-    flagged = ConditionFlagVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=20), cue=cue)
-    expected, infos = plain.reset(seed=1)
-    observed, _ = flagged.reset(seed=1)
-    condition = infos["condition"]
-    told = {"actual": condition, "flipped": 1 - condition}.get(cue, np.full(20, cue))
-    assert np.array_equal(observed[:, :-1], expected)
-    assert np.array_equal(observed[:, -1], told)
-    single_env = ConditionFlag(single("agent"), cue=cue)
-    row, info = single_env.reset(seed=1)
-    assert row[-1] == told[0] and info["condition"] == condition[0]
 
 
 def test_gymnasiums_step_limit_holds_in_vectors_too() -> None:

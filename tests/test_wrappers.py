@@ -1,8 +1,11 @@
-"""Wrappers beside what they wrap: the world is not changed, only what is paid and told."""
+"""Wrappers beside what they wrap: the world is not changed, only what is paid and told.
+
+test_registry.py compares the views of every wrapped environment, test_dtw.py the penalty with the
+definition.
+"""
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +22,8 @@ from animarl_envs.wrappers import (
     DTWRewardParallel,
     DTWRewardVector,
 )
+
+pytestmark = pytest.mark.filterwarnings("error")
 
 
 def agent(**options: Any) -> Any:
@@ -44,10 +49,10 @@ def test_the_shaped_reward_is_the_task_reward_less_the_weighted_penalty() -> Non
     assert total > 0.0
 
 
-@pytest.mark.parametrize("penalty", ["increment", "cumulative"])
-def test_vector_and_single_pay_the_same(penalty: str) -> None:
-    vector = DTWRewardVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=3), penalty=penalty)
-    singles = [DTWReward(agent(), penalty=penalty) for _ in range(3)]
+def test_vector_and_single_pay_the_same_cumulative_penalty() -> None:
+    """That of the increment is compared in test_registry.py, with everything else."""
+    vector = DTWRewardVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=3), penalty="cumulative")
+    singles = [DTWReward(agent(), penalty="cumulative") for _ in range(3)]
     vector.reset(seed=7)
     for b, env in enumerate(singles):
         env.reset(seed=7 + b)
@@ -62,74 +67,75 @@ def test_vector_and_single_pay_the_same(penalty: str) -> None:
     assert running.any()
 
 
-def test_a_wrapped_env_continues_identically_after_a_deep_copy() -> None:
-    env = DTWReward(ConditionFlag(agent()))
-    env.reset(seed=2)
-    for _ in range(3):
-        env.step(3)
-    twin = copy.deepcopy(env)
-    for action in (0, 5, 12):
-        one, other = env.step(action), twin.step(action)
-        np.testing.assert_array_equal(one[0], other[0])
-        assert one[1:] == other[1:]
+def test_the_order_of_the_wrappers_does_not_matter() -> None:
+    one, other = DTWReward(ConditionFlag(agent())), ConditionFlag(DTWReward(agent()))
+    np.testing.assert_array_equal(one.reset(seed=2)[0], other.reset(seed=2)[0])
+    for action in (3, 3, 3, 0, 5, 12):
+        (seen, *paid), (same, *same_paid) = one.step(action), other.step(action)
+        np.testing.assert_array_equal(seen, same)
+        assert paid == same_paid
 
 
-def test_the_flag_is_the_last_component_and_the_rest_is_untouched() -> None:
-    vector = gym.make_vec("AnimaRL/Agent-v0", num_envs=16)
-    flagged = ConditionFlagVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=16))
-    plain, info = vector.reset(seed=0)
-    told, _ = flagged.reset(seed=0)
-    np.testing.assert_array_equal(told[:, :-1], plain)
-    np.testing.assert_array_equal(told[:, -1], info["condition"])
-    assert set(info["condition"]) == {0, 1}
-    assert flagged.observation_space.contains(told)
+@pytest.mark.parametrize("cue", ["actual", "flipped", 0, 1])
+def test_the_cue_changes_the_flag_and_not_the_world(cue: Any) -> None:
+    plain = gym.make_vec("AnimaRL/Agent-v0", num_envs=20)
+    flagged = ConditionFlagVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=20), cue=cue)
+    expected, infos = plain.reset(seed=1)
+    observed, _ = flagged.reset(seed=1)
+    condition = infos["condition"]
+    assert set(condition) == {0, 1}
+    told = {"actual": condition, "flipped": 1 - condition}.get(cue, np.full(20, cue))
+    assert np.array_equal(observed[:, :-1], expected)
+    assert np.array_equal(observed[:, -1], told)
+    single_env = ConditionFlag(agent(), cue=cue)
+    row, info = single_env.reset(seed=1)
+    assert row[-1] == told[0] and info["condition"] == condition[0]
 
 
-VIEWS: dict[str, tuple[Any, Any, Any]] = {
-    "single": (lambda name, **o: gym.make(name, **o), DTWReward, ConditionFlag),
-    "vector": (
-        lambda name, **o: gym.make_vec(name, num_envs=2, **o), DTWRewardVector, ConditionFlagVector
-    ),
-    "parallel": (
-        lambda name, **o: animarl_envs.parallel_env(name[8:-3].lower(), **o),
-        DTWRewardParallel, ConditionFlagParallel,
-    ),
-}  # fmt: skip
-every_view = pytest.mark.parametrize("view", VIEWS)
+VIEWS: dict[str, Any] = {
+    "single": gym.make,
+    "vector": lambda name, **options: gym.make_vec(name, num_envs=2, **options),
+    "parallel": lambda name, **options: animarl_envs.parallel_env(name[8:-3].lower(), **options),
+}
+DTW = {"single": DTWReward, "vector": DTWRewardVector, "parallel": DTWRewardParallel}
+FLAG = {"single": ConditionFlag, "vector": ConditionFlagVector, "parallel": ConditionFlagParallel}
 
 
-@every_view
+@pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize(
-    ("which", "species", "options", "arguments", "says"),
+    ("wrappers", "species", "options", "arguments", "says"),
     [
-        (1, "Agent", {}, {"alpha": -1.0}, "alpha is -1.0"),
-        (1, "Agent", {}, {"alpha": float("nan")}, "alpha is nan"),
-        (1, "Agent", {}, {"alpha": "much"}, "alpha is 'much'"),
-        (1, "Agent", {}, {"penalty": "total"}, "penalty"),
-        (1, "Agent", {"demos": None}, {}, "demos="),
-        (1, "Silkmoth", {"start": "uniform"}, {}, "demos="),
-        (2, "Agent", {}, {"cue": "both"}, "cue is 'both'"),
-        (2, "Agent", {}, {"cue": True}, "cue is True"),
-        (2, "Fly", {}, {}, "fly has no experimental conditions"),
-        (2, "Newt", {"demos": None}, {}, "newt has no experimental conditions"),
+        (DTW, "Agent", {}, {"alpha": -1.0}, "alpha is -1.0"),
+        (DTW, "Agent", {}, {"alpha": float("nan")}, "alpha is nan"),
+        (DTW, "Agent", {}, {"alpha": "much"}, "alpha is 'much'"),
+        (DTW, "Agent", {}, {"penalty": "total"}, "penalty"),
+        (DTW, "Agent", {"demos": None}, {}, "demos="),
+        (DTW, "Silkmoth", {"start": "uniform"}, {}, "demos="),
+        (FLAG, "Agent", {}, {"cue": "both"}, "cue is 'both'"),
+        (FLAG, "Agent", {}, {"cue": True}, "cue is True"),
+        (FLAG, "Fly", {}, {}, "fly has no experimental conditions"),
+        (FLAG, "Newt", {"demos": None}, {}, "newt has no experimental conditions"),
     ],
 )
 def test_a_wrapper_that_does_not_fit_is_refused(
-    view: str, which: int, species: str, options: Any, arguments: Any, says: str
+    view: str, wrappers: Any, species: str, options: Any, arguments: Any, says: str
 ) -> None:
-    env = VIEWS[view][0](f"AnimaRL/{species}-v0", **options)
+    env = VIEWS[view](f"AnimaRL/{species}-v0", **options)
     with pytest.raises(InputError) as refusal:
-        VIEWS[view][which](env, **arguments)
+        wrappers[view](env, **arguments)
     assert says in str(refusal.value)
 
 
 @pytest.mark.parametrize("wrapper", [DTWReward, ConditionFlag])
-@pytest.mark.parametrize("wrapper_of_many", [DTWRewardVector, ConditionFlagVector])
-def test_other_peoples_environments_are_refused(wrapper: Any, wrapper_of_many: Any) -> None:
+def test_other_peoples_environments_are_refused(wrapper: Any) -> None:
     with pytest.raises(InputError, match="AnimaRL"):
         wrapper(gym.make("CartPole-v1"))
+
+
+@pytest.mark.parametrize("wrapper", [DTWRewardVector, ConditionFlagVector])
+def test_other_peoples_vectors_are_refused(wrapper: Any) -> None:
     with pytest.raises(InputError, match="AnimaRL"):
-        wrapper_of_many(gym.make_vec("CartPole-v1", num_envs=2))
+        wrapper(gym.make_vec("CartPole-v1", num_envs=2))
 
 
 @pytest.mark.parametrize(("condition", "paid"), [(0, 0.0), (1, 1.0)])
