@@ -19,10 +19,10 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
 from animarl_algos.exploration import fit_boltzmann_temperature
-from animarl_algos.loop import OnlineLoop
 from animarl_algos.offline import (
     DemonstrationData,
     OfflineDataset,
+    OfflineLearner,
     OfflineProgress,
     demonstrated_values,
     run_offline_phase,
@@ -35,7 +35,7 @@ from animarl_algos.terms import Phase
 from animarl_envs.errors import InputError
 
 
-class SequenceQLearning(OnlineLoop):
+class SequenceQLearning(OfflineLearner):
     """Sequence Q-learning for K independent individuals; see the recipes for what is minimised.
 
     Steps are steps of the world: one step of all slots of a copy counts once.
@@ -229,7 +229,7 @@ class SequenceQLearning(OnlineLoop):
         if self.env is not None:
             self.replay_buffer = self._make_replay_buffer()
         self.boundary_hooks = []
-        self.best_weights: dict[str, torch.Tensor] | None = None
+        self.best_weights = None
 
     def reset_optimizer(self, learning_rate: float) -> None:
         """A new optimiser for the online network, with nothing accumulated."""

@@ -23,19 +23,17 @@ import signal
 import zipfile
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 
+from animarl_algos.base import SequenceQLearning
 from animarl_algos.recurrent.buffer_state import buffer_state, restore_buffer
 from animarl_algos.training_state import identity, restore_training_state, training_state
 from animarl_envs.errors import InputError
-
-if TYPE_CHECKING:
-    from animarl_algos.base import SequenceQLearning
 
 FORMAT = 1
 PREFIX = "checkpoint_"

@@ -8,23 +8,22 @@ validation figure is taken; the weights of the best epoch are kept.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
+from animarl_algos.loop import OnlineLoop
 from animarl_algos.losses import balanced_accuracy
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.terms import ScoredActionsTemporalDifference
 from animarl_algos.updates import evaluate, update
 from animarl_envs.errors import InputError
-
-if TYPE_CHECKING:
-    from animarl_algos.base import SequenceQLearning
 
 Figures = dict[str, float]
 
@@ -81,8 +80,25 @@ class OfflineProgress:
         return cls(**row | {"best_figure": float("inf") if figure is None else figure})
 
 
+class OfflineLearner(OnlineLoop):
+    """What the offline phase needs of a learner, beside what the online loop needs."""
+
+    observation_size: int
+    root_seed: int
+    offline_epochs: int
+    offline_learning_rate: float
+    offline_batch_size: int
+    offline_patience: int | None
+    offline_progress: OfflineProgress
+    best_weights: dict[str, torch.Tensor] | None
+
+    @abstractmethod
+    def reset_optimizer(self, learning_rate: float) -> None:
+        """A new optimiser for the online network, with nothing accumulated."""
+
+
 def run_offline_phase(
-    model: SequenceQLearning, data: DemonstrationData, *, progress_bar: bool
+    model: OfflineLearner, data: DemonstrationData, *, progress_bar: bool
 ) -> None:
     """Train ``model`` for its ``offline_epochs``, as ``offline_progress`` left off."""
     progress, policy = model.offline_progress, model.policy
@@ -122,7 +138,7 @@ def run_offline_phase(
     model.best_weights = None
 
 
-def _refuse_foreign(model: SequenceQLearning, data: DemonstrationData) -> None:
+def _refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
     """Demonstrations of other individuals, another observation or other actions are refused."""
     for name, dataset in (("training", data.train), ("validation", data.val)):
         batch = next(iter(dataset.batches(1)))
@@ -150,7 +166,7 @@ def _refuse_foreign(model: SequenceQLearning, data: DemonstrationData) -> None:
             )
 
 
-def train_epoch(model: SequenceQLearning, dataset: OfflineDataset, epoch: int) -> Figures:
+def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> Figures:
     """One pass over the training split; returns the mean of each term."""
     policy, phase, terms = model.policy, model.phase("offline"), model.recipe.offline
     generator = np.random.default_rng([model.root_seed, epoch])
@@ -176,7 +192,7 @@ def train_epoch(model: SequenceQLearning, dataset: OfflineDataset, epoch: int) -
     return row
 
 
-def _keep_if_best(model: SequenceQLearning, figure: float) -> None:
+def _keep_if_best(model: OfflineLearner, figure: float) -> None:
     progress = model.offline_progress
     if not np.isfinite(figure):
         raise InputError(
@@ -189,7 +205,7 @@ def _keep_if_best(model: SequenceQLearning, figure: float) -> None:
         model.best_weights = {name: value.clone() for name, value in state.items()}
 
 
-def validation_figures(model: SequenceQLearning, dataset: OfflineDataset) -> Figures:
+def validation_figures(model: OfflineLearner, dataset: OfflineDataset) -> Figures:
     """How the demonstrated actions fare among all actions, over the valid steps of ``dataset``.
 
     ``val/cross_entropy`` [nat] with action values as logits, ``val/mean_rank`` (best 1; ties count
@@ -243,7 +259,7 @@ class DemonstratedValues:
 
 
 @torch.no_grad()
-def demonstrated_values(model: SequenceQLearning, dataset: OfflineDataset) -> DemonstratedValues:
+def demonstrated_values(model: OfflineLearner, dataset: OfflineDataset) -> DemonstratedValues:
     """Run the online network along the demonstrated episodes."""
     policy, count = model.policy, model.layout.num_individuals
     values: list[list[NDArray[np.float64]]] = [[] for _ in range(count)]
@@ -288,7 +304,7 @@ def demonstrated_values(model: SequenceQLearning, dataset: OfflineDataset) -> De
     )
 
 
-def _per_individual(name: str, model: SequenceQLearning, values: NDArray[np.floating]) -> Figures:
+def _per_individual(name: str, model: OfflineLearner, values: NDArray[np.floating]) -> Figures:
     row = {name: float(values.mean())}
     if len(values) > 1:
         row |= {f"{name}/{who}": float(v) for who, v in zip(model.layout.individuals, values)}

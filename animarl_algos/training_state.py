@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.base import SequenceQLearning
 from animarl_algos.offline import OfflineProgress
-
-if TYPE_CHECKING:
-    from animarl_algos.base import SequenceQLearning
 
 COUNTERS = (
     "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates", "_updates_due",
