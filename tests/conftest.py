@@ -1,9 +1,9 @@
-"""Shared fixtures: where the recorded data lies, and one torch thread."""
+"""Where the recorded data lies, what is skipped without data or device, and one torch thread."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,12 +13,25 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch, here and in subproces
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if not DATA.is_dir():
-        skip = pytest.mark.skip(reason=f"recorded data not found at {DATA}; set ANIMARL_DATA")
-        for item in items:
-            if "realdata" in item.keywords:
-                item.add_marker(skip)
+def has_cuda() -> bool:
+    import torch
+
+    return torch.cuda.is_available()
+
+
+NEEDS: dict[str, tuple[Callable[[], bool], str]] = {
+    "realdata": (DATA.is_dir, f"recorded data not found at {DATA}; set ANIMARL_DATA"),
+    "cuda": (has_cuda, "no CUDA device"),
+}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs data or a device that is not here."""
+    for marker, (is_here, reason) in NEEDS.items():
+        needing = [item for item in items if item.get_closest_marker(marker)]
+        if needing and not is_here():
+            for item in needing:
+                item.add_marker(pytest.mark.skip(reason=reason))
 
 
 @pytest.fixture(scope="session")

@@ -12,20 +12,6 @@ from animarl_algos.recurrent.gru import Packing, stacked_gru
 from animarl_algos.recurrent.gru_kernels import tanh_float32
 from animarl_envs.errors import InputError
 
-devices = pytest.mark.parametrize(
-    "device",
-    [
-        "cpu",
-        pytest.param(
-            "cuda",
-            marks=[
-                pytest.mark.cuda,
-                pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"),
-            ],
-        ),
-    ],
-)
-
 
 def gru_arguments(dtype: torch.dtype, device: str = "cpu") -> list[torch.Tensor]:
     """First state, weights of input and state, biases of input and state."""
@@ -35,7 +21,7 @@ def gru_arguments(dtype: torch.dtype, device: str = "cpu") -> list[torch.Tensor]
     return [d.to(device, dtype).requires_grad_() for d in draws]
 
 
-@devices
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("packed", [False, True])
 def test_gru_equals_torch_in_values_and_all_gradients(dtype, packed, device) -> None:

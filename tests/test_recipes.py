@@ -41,7 +41,6 @@ def test_every_recipe_trains_repeats_saves_and_loads(name: str, tmp_path: Path) 
 
 
 @pytest.mark.cuda
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize("name", ["dqaas", "dqcil-pt", "qr-dqdil-pt"])
 def test_a_cuda_device_learns_the_same(name: str) -> None:
     """Offline, where no draw depends on rounding: the validation figures of the CPU."""

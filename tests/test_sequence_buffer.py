@@ -243,7 +243,6 @@ def test_individuals_draw_differently() -> None:
 
 
 @pytest.mark.cuda
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_batches_reach_the_gpu_unchanged() -> None:
     stream = Stream(2, 2, 2, 8, seed=2)
     there, here = (fill(make_buffer(stream, 200, device=d), stream) for d in ("cuda", "cpu"))
