@@ -17,6 +17,7 @@ from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds import chase_kernels as kernels
+from animarl_envs.worlds import chase_senses
 from animarl_envs.worlds.base import ObservationComponent, World, recorded_speed
 
 
@@ -40,7 +41,7 @@ class ChaseWorld(World):
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
-        self._others = np.zeros((K - 1, kernels.RELATIVE, B))
+        self._others = np.zeros((K - 1, chase_senses.RELATIVE, B))
         damping = np.array([m.damping for m in species.locomotion])
         thrust = np.array([m.thrust for m in species.locomotion])
         self._fixed_start = (
@@ -79,7 +80,7 @@ class ChaseWorld(World):
         kernels.advance(actions, self._state)
 
     def _observe(self) -> None:
-        kernels.observe(
+        chase_senses.observe(
             self._position, self._velocity, self._towards, self._others,
             self._species.senses_centre, self._sensed,
         )  # fmt: skip
@@ -96,11 +97,14 @@ def observe(
     observation = np.zeros((K, len(observation_components(species)), frames), dtype=np.float32)
     towards = np.zeros((K, 2, frames))
     towards[:, 0] = 1.0
-    kernels.observe(
+    chase_senses.observe(
         np.ascontiguousarray(position.transpose(1, 2, 0), dtype=np.float64),
         np.ascontiguousarray(velocity.transpose(1, 2, 0), dtype=np.float64),
-        towards, np.zeros((K - 1, kernels.RELATIVE, frames)), species.senses_centre, observation,
-    )  # fmt: skip
+        towards,
+        np.zeros((K - 1, chase_senses.RELATIVE, frames)),
+        species.senses_centre,
+        observation,
+    )
     return (
         np.ascontiguousarray(observation.transpose(2, 0, 1)),
         np.ascontiguousarray(towards.transpose(2, 0, 1)),

@@ -13,13 +13,11 @@ import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
+from animarl_envs.worlds.compiling import jit
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 LOOKAHEAD = 6  # [steps] for which the action is held in the mind's eye
 WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
-
-
-jit = nb.njit(cache=True, error_model="numpy")
 
 
 @nb.njit(inline="always")
