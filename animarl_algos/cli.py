@@ -25,6 +25,8 @@ except ModuleNotFoundError as error:
     print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
     sys.exit(2)
 
+INTERRUPTED = 130  # the exit code of Ctrl-C, which typer gives without a word
+
 app = typer.Typer(
     name="animarl",
     help="Recorded animals become a simulator: fit, train, evaluate, report.",
@@ -49,6 +51,14 @@ def main() -> None:
     except (InputError, MissingExtraError) as error:
         print(f"animarl: {error}", file=sys.stderr)
         sys.exit(2)
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:
+            print(
+                "\nanimarl: interrupted; given again, the same command takes up a run where its "
+                "last checkpoint or finished stage left it",
+                file=sys.stderr,
+            )
+        raise
 
 
 if __name__ == "__main__":

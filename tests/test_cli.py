@@ -130,6 +130,20 @@ def test_train_by_environment_and_preset_then_more(
     assert '"num_timesteps": 400' in (latest / "state.json").read_text()
 
 
+def test_ctrl_c_says_how_to_go_on(
+    animarl: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    command = ("train", str(small), "--algo", "dqn", *TINY[:4], "--out", "run")
+    with monkeypatch.context() as patched:
+        patched.setattr("animarl_algos.pipeline.train", interrupted)
+        done = animarl(*command)
+    assert done.returncode == 130 and "the same command takes up" in done.stderr
+    assert animarl(*command).returncode == 0
+
+
 def test_one_individual_learns_and_is_evaluated(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
