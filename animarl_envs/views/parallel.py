@@ -15,6 +15,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import describe, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import action_space, chosen_demos, observation_space
+from animarl_envs.views.picture import RENDER_MODES, Picture
 from animarl_envs.worlds import make_world
 
 Observations = dict[str, NDArray[np.float32]]
@@ -40,7 +41,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     metadata: dict[str, Any] = {
         "name": "animarl",
-        "render_modes": ["human", "rgb_array"],
+        "render_modes": list(RENDER_MODES),
         "is_parallelizable": True,
         "render_fps": 10,
     }
@@ -49,22 +50,20 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self, species: Species | str, *, render_mode: str | None = None, **options: Any
     ) -> None:
         self.scenario = make_scenario(species, **options)
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
         self.world = make_world(self.scenario, 1)
+        self._picture = Picture(self.world, render_mode)
         self._description = json.dumps(describe(self.scenario))  # each reset says it anew
         self.render_mode = render_mode
         name = f"animarl_{self.scenario.species.name}_v0"
-        fps = round(1.0 / self.scenario.species.dt)
-        self.metadata = {**self.metadata, "name": name, "render_fps": fps}
+        self.metadata = {
+            **self.metadata, "name": name, "render_fps": self._picture.frame_rate
+        }  # fmt: skip
         self.possible_agents = list(self.scenario.names)
         self.agents: list[str] = []
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
         self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
         self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
         self._started = False
-        self._recorder: Any = None
-        self._renderer: Any = None
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The space of one individual, the same object each time."""
@@ -86,7 +85,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.world.reset(demo=chosen_demos(options, self.scenario, 1))
         self.agents = list(self.possible_agents)
         if self.render_mode is not None:
-            self._record().start()
+            self._picture.start()
         infos = self._infos(warming=False)
         for info in infos.values():
             info["scenario"] = json.loads(self._description)
@@ -125,7 +124,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         warming = world.warming.item()
         world.step(self._actions)
         if self.render_mode is not None:
-            self._record().follow()
+            self._picture.follow()
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
         agents = self.agents
@@ -144,17 +143,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The present scene as ``(height, width, 3)`` uint8, or in a window."""
-        if self.render_mode is None:
-            raise InputError("nothing can be rendered: make the environment with render_mode=")
-        if self._renderer is None:
-            from animarl_envs.render import Renderer
-
-            self._renderer = Renderer(
-                self.render_mode,  # type: ignore[arg-type]
-                fps=self.metadata["render_fps"],
-            )
-        frame: NDArray[np.uint8] | None = self._renderer.draw(self._record().scene())
-        return frame
+        return self._picture.draw()
 
     def state(self) -> NDArray[np.float32]:
         """Positions and velocities of all, flat, arena frame: ``(4 K,)``."""
@@ -163,16 +152,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     def close(self) -> None:
         """Close the window, if any."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def _record(self) -> Any:
-        if self._recorder is None:
-            from animarl_envs.scene import SceneRecorder
-
-            self._recorder = SceneRecorder(self.world)
-        return self._recorder
+        self._picture.close()
 
     def _observations(self) -> Observations:
         seen = self.world.observation

@@ -19,6 +19,7 @@ from animarl_envs.views.common import (
     focal_scenario,
     observation_space,
 )
+from animarl_envs.views.picture import RENDER_MODES, Picture
 from animarl_envs.worlds import make_world
 
 
@@ -62,7 +63,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
     (18,)
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 10}
 
     def __init__(
         self,
@@ -76,18 +77,15 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self.scenario, self.focal_index, self._policies = focal_scenario(
             species, focal, others, options
         )
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise InputError(f"render_mode is {render_mode!r}: choose 'human' or 'rgb_array'")
         self.world = make_world(self.scenario, 1)
+        self._picture = Picture(self.world, render_mode)
         self._description = json.dumps(describe(self.scenario))  # each reset says it anew
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.scenario.species.dt)}
+        self.metadata = {**self.metadata, "render_fps": self._picture.frame_rate}
         self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
         self._running = False
-        self._recorder: Any = None
-        self._renderer: Any = None
 
     @property
     def time_limit(self) -> int:
@@ -107,7 +105,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self.world.reset(demo=chosen_demos(options, self.scenario, 1))
         self._running = True
         if self.render_mode is not None:
-            self._record().start()
+            self._picture.start()
             if self.render_mode == "human":
                 self.render()
         return self._observation(), {**self._info(), "scenario": json.loads(self._description)}
@@ -132,7 +130,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
         if self.render_mode is not None:
-            self._record().follow()
+            self._picture.follow()
             if self.render_mode == "human":
                 self.render()
         info = self._info(warming)
@@ -140,30 +138,11 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """The present scene as ``(height, width, 3)`` uint8, or in a window."""
-        if self.render_mode is None:
-            raise InputError("nothing can be rendered: make the environment with render_mode=")
-        if self._renderer is None:
-            from animarl_envs.render import Renderer
-
-            self._renderer = Renderer(
-                self.render_mode,  # type: ignore[arg-type]
-                fps=self.metadata["render_fps"],
-            )
-        frame: NDArray[np.uint8] | None = self._renderer.draw(self._record().scene())
-        return frame
+        return self._picture.draw()
 
     def close(self) -> None:
         """Close the window, if any."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-
-    def _record(self) -> Any:
-        if self._recorder is None:
-            from animarl_envs.scene import SceneRecorder
-
-            self._recorder = SceneRecorder(self.world)
-        return self._recorder
+        self._picture.close()
 
     def _observation(self) -> NDArray[np.float32]:
         row: NDArray[np.float32] = self.world.observation[0, self.focal_index].copy()
