@@ -150,10 +150,6 @@ class OfflineDataset:
         arrays: list[NDArray[Any]] = [*self._frames, *self._sequences, self._action_penalties]
         return sum(array.nbytes for array in arrays) + self._batch.nbytes
 
-    def num_batches(self, batch_size: int) -> int:
-        """Minibatches of one pass; the last one may be smaller than the others."""
-        return -(-self.num_episodes // batch_size)
-
     def batches(
         self, batch_size: int, generator: np.random.Generator | None = None
     ) -> Iterator[SequenceBatch]:

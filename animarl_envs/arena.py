@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import is_number
 from animarl_envs.errors import InputError
 
 ArenaShape = Literal["square", "disc", "open"]
@@ -43,14 +44,14 @@ class Arena:
             raise InputError(
                 f"arena shape {self.shape!r} is unknown: choose one of {', '.join(SHAPE_CODES)}"
             )
-        if not (_is_number(self.size) and math.isfinite(self.size) and self.size > 0):
+        if not (is_number(self.size) and math.isfinite(self.size) and self.size > 0):
             raise InputError(f"arena size is {self.size!r}: it must be a positive number")
         if not isinstance(self.rebound, bool):
             raise InputError(f"rebound is {self.rebound!r}: choose True or False")
         object.__setattr__(self, "size", float(self.size))
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
-        elif not (_is_number(self.boundary) and self.boundary >= self.size):
+        elif not (is_number(self.boundary) and self.boundary >= self.size):
             raise InputError(
                 f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
                 "choose a boundary at least as large as the size"
@@ -66,7 +67,3 @@ class Arena:
         else:
             extent = np.abs(positions).max(axis=-1)
         return np.asarray(extent <= self.boundary + margin)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)

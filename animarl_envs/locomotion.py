@@ -134,12 +134,17 @@ def apply_actions(
 
     The other arrays are those of :func:`infer_actions`.
     """
-    ego = ACTION_VECTORS[actions]
-    acceleration = np.stack(
-        [
-            ego[..., 0] * focus[..., 0] - ego[..., 1] * focus[..., 1],
-            ego[..., 0] * focus[..., 1] + ego[..., 1] * focus[..., 0],
-        ],
-        axis=-1,
-    )
-    return (1.0 - locomotion.damping) * velocity + locomotion.thrust * acceleration * dt
+    acceleration = locomotion.thrust * action_directions(actions, focus)
+    return (1.0 - locomotion.damping) * velocity + acceleration * dt
+
+
+def action_directions(
+    actions: NDArray[np.integer], focus: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Where ``actions`` ``(...,)`` accelerate to: ``(..., 2)``, arena frame, of length 1 or 0.
+
+    ``focus`` ``(..., 2)`` are unit vectors towards the focus, arena frame.
+    """
+    ahead, left = np.moveaxis(ACTION_VECTORS[actions], -1, 0)
+    x, y = np.moveaxis(focus, -1, 0)
+    return np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import is_number
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import first_pursuers
 from animarl_envs.errors import InputError
@@ -77,7 +78,7 @@ class Scenario:
                 f"condition 1 is not defined for {self.species.name}, which has no conditions: "
                 "leave the option out"
             )
-        if not (_is_number(self.observation_noise) and 0.0 <= self.observation_noise < np.inf):
+        if not (is_number(self.observation_noise) and 0.0 <= self.observation_noise < np.inf):
             raise InputError(
                 f"observation_noise is {self.observation_noise!r}: it must be zero or positive"
             )
@@ -266,10 +267,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value if isinstance(value, str | int | float | None) else str(value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def _load_demos(demos: Demos, species: Species | None) -> Demonstrations | None:

@@ -13,12 +13,11 @@ import importlib
 import inspect
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from option_notes import CHASE_ONLY, NOTES, SEARCH_ONLY
 
 import animarl_envs
@@ -27,13 +26,13 @@ from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, COAST
+from animarl_envs.markdown import markdown_table
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, ChaseSpecies, SearchSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import ObservationComponent, World
 
 DOCS = Path(__file__).parent
-PICTURE_SEEDS = {"agent": 5, "fly": 0, "newt": 0, "silkmoth": 3}
 NOTICE = "<!-- Written by `python docs/make_env_pages.py`; do not edit. -->"
 TURNS = {0: "straight at the focus", 3: "to the right", 6: "straight away", 9: "to the left"}
 
@@ -107,11 +106,6 @@ def markdown(text: str) -> str:
     return " ".join(text.split()).replace("``", "`")
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-
-
 def number(value: float) -> str:
     """Short, and readable as Python."""
     if math.isinf(value):
@@ -142,7 +136,7 @@ def facts(species: Species) -> str:
     if species.name in packaged_names():
         rows.append(("packaged demonstrations", packaged(species.name)))
     unit = "metres" if isinstance(species, SearchSpecies) else "arena units"
-    return table(("", f"lengths in {unit}"), rows)
+    return markdown_table(("", f"lengths in {unit}"), rows)
 
 
 def caption(name: str) -> list[str]:
@@ -167,7 +161,7 @@ def observations(components: Sequence[ObservationComponent]) -> str:
         (str(k), c.name, c.frame, c.unit, f"{number(c.low)} to {number(c.high)}")
         for k, c in enumerate(components)
     ]
-    return table(("", "component", "frame", "unit", "range"), rows)
+    return markdown_table(("", "component", "frame", "unit", "range"), rows)
 
 
 def actions() -> str:
@@ -176,7 +170,7 @@ def actions() -> str:
         for k, angle in enumerate(ACTION_ANGLES)
     ]
     rows.append((str(COAST), "", "no acceleration: coasting"))
-    return table(("action", "angle from the focus, counter-clockwise", ""), rows)
+    return markdown_table(("action", "angle from the focus, counter-clockwise", ""), rows)
 
 
 def rewards(world: World, species: Species) -> str:
@@ -208,7 +202,7 @@ def ends(species: Species) -> str:
             )
         )
     rows.append((f"step {species.time_limit} has been taken", "truncated"))
-    return table(("when", "then"), rows)
+    return markdown_table(("when", "then"), rows)
 
 
 def option_defaults(species: Species) -> dict[str, str]:
@@ -242,7 +236,7 @@ def options(species: Species) -> str:
     for name, default in option_defaults(species).items():
         allowed, meaning = notes[name]
         rows.append((f"`{name}`", meaning, allowed, f"`{default}`" if default else ""))
-    return table(("option", "meaning", "allowed", "default"), rows)
+    return markdown_table(("option", "meaning", "allowed", "default"), rows)
 
 
 def usage(species: Species) -> str:
@@ -316,7 +310,7 @@ def custom_page() -> str:
         f"```python\n{script('custom_demonstrations.py')[1]}\n```",
         "What the species is made of. If the file names a species of the suite (`animarl import "
         "--species fly`), its numbers hold where the file is silent; otherwise:",
-        table(("number", "from"), CUSTOM_NUMBERS),
+        markdown_table(("number", "from"), CUSTOM_NUMBERS),
         "Every one of them is an option as well: `contact_radius=0.1` wins over all rules. A "
         "searcher gets the silkmoth's senses, plume and conditions. Files of flies, newts, "
         "silkmoths or agents can be given to those environments too, `gym.make(\"AnimaRL/Fly-v0\", "
@@ -327,7 +321,7 @@ def custom_page() -> str:
         "![Two dogs and a sheep](../images/custom.png)",
         f"```python\n{code}\n```",
         "Fields of a species and their defaults:",
-        table(
+        markdown_table(
             ("field", "meaning", "allowed", "default"),
             [
                 (f"`{f.name}`", NOTES.get(f.name, CHASE_ONLY.get(f.name, ("", "")))[1],
@@ -359,44 +353,12 @@ def pages() -> dict[str, str]:
     return found | {"custom.md": custom_page()}
 
 
-def picture(species: Species, seed: int) -> np.ndarray:
-    """The last scene of an episode of recorded, scripted or programmed animals."""
-    from animarl_algos.commands.watch import idle_actor, prepare
-    from animarl_envs.render import Renderer
-    from animarl_envs.scene import SceneRecorder
-
-    if species.name in SPECIES:
-        world, actor = prepare(animarl_envs.environment_id(species.name), seed=seed)
-    else:
-        drivers = dict.fromkeys(species.individuals, "scripted")
-        world, actor = make_world(make_scenario(species, demos=None, drivers=drivers)), idle_actor
-    world.seed([seed])
-    world.reset()
-    recorder, start = SceneRecorder(world), True
-    recorder.start()
-    while not (world.terminated[0] or world.truncated[0]):
-        world.step(actor(world, start))
-        recorder.follow()
-        start = False
-    drawn = Renderer("rgb_array").draw(recorder.scene())
-    assert drawn is not None
-    return drawn
-
-
-def write_pictures() -> None:
-    import imageio.v3 as imageio
-    from custom_species import HERDING
-
-    (DOCS / "images").mkdir(exist_ok=True)
-    for name, species in (SPECIES | {"custom": HERDING}).items():
-        with write_then_rename(DOCS / "images" / f"{name}.png") as part:
-            imageio.imwrite(part, picture(species, PICTURE_SEEDS.get(name, 0)), optimize=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--text-only", action="store_true", help="leave the pictures as they are")
     if not parser.parse_args().text_only:
+        from env_pictures import write_pictures
+
         write_pictures()
     for name, text in pages().items():
         with write_then_rename(DOCS / "environments" / name) as part:

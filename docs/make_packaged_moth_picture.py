@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.moth_statistics import of_demonstrations, recorded_moths
+from animarl_envs.demos.moth_statistics import of_demonstrations, recorded_statistics
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.palette import PURSUERS, RECORDED, SIMULATED, to_hex
 from animarl_envs.species import SILKMOTH
@@ -51,7 +51,7 @@ def main() -> None:
     given = parser.parse_args()
     demos = load_packaged("silkmoth")
     found = {
-        "recorded": of_demonstrations(recorded_moths(given.folder)),
+        "recorded": recorded_statistics(given.folder),
         "full": of_demonstrations(demos.select(condition=0)),
         "reduced": of_demonstrations(demos.select(condition=1)),
     }

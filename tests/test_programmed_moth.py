@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animarl_envs.demos.moth_comparison import search_rates
+from animarl_envs.demos.moth_statistics import search_statistics
 from animarl_envs.demos.programmed_moth import MothProgramme, ProgrammedMoth
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
@@ -79,7 +79,9 @@ def test_a_new_contact_starts_the_sequence_anew_and_reset_forgets() -> None:
 @pytest.mark.parametrize("locomotion", [SILKMOTH.locomotion[0], Locomotion(0.341, 0.0171)])
 def test_full_senses_find_the_source_more_often(locomotion: Locomotion) -> None:
     species = replace(SILKMOTH, locomotion=(locomotion,))
-    full, reduced = (search_rates(species, condition, episodes=256, seed=3) for condition in (0, 1))
+    full, reduced = (
+        search_statistics(species, condition, episodes=256, seed=3) for condition in (0, 1)
+    )
     assert full.rate > 0.8
     assert 0.2 < reduced.rate < 0.75
     low, high = full.interval()
@@ -91,10 +93,10 @@ def test_full_senses_find_the_source_more_often(locomotion: Locomotion) -> None:
 
 
 def test_rates_repeat_with_the_seed() -> None:
-    first, again = (search_rates(SILKMOTH, 0, episodes=16, seed=5) for _ in range(2))
+    first, again = (search_statistics(SILKMOTH, 0, episodes=16, seed=5) for _ in range(2))
     np.testing.assert_array_equal(first.duration, again.duration)
     assert not np.array_equal(
-        first.duration, search_rates(SILKMOTH, 0, episodes=16, seed=6).duration
+        first.duration, search_statistics(SILKMOTH, 0, episodes=16, seed=6).duration
     )
 
 

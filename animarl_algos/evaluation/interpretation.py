@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation import style
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import COAST, NUM_ACTIONS
+from animarl_envs.locomotion import COAST, NUM_ACTIONS, action_directions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,17 +109,7 @@ def value_map(
             f"q has shape {q.shape} and focus {focus.shape}, but there are {len(y)} rows and "
             f"{len(x)} columns: give (rows, columns, 13) and (rows, columns, 2)"
         )
-    from animarl_envs.locomotion import ACTION_VECTORS
-
-    best = q.argmax(axis=-1)
-    ego = ACTION_VECTORS[best]
-    direction = np.stack(
-        [
-            ego[..., 0] * focus[..., 0] - ego[..., 1] * focus[..., 1],
-            ego[..., 0] * focus[..., 1] + ego[..., 1] * focus[..., 0],
-        ],
-        axis=-1,
-    )
+    direction = action_directions(q.argmax(axis=-1), focus)
     direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
     with style.house_style():
         figure, panel = style.new_figure(4.2, 3.6)

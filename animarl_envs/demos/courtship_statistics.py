@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from animarl_envs.demos.courtship_published import SHAPES, Published
 from animarl_envs.demos.courtship_shapes import LEVELS, Shape, fit, measure
 from animarl_envs.demos.cutting import distances_to_target
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.markdown import markdown_table
 from animarl_envs.species import get_species
 
 BINS = 20
@@ -57,7 +57,7 @@ def table(demos: Demonstrations, published: Published, data: Path | None = None)
     terminal = np.array([m.terminal_speed(species.dt) for m in species.locomotion])
     faster = int((speed[demos.offsets[:-1]] > terminal).any(axis=1).sum())
     rows.append(("episodes that start faster than the terminal speed", "not known", f"{faster}"))
-    text = _markdown(("statistic", "published", "generated"), rows)
+    text = markdown_table(("statistic", "published", "generated"), rows)
     recorded = SHAPES[demos.species] if data is None else fit(demos.species, data)
     made = measure([one.positions for one in demos], demos.dt, demos.name)
     return text + "\n\n" + _shapes(recorded, made)
@@ -81,12 +81,8 @@ def _shapes(recorded: Shape, made: Shape) -> str:
             rows.append((f"{title}, {level:.0%}", *(f"{v:.{digits}f}{unit}" for v in values)))
     rows.append(("99 % of all speeds [arena unit / s]", f"{recorded.top:.3f}", f"{made.top:.3f}"))
     rows.append(("turning [rad / s^(1/2)]", f"{recorded.turning:.2f}", f"{made.turning:.2f}"))
-    return _markdown(("quantile", f"recorded ({recorded.source.split('/')[0]})", "generated"), rows)
-
-
-def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [head, ("---",) * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    source = recorded.source.split("/")[0]
+    return markdown_table(("quantile", f"recorded ({source})", "generated"), rows)
 
 
 def _splits(counts: tuple[int, ...]) -> str:

@@ -12,50 +12,29 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.moth_searches import search
+from animarl_envs.demos.moth_published import PUBLISHED
 from animarl_envs.demos.moth_statistics import (
     QUARTILES,
     SPEED_QUANTILES,
     TURNING_QUANTILES,
     SearchStatistics,
     of_demonstrations,
-    of_searches,
-    recorded_moths,
+    recorded_statistics,
+    search_statistics,
     wasserstein,
 )
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species import SILKMOTH, SearchSpecies
+from animarl_envs.markdown import markdown_table
+from animarl_envs.species import SILKMOTH
 
 RECORDED_FIT = Locomotion(0.341, 0.0171)  # onset rule on the 24 recorded runs
-
-
-@dataclass(frozen=True)
-class Published:
-    """What the paper says of its silkmoths (sections "Silkmoth dataset", "Counterfactual ...")."""
-
-    episodes: int = 60
-    reached_full: float = 1.000
-    reached_reduced: float = 0.633
-    shortest: float = 9.0  # [s]
-    total: float = 6611.5  # [s]
-    path_difference: tuple[float, float] = (1.340, 2.216)
-    """Mean path with reduced senses less that with full ones, 95 % interval; its unit is not given
-    and taken for metres."""
-
-    @property
-    def mean_duration(self) -> float:
-        """[s]"""
-        return self.total / self.episodes
-
-
-PUBLISHED = Published()
 ABSENT = "-"
 
 
@@ -111,25 +90,13 @@ def comparison(demos: Demonstrations, recorded: SearchStatistics | None) -> list
     return rows
 
 
-def table(rows: list[tuple[str, ...]]) -> str:
-    """A Markdown table; the first row is its head."""
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    lines.insert(1, "|" + "---|" * len(rows[0]))
-    return "\n".join(lines)
-
-
-def search_rates(
-    species: SearchSpecies, condition: int, *, episodes: int, seed: int
-) -> SearchStatistics:
-    """How programmed moths fare in the plumes of ``species.train_plumes``."""
-    return of_searches(search(species, condition, episodes=episodes, seed=seed))
-
-
-def rates(episodes: int, seed: int, recorded: SearchStatistics | None) -> list[tuple[str, ...]]:
-    """Rows: who, senses, reached with 95 % Wilson interval, quartiles of duration and path."""
+def rates(
+    episodes: int, seed: int, recorded: SearchStatistics | None
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows: who, senses, reached with its interval, quartiles of duration and path."""
     fitted = replace(SILKMOTH, locomotion=(RECORDED_FIT,))
     held_out = replace(SILKMOTH, train_plumes=SILKMOTH.test_plumes)
-    rows: list[tuple[str, ...]] = [("", "senses", "reached", "duration [s]", "path [m]")]
+    rows: list[tuple[str, ...]] = []
     if recorded is not None:
         rows.append(("recorded moths", "full", *_fared(recorded)))
     for who, species in (
@@ -138,9 +105,9 @@ def rates(episodes: int, seed: int, recorded: SearchStatistics | None) -> list[t
         ("with d = 0.341, u = 0.0171, training plumes", fitted),
     ):
         for condition, senses in enumerate(("full", "reduced")):
-            found = search_rates(species, condition, episodes=episodes, seed=seed)
+            found = search_statistics(species, condition, episodes=episodes, seed=seed)
             rows.append((who if condition == 0 else "", senses, *_fared(found)))
-    return rows
+    return ("", "senses", "reached", "duration [s]", "path [m]"), rows
 
 
 def _fared(found: SearchStatistics) -> tuple[str, str, str]:
@@ -165,11 +132,11 @@ def main() -> None:
     demos = load_packaged("silkmoth") if given.file is None else Demonstrations.load(given.file)
     recorded = None
     if given.folder is not None:
-        recorded = of_demonstrations(recorded_moths(given.folder))
+        recorded = recorded_statistics(given.folder)
     head = ("statistic", "published", "recorded (24 runs)", "generated (synthetic)")
-    print(table([head, *comparison(demos, recorded)]))
+    print(markdown_table(head, comparison(demos, recorded)))
     print()
-    print(table(rates(given.episodes, given.seed, recorded)))
+    print(markdown_table(*rates(given.episodes, given.seed, recorded)))
 
 
 if __name__ == "__main__":

@@ -17,16 +17,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.moth_comparison import PUBLISHED
-from animarl_envs.demos.moth_searches import search
+from animarl_envs.demos.moth_published import PUBLISHED
 from animarl_envs.demos.moth_statistics import (
     QUARTILES,
     SPEED_QUANTILES,
     TURNING_QUANTILES,
     SearchStatistics,
-    of_demonstrations,
-    of_searches,
-    recorded_moths,
+    recorded_statistics,
+    search_statistics,
 )
 from animarl_envs.demos.programmed_moth import MothProgramme
 from animarl_envs.species import SILKMOTH
@@ -71,7 +69,7 @@ def start_point() -> NDArray[np.float64]:
 def losses(programme: MothProgramme, recorded: SearchStatistics, seed: int) -> dict[str, float]:
     """Each aim's squared distance, in units of its tolerance."""
     full, reduced = (
-        of_searches(search(EVERY_PLUME, c, episodes=EPISODES, seed=[seed, c], programme=programme))
+        search_statistics(EVERY_PLUME, c, episodes=EPISODES, seed=[seed, c], programme=programme)
         for c in (0, 1)
     )
     durations = np.concatenate([full.duration, reduced.duration])
@@ -138,7 +136,7 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=80)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    recorded = of_demonstrations(recorded_moths(given.folder))
+    recorded = recorded_statistics(given.folder)
     found = fit(recorded, given.generations, given.seed)
     for name in fields(found):
         print(f"{name.name} = {getattr(found, name.name)}")

@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.moth_searches import Searches
+from animarl_envs.demos.moth_searches import Searches, search
+from animarl_envs.demos.programmed_moth import MothProgramme
 from animarl_envs.errors import InputError
+from animarl_envs.species import SearchSpecies
 
 MOVING = 0.001  # slower than this a direction of travel is noise [m / s]
 RESTING = 0.002  # a moth slower than this rests [m / s]
@@ -94,6 +96,20 @@ def of_searches(searches: Searches) -> SearchStatistics:
     return describe(searches.tracks(), searches.reached, searches.dt)
 
 
+def search_statistics(
+    species: SearchSpecies,
+    condition: int,
+    *,
+    episodes: int,
+    seed: int | list[int],
+    programme: MothProgramme | None = None,
+) -> SearchStatistics:
+    """How programmed moths fare in the plumes of ``species.train_plumes``."""
+    return of_searches(
+        search(species, condition, episodes=episodes, seed=seed, programme=programme)
+    )
+
+
 def of_demonstrations(demos: Demonstrations) -> SearchStatistics:
     """Statistics of demonstrations of one searcher."""
     tracks = [episode.positions[:, 0] for episode in demos]
@@ -108,6 +124,11 @@ def recorded_moths(folder: Path) -> Demonstrations:
     if not files:
         raise InputError(f"{folder}: it holds no raw/*.csv: name the folder of recorded moths")
     return follow(default_recipe(get_reader("mothvr")), files)
+
+
+def recorded_statistics(folder: Path) -> SearchStatistics:
+    """Statistics of the recorded runs in ``folder/raw``."""
+    return of_demonstrations(recorded_moths(folder))
 
 
 def wasserstein(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from animarl_envs.arena import Arena
+from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 
@@ -60,11 +61,11 @@ class Species:
                 f"{len(self.individuals)} individuals: give one each"
             )
         self._positive("contact_radius", "dt")
-        if not _is_whole(self.time_limit) or self.time_limit < 1:
+        if not is_whole(self.time_limit) or self.time_limit < 1:
             raise InputError(
                 f"time_limit is {self.time_limit!r} steps: it must be a whole number, at least 1"
             )
-        if not _is_whole(self.warmup) or not 0 <= self.warmup < self.time_limit:
+        if not is_whole(self.warmup) or not 0 <= self.warmup < self.time_limit:
             raise InputError(
                 f"warmup is {self.warmup!r} steps: it must be a whole number between 0 and the "
                 "time limit"
@@ -73,7 +74,7 @@ class Species:
         object.__setattr__(self, "warmup", int(self.warmup))
         object.__setattr__(self, "conditions", _names(self.conditions))
         penalty = self.boundary_penalty
-        if not _is_number(penalty) or not abs(penalty) < float("inf"):
+        if not is_number(penalty) or not abs(penalty) < float("inf"):
             raise InputError(f"boundary_penalty is {penalty!r}: it must be a number")
         object.__setattr__(self, "boundary_penalty", float(penalty))
 
@@ -93,7 +94,7 @@ class Species:
         """
         for name in names:
             value = getattr(self, name)
-            low = _is_number(value) and (value >= 0 if or_zero else value > 0)
+            low = is_number(value) and (value >= 0 if or_zero else value > 0)
             if not (low and value < float("inf")):
                 allowed = "zero or positive" if or_zero else "a positive number"
                 raise InputError(f"{name} is {value!r}: it must be {allowed}")
@@ -184,7 +185,7 @@ class SearchSpecies(Species):
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)
             listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)
-            if not listed or len(chosen) == 0 or not all(_is_whole(p) for p in chosen):
+            if not listed or len(chosen) == 0 or not all(is_whole(p) for p in chosen):
                 raise InputError(
                     f"{name} is {chosen!r}: name one or more plume patterns, 0 to 4, as a list"
                 )
@@ -197,14 +198,6 @@ class SearchSpecies(Species):
     @property
     def roles(self) -> tuple[str, ...]:
         return ("searcher",) * self.num_individuals
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _names(conditions: Any) -> tuple[str, ...]:

@@ -103,10 +103,6 @@ class FilamentModel:
         return round(self.period * self.puff_rate)
 
     @property
-    def num_frames(self) -> int:
-        return round(self.period * self.frame_rate)
-
-    @property
     def grid(self) -> tuple[int, int, float, float]:
         """Rows (y) and columns (x) of the grid, and x and y of the first cell's centre [m]."""
         margin = 4  # cells upwind of the source and beyond the edges, for the antenna's radius
