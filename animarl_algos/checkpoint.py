@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 
 from animarl_algos.base import SequenceQLearning
@@ -123,12 +122,9 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         tensors = torch.load(path / "model.pt", map_location="cpu", weights_only=True)
         with np.load(path / "run.npz", allow_pickle=False) as file:
             arrays = dict(file)
-        replay: dict[str, NDArray[Any]] | None = None
-        if (path / "replay.npz").exists():
+        if model.replay_buffer is not None:
             with np.load(path / "replay.npz", allow_pickle=False) as file:
-                replay = dict(file)
-        if replay is not None and model.replay_buffer is not None:
-            restore_buffer(model.replay_buffer, replay)
+                restore_buffer(model.replay_buffer, dict(file))
         torch_random_state = tensors.pop("torch_random_state")
         restore_training_state(model, state["counters"], arrays, tensors)
         torch.set_rng_state(torch_random_state)

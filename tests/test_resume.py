@@ -191,3 +191,10 @@ def test_a_damaged_checkpoint_is_refused(name: str, damage: str, tmp_path: Path)
         load_checkpoint(make(), tmp_path)
     file.write_bytes(whole)
     load_checkpoint(make(), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz"])
+def test_a_checkpoint_without_one_of_its_files_is_refused(name: str, tmp_path: Path) -> None:
+    (save_checkpoint(make().learn(100), tmp_path) / name).unlink()
+    with pytest.raises(InputError, match="damaged"):
+        load_checkpoint(make(), tmp_path)
