@@ -44,6 +44,21 @@ def latest_checkpoint(folder: str | Path) -> Path | None:
     return next((p for p in reversed(found) if p.suffix != ".part"), None)
 
 
+def steps_done(checkpoint: Path) -> int:
+    """World steps of the run until then.
+
+    Raises
+    ------
+    InputError
+        If the checkpoint is damaged.
+    """
+    try:
+        state = json.loads((checkpoint / "state.json").read_text())
+        return int(state["counters"]["num_timesteps"])
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise _damaged(checkpoint, error) from error
+
+
 def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
     """Write a checkpoint of ``model`` into ``folder`` and remove the one before.
 
@@ -134,7 +149,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         random.setstate((version, tuple(words), gauss))
     except InputError:
         raise
-    except (OSError, KeyError, TypeError, ValueError, EOFError, RuntimeError) as error:
+    except (OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError) as error:
         raise _damaged(path, error) from error
     except (zipfile.BadZipFile, AttributeError, ImportError) as error:
         raise _damaged(path, error) from error

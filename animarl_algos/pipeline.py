@@ -6,7 +6,6 @@ was killed goes on where it was.
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,12 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.checkpoint import (
+    CheckpointCallback,
+    latest_checkpoint,
+    load_checkpoint,
+    steps_done,
+)
 from animarl_algos.collection import check_environment
 from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import Decisions, decide_along
@@ -144,9 +148,7 @@ def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
     latest = latest_checkpoint(run.path / "checkpoints" / algo)
     if latest is None or not named_recipe(algo).algorithm.recipe.online:
         return False
-    state = json.loads((latest / "state.json").read_text())
-    counters = state.get("counters", state)
-    return bool(counters["num_timesteps"] < steps)
+    return steps_done(latest) < steps
 
 
 def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Policy]:

@@ -18,12 +18,14 @@ import json
 import platform
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import pandas as pd
 import torch
 
 from animarl_algos.base import SequenceQLearning
+from animarl_algos.checkpoint import latest_checkpoint
 from animarl_algos.recipes import named_recipe
 from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings
 from animarl_algos.settings import constructed
@@ -122,6 +124,15 @@ class RunFolder:
                 f"{self.path}: the run has {settings.steps} steps already: ask for more with "
                 "--steps"
             )
+        trained = named_recipe(settings.algo).algorithm.recipe.online and (
+            self.has_policy(settings.algo)
+        )
+        further = steps is not None and steps > settings.steps
+        checkpoint = latest_checkpoint(self.path / "checkpoints" / settings.algo)
+        if further and trained and checkpoint is None:
+            raise InputError(
+                f"{self.path}: its checkpoints are gone, so it cannot go on: start a new run"
+            )
         asked = replace(
             settings,
             steps=settings.steps if steps is None else steps,
@@ -184,8 +195,13 @@ class RunFolder:
             raise InputError(
                 f"{file}: there is no trained policy yet: train the run first"
             ) from None
-        except (RuntimeError, ValueError, EOFError) as error:
-            raise InputError(f"{file}: it is not a policy of this run ({error})") from None
+        except (
+            RuntimeError, ValueError, TypeError, EOFError, LookupError, UnpicklingError
+        ) as error:  # fmt: skip
+            first_line = (str(error).splitlines() or [type(error).__name__])[0][:120]
+            raise InputError(
+                f"{file}: it is not a policy of this run ({first_line}): remove it and train again"
+            ) from None
 
     def has_policy(self, name: str) -> bool:
         return (self.path / "policies" / f"{name}.pt").exists()

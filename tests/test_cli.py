@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 import sys
 import zipfile
 from collections.abc import Callable
@@ -199,11 +200,20 @@ def test_a_damaged_checkpoint_or_folder_is_refused(
 ) -> None:
     first = animarl("train", str(small), *TINY[:-2], "--algo", "dqn", "--out", "run")
     assert first.returncode == 0, first.stderr
+    policy = tmp_path / "run" / "policies" / "dqn.pt"
+    policy.write_text("text")
+    watched = animarl("watch", "AnimaRL/Agent-v0", "--model", "run", "--out", "a.gif")
+    assert watched.returncode == 2 and "not a policy of this run" in watched.stderr
+    assert len(watched.stderr.strip().splitlines()) == 1
     latest = max((tmp_path / "run" / "checkpoints" / "dqn").glob("checkpoint_*"))
-    (latest / "model.pt").write_bytes(b"PK")
-    resumed = animarl("train", "--resume", "run", "--steps", "600")
-    assert resumed.returncode == 2 and "damaged" in resumed.stderr
-    assert len(resumed.stderr.strip().splitlines()) == 1
+    for name in ("model.pt", "state.json"):
+        (latest / name).write_bytes(b"PK")
+        resumed = animarl("train", "--resume", "run", "--steps", "600")
+        assert resumed.returncode == 2 and "damaged" in resumed.stderr
+        assert len(resumed.stderr.strip().splitlines()) == 1
+    shutil.rmtree(latest)
+    gone = animarl("train", "--resume", "run", "--steps", "700")
+    assert gone.returncode == 2 and "its checkpoints are gone" in gone.stderr
     settings = tmp_path / "run" / "settings.json"
     for content, word in (("{", "damaged"), ("{}", "not of this version"), ("[]", "damaged")):
         settings.write_text(content)

@@ -174,6 +174,7 @@ def test_a_foreign_checkpoint_is_refused(
 DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "empty": lambda _: b"",
     "text": lambda _: b"not a checkpoint",
+    "a word": lambda _: b"text",
     "head of an archive": lambda _: b"PK\x03\x04",
     "another object": lambda _: b"{}",
     "a list": lambda _: b"[1, 2]",
