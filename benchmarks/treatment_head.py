@@ -1,0 +1,288 @@
+"""DQCIL's treatment head: does it fall to chance, and is the memory then blind to the condition?
+
+    python benchmarks/treatment_head.py toy --seeds 5
+    python benchmarks/treatment_head.py demonstrations agent --seeds 3
+    python benchmarks/treatment_head.py demonstrations INDIVIDUAL.npz SHARED.npz --seeds 1
+
+``toy`` is the confounded condition of ``tests/toys.py``: in training a loud nuisance always agrees
+with the flag. ``demonstrations`` is the offline phase (DQDIL-PT, DQCIL-PT) with the default preset.
+
+head        balanced accuracy of the treatment head on data that it was not trained on, at the end;
+            0.5 is chance.
+last third  its mean over the last third of training, and its standard deviation there.
+nat         the head's cross-entropy then; chance is 0.69.
+probe       balanced accuracy of a classifier of the head's form, fitted anew to the frozen memory,
+            without an opponent.
+variance    share of the memory's variance that lies between the conditions' means.
+
+A cell is the mean over seeds (and individuals), with the smallest and the largest in brackets.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import typer
+from rich.console import Console
+from rich.table import Table
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.utils import LinearSchedule
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.commands.run import parse_settings
+from animarl_algos.dqcil import DQCIL
+from animarl_algos.dqdil import DQDIL
+from animarl_algos.offline import OfflineDataset
+from animarl_algos.presets import learner_preset
+from animarl_algos.recipes import named_recipe
+from animarl_algos.settings import constructed
+from animarl_algos.updates import evaluate
+from animarl_algos.vec_env import SlotVecEnv
+from animarl_envs import environment_id
+from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.demos.readers import read
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import toys
+from confounded import NO_MOMENTUM, SETTINGS, SETTLED, flip_behaviour, read_condition
+from treatment_probe import probe_balanced_accuracy, share_of_variance
+
+app = typer.Typer(help=__doc__.split("\n", 1)[0], add_completion=False)
+Figures = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A row of the toy's table: a learner and what it has beside the toy's own settings."""
+
+    label: str
+    algorithm: type[SequenceQLearning]
+    policy: str
+    steps: int
+    arguments: dict[str, Any] = field(default_factory=dict)
+    annealed: bool = False
+
+
+def toy_settings(steps: int) -> list[Setting]:
+    decayed = {"learning_rate": LinearSchedule(SETTINGS["learning_rate"], 0.0, 1.0)}
+    rows = []
+    for policy in ("MlpPolicy", "GruPolicy"):
+        rows += [
+            Setting("DQDIL", DQDIL, policy, steps),
+            Setting("DQCIL", DQCIL, policy, steps),
+            Setting("DQCIL, rate to 0", DQCIL, policy, steps, decayed),
+            Setting("..., reversal annealed", DQCIL, policy, steps, decayed, annealed=True),
+            Setting("DQCIL, no momentum", DQCIL, policy, steps, NO_MOMENTUM),
+            Setting("..., rate to 0", DQCIL, policy, steps, SETTLED),
+        ]
+    longer = SETTLED | {"lambda2": 1.0}
+    return [
+        *rows,
+        Setting("DQDIL, thrice the steps", DQDIL, "GruPolicy", 3 * steps, SETTLED),
+        Setting("..., lambda2 1, thrice the steps", DQCIL, "GruPolicy", 3 * steps, longer),
+    ]
+
+
+class HeadCurve(BaseCallback):
+    """The head's balanced accuracy after each tenth round of updates, on a set of its own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.curve: list[float] = []
+        self.rounds = 0
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self.rounds += 1
+        if self.rounds % 10 == 0:
+            model: SequenceQLearning = self.model  # type: ignore[assignment]
+            acting = model.policy.random_state
+            self.curve.append(read_condition(model, seed=99).head_accuracy())
+            model.policy.random_state = acting
+
+
+class AnnealedReversal(BaseCallback):
+    """Reversal strength ``2 / (1 + exp(-10 p)) - 1`` at progress p (Ganin et al. 2016)."""
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        model: SequenceQLearning = self.model  # type: ignore[assignment]
+        progress = 1.0 - model._current_progress_remaining
+        model.policy.q_net.reversal = 2.0 / (1.0 + np.exp(-10.0 * progress)) - 1.0
+
+
+def run_toy(setting: Setting, seed: int) -> Figures:
+    world, arguments = toys.Confounded(16, seed=seed), SETTINGS | setting.arguments
+    model = setting.algorithm(setting.policy, world, seed=seed, **arguments)
+    headed = model.policy.q_net.treatment is not None
+    callbacks: list[BaseCallback] = [HeadCurve()] if headed else []
+    if setting.annealed:
+        callbacks.append(AnnealedReversal())
+    model.learn(setting.steps, callback=callbacks)
+    train, test = (read_condition(model, seed=s) for s in (1234, 4321))
+    figures = dict(zip(("factual", "flipped"), flip_behaviour(model)))
+    figures["probe"] = probe_balanced_accuracy(train.rows(), test.rows())
+    figures["variance"] = share_of_variance(*test.rows())
+    if headed:
+        figures |= {"head": test.head_accuracy(), "nats": test.head_cross_entropy()}
+        figures |= last_third(callbacks[0].curve)  # type: ignore[attr-defined]
+    return figures
+
+
+def last_third(curve: Sequence[float]) -> Figures:
+    tail = np.array(curve[-max(1, len(curve) // 3) :])
+    return {"tail": float(tail.mean()), "tail_sd": float(tail.std())}
+
+
+@app.command()
+def toy(
+    steps: Annotated[int, typer.Option(help="Of the world; 0.8 updates per episode of 4.")] = 3000,
+    seeds: Annotated[int, typer.Option(help="Seeds 0, 1, ...")] = 5,
+) -> None:
+    """The confounded condition: settings of the adversary against DQDIL."""
+    torch.set_num_threads(1)
+    columns = {
+        "last third": "tail", "head": "head", "nat": "nats", "probe": "probe",
+        "variance": "variance", "acts rightly": "factual", "flag flipped: follows": "flipped",
+    }  # fmt: skip
+    rows = []
+    for setting in toy_settings(steps):
+        results = [run_toy(setting, seed) for seed in range(seeds)]
+        rows.append((f"{setting.policy.removesuffix('Policy')}: {setting.label}", results))
+        print(".", end="", flush=True)
+    show(f"Confounded toy, {steps} steps, {seeds} seeds", rows, columns)
+
+
+# -- demonstrations -------------------------------------------------------------------------------
+
+
+def pooled(files: Sequence[str]) -> Demonstrations:
+    """One file or packaged set, or the episodes of several files of the same layout."""
+    parts = [load_packaged(f) if f in packaged_names() else read(f) for f in files]
+    arrays = ("positions", "lengths", "initial_velocity", "condition", "outcome", "split")
+    joined = {name: np.concatenate([getattr(p, name) for p in parts]) for name in arrays}
+    recording = np.concatenate(
+        [np.char.add(f"{i}/", part.recording) for i, part in enumerate(parts)]
+    )
+    return replace(parts[0], **joined, recording=recording, signals={})
+
+
+@torch.no_grad()
+def memories(
+    model: SequenceQLearning, dataset: OfflineDataset
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """Per individual: hidden states ``(N, H)`` and conditions ``(N,)`` of all valid steps."""
+    parts: list[list[tuple[torch.Tensor, torch.Tensor]]] = [[] for _ in model.layout.individuals]
+    policy = model.policy
+    for batch in dataset.batches(model.offline_batch_size):
+        seen = evaluate(
+            batch,
+            model.phase("offline"),
+            policy.q_net,
+            policy.q_net_target,
+            policy.distribution,
+            needs_target=False,
+        )
+        hidden = seen.online.hidden[:, :-1]  # type: ignore[attr-defined]
+        condition = seen.batch.condition.unsqueeze(1).expand(hidden.shape[:-1])
+        for k, part in enumerate(parts):
+            part.append((hidden[k][seen.valid[k]], condition[k][seen.valid[k]]))
+    return [(torch.cat([h for h, _ in p]), torch.cat([c for _, c in p])) for p in parts]
+
+
+def run_demonstrations(
+    demos: Demonstrations, algo: str, settings: dict[str, Any], seed: int
+) -> list[Figures]:
+    """A row of figures per individual."""
+    preset = learner_preset(algo, environment_id(demos.species), "default", settings)
+    env = SlotVecEnv(demos.species, 1, demos=demos, condition_flag=True)
+    arguments = constructed(preset.arguments) | {"buffer_size": 2000}
+    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", **arguments)
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    progress = model.pretrain()
+    data = env.offline_data()
+    rows = []
+    for name, train, val in zip(
+        model.layout.individuals, memories(model, data.train), memories(model, data.val)
+    ):
+        figures = {
+            "probe": probe_balanced_accuracy(train, val),
+            "variance": share_of_variance(*val),
+        }
+        figures["rank"] = progress.history[progress.best_epoch - 1][f"val/mean_rank/{name}"]
+        key = f"val/treatment_balanced_accuracy/{name}"
+        if key in progress.history[0]:
+            curve = [row[key] for row in progress.history]
+            figures |= last_third(curve) | {"head": curve[progress.best_epoch - 1]}
+        rows.append(figures)
+    return rows
+
+
+@app.command()
+def demonstrations(
+    files: Annotated[
+        list[str], typer.Argument(help="agent, silkmoth, or files of both conditions.")
+    ],
+    settings: Annotated[list[str] | None, typer.Option("--set", help="KEY=VALUE.")] = None,
+    seeds: Annotated[int, typer.Option(help="Seeds 0, 1, ...")] = 3,
+) -> None:
+    """The offline phase: the head on validation episodes, at the epoch that is kept."""
+    torch.set_num_threads(1)
+    demos, given = pooled(files), parse_settings(settings)
+    columns = {
+        "last third": "tail", "head": "head", "probe": "probe", "variance": "variance",
+        "mean rank": "rank",
+    }  # fmt: skip
+    variants: list[tuple[str, str, dict[str, Any]]] = [
+        ("DQDIL-PT", "dqdil-pt", {}),
+        ("DQCIL-PT", "dqcil-pt", {}),
+        ("DQCIL-PT, no momentum", "dqcil-pt", NO_MOMENTUM),
+    ]
+    rows = []
+    title = f"{demos.name}: offline phase, {demos.num_episodes} episodes, {seeds} seeds"
+    for label, algo, more in variants:
+        results = [
+            figures
+            for seed in range(seeds)
+            for figures in run_demonstrations(demos, algo, given | more, seed)
+        ]
+        rows.append((label, results))
+        print(".", end="", flush=True)
+    show(title, rows, columns)
+
+
+def show(title: str, rows: list[tuple[str, list[Figures]]], columns: dict[str, str]) -> None:
+    table = Table(title=title)
+    table.add_column("learner")
+    for heading in columns:
+        table.add_column(heading, justify="right")
+    for label, results in rows:
+        table.add_row(label, *(cell(results, key) for key in columns.values()))
+    Console(width=150).print(table)
+
+
+def cell(results: list[Figures], key: str) -> str:
+    values = np.array([row[key] for row in results if key in row])
+    if not len(values):
+        return "-"
+    if key == "tail":
+        spread = np.mean([row["tail_sd"] for row in results])
+        return f"{values.mean():.2f} (sd {spread:.2f})"
+    return f"{values.mean():.2f} [{values.min():.2f}, {values.max():.2f}]"
+
+
+if __name__ == "__main__":
+    app()

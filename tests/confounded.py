@@ -1,0 +1,89 @@
+"""Learners of :class:`toys.Confounded`: their settings, and what they make of the condition."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import toys
+from stable_baselines3.common.utils import LinearSchedule
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.losses import balanced_accuracy, treatment_cross_entropy
+
+SETTINGS: dict[str, Any] = {
+    "learning_rate": 3e-3,
+    "gamma": 0.0,
+    "lambda1": 3e-4,
+    "lambda2": 0.3,
+    "buffer_size": 5000,
+    "target_update_interval": (100, "episode"),
+    "updates_per_episode": 0.8,
+    "exploration_initial_eps": 1.0,
+    "exploration_final_eps": 0.5,
+    "exploration_steps": 4000,
+    "device": "cpu",
+}
+NO_MOMENTUM = {"policy_kwargs": {"optimizer_kwargs": {"betas": (0.0, 0.9)}}}
+SETTLED = NO_MOMENTUM | {"learning_rate": LinearSchedule(SETTINGS["learning_rate"], 0.0, 1.0)}
+"""Under which the treatment head and the encoder stop chasing each other."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Memory ``(1, T, B, H)``, treatment logits ``(1, T, B)`` and condition ``(1, B)``."""
+
+    hidden: torch.Tensor
+    logits: torch.Tensor | None
+    condition: torch.Tensor
+
+    def rows(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Features ``(N, H)`` and conditions ``(N,)`` of all steps."""
+        features = self.hidden.flatten(0, 2)
+        return features, self.condition.expand(self.hidden.shape[1], -1).flatten()
+
+    def head_accuracy(self) -> float:
+        """Balanced accuracy of the treatment head; 0.5 is chance."""
+        assert self.logits is not None
+        everywhere = torch.ones_like(self.logits, dtype=torch.bool)
+        return float(balanced_accuracy(self.logits, self.condition, everywhere))
+
+    def head_cross_entropy(self) -> float:
+        """Of the treatment head [nat]; chance is log 2."""
+        assert self.logits is not None
+        everywhere = torch.ones_like(self.logits, dtype=torch.bool)
+        weights = torch.ones_like(self.condition, dtype=self.logits.dtype)
+        return float(treatment_cross_entropy(self.logits, self.condition, everywhere, weights))
+
+
+def read_condition(model: SequenceQLearning, seed: int, copies: int = 512) -> Reading:
+    """Fresh episodes, acted with epsilon one half, as the online network sees them."""
+    env, state = toys.Confounded(copies, seed=seed), None
+    observation = env.reset()
+    condition = torch.tensor(env.condition).unsqueeze(0)
+    previous = np.full(copies, model.policy.num_actions)
+    observed, done_before = [], []
+    model.policy.epsilon = 0.5
+    for _ in range(env.time_limit):
+        observed.append(observation.copy())
+        done_before.append(previous.copy())
+        previous, state = model.predict(observation, state)
+        observation, *_ = env.step(previous)
+    stacked, actions = np.stack(observed)[None], np.stack(done_before)[None]
+    with torch.no_grad():
+        output = model.policy.q_net(torch.tensor(stacked), torch.tensor(actions))
+        return Reading(output.hidden, output.treatment_logits, condition)
+
+
+def flip_behaviour(model: SequenceQLearning) -> tuple[float, float]:
+    """Share of right actions under the actual flag, and of those that follow a flipped one."""
+    env = toys.Confounded(64, seed=9)
+    observation = env.reset()
+    flipped = observation.copy()
+    flipped[:, -1] = 1.0 - flipped[:, -1]
+    factual, _ = model.predict(observation, deterministic=True)
+    counterfactual, _ = model.predict(flipped, deterministic=True)
+    right = (factual == env.condition).mean()
+    return float(right), float((counterfactual == 1 - env.condition).mean())
