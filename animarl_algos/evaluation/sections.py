@@ -138,11 +138,8 @@ def _decisions(inputs: ReportInputs) -> Iterator[Block]:
     decisions = inputs.decisions
     if decisions is None:
         return
-    others = (
-        "the others"
-        if panels.is_target(inputs, decisions.individual)
-        else ("the others (the target dark)")
-    )
+    target = panels.is_target(inputs, decisions.individual)
+    others = "the others" if target else "the others (the target dark)"
     over = (
         " Over the arena: the value of the best action and the acceleration it calls for, were the "
         f"animal put there at rest halfway through that episode, its memory and {others} as they "
