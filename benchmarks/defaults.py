@@ -2,6 +2,7 @@
 
     python benchmarks/defaults.py fly --algo dqdil-pt --epsilon 0.5 --epsilon 0.1
     python benchmarks/defaults.py fly --set offline_epochs=30 --set offline_gamma=0.9
+    python benchmarks/defaults.py silkmoth --algo dqn --steps 100000 --seed 0 --seed 1 --seed 2
 
 The test split is never touched.
 """
@@ -12,6 +13,7 @@ import time
 from functools import partial
 from typing import Annotated
 
+import pandas as pd
 import torch
 import typer
 from rich.console import Console
@@ -19,7 +21,7 @@ from rich.table import Table
 from stable_baselines3.common.logger import Logger
 
 from animarl_algos.commands.run import parse_settings
-from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.distances import kde_distance
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.presets import learner_preset
@@ -42,9 +44,9 @@ def main(
     steps: Annotated[int, typer.Option(help="Of the online phase.")] = 1,
     epsilon: Annotated[list[float] | None, typer.Option(help="When acting; repeatable.")] = None,
     repetitions: Annotated[int, typer.Option(help="Rollouts per start.")] = 5,
-    seed: Annotated[int, typer.Option(help="Of all.")] = 0,
+    seed: Annotated[list[int] | None, typer.Option(help="Of all; repeatable.")] = None,
 ) -> None:
-    """Train once with the default preset, then act from every validation start."""
+    """Train with the default preset, once per seed, then act from every validation start."""
     torch.set_num_threads(1)
     packaged = demonstrations in packaged_names()
     demos = load_packaged(demonstrations) if packaged else read(demonstrations, None)
@@ -52,53 +54,60 @@ def main(
     spec = species_of(demos, base=name)
     flagged = bool(spec.conditions) and len(set(demos.condition.tolist())) == 2
     preset = learner_preset(algo, environment_id(name), "default", parse_settings(settings))
-    env = SlotVecEnv(spec, preset.n_envs, demos=demos, condition_flag=flagged)
-    arguments = constructed(preset.arguments)
-    model = named_recipe(algo).algorithm(env=env, seed=seed, device="cpu", **arguments)
-    model.set_logger(Logger(folder=None, output_formats=[]))
-    start = time.process_time()
-    model.learn(steps, progress_bar=True)
-    seconds = time.process_time() - start
     chosen = demos.select(split="val")
     recorded = measure_recordings(chosen)
     scenario = make_scenario(spec, demos=demos, split="val")
+    world = partial(make_world, scenario)
+    means = recorded[["path_length", "duration", "return"]].mean()
+    lines = [["recorded", "", f"{means.iloc[0]:.3g}", "", f"{means.iloc[1]:.3g}", ""]]
+    lines[0].append(f"{means.iloc[2]:.2f}")
+    seeds = seed or [0]
+    random = RandomPolicy(seeds[0])
+    rollouts = collect_rollouts(
+        world, random, method="random", seed=seeds[0], repetitions=repetitions
+    )
+    lines.append(["random", *_cells(measure(rollouts, chosen), recorded)])
+    seconds = 0.0
+    for number in seeds:
+        env = SlotVecEnv(spec, preset.n_envs, demos=demos, condition_flag=flagged)
+        arguments = constructed(preset.arguments)
+        model = named_recipe(algo).algorithm(env=env, seed=number, device="cpu", **arguments)
+        model.set_logger(Logger(folder=None, output_formats=[]))
+        start = time.process_time()
+        model.learn(steps, progress_bar=True)
+        seconds += time.process_time() - start
+        for share in epsilon or [0.1]:
+            model.policy.epsilon = share
+            model.policy.seed(number)
+            rollouts = collect_rollouts(
+                world,
+                model,
+                method="trained",
+                seed=number,
+                repetitions=repetitions,
+                cue="actual" if flagged else None,
+            )
+            label = f"seed {number}, epsilon {share:g}"
+            lines.append([label, *_cells(measure(rollouts, chosen), recorded)])
     table = Table(
-        title=f"{demos.name}, val: {chosen.num_episodes} starts; {seconds:.0f} s to train"
+        title=f"{demos.name}, val: {chosen.num_episodes} starts; "
+        f"{seconds / len(seeds):.0f} s of processor time to train"
     )
     headings = ("acting", "DTW", "path length", "KDE", "duration, s", "KDE", "reached")
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "acting" else "right")
-    means = recorded[["path_length", "duration", "return"]].mean()
-    table.add_row(
-        "recorded",
-        "",
-        f"{means.iloc[0]:.3g}",
-        "",
-        f"{means.iloc[1]:.3g}",
-        "",
-        f"{means.iloc[2]:.2f}",
-    )
-    acting: list[tuple[str, Policy, float]] = [("random", RandomPolicy(seed), 1.0)]
-    acting += [(f"epsilon {e:g}", model, e) for e in epsilon or [0.1]]
-    for label, policy, share in acting:
-        model.policy.epsilon = share
-        model.policy.seed(seed)
-        told = "actual" if flagged and policy is model else None
-        rollouts = collect_rollouts(
-            partial(make_world, scenario),
-            policy,
-            method=label,
-            seed=seed,
-            repetitions=repetitions,
-            cue=told,  # type: ignore[arg-type]
-        )
-        rows = measure(rollouts, chosen)
-        cells = [f"{rows['dtw'].mean():.3g}"]
-        for key in ("path_length", "duration"):
-            distance = kde_distance(rows[key].to_numpy(), recorded[key].to_numpy())
-            cells += [f"{rows[key].mean():.3g}", f"{distance:.2f}"]
-        table.add_row(label, *cells, f"{rows['captured'].mean():.2f}")
+    for line in lines:
+        table.add_row(*line)
     Console(width=100).print(table)
+
+
+def _cells(rows: pd.DataFrame, recorded: pd.DataFrame) -> list[str]:
+    """DTW, then path length and duration, each with its distance to the recorded, then reached."""
+    cells = [f"{rows['dtw'].mean():.3g}"]
+    for key in ("path_length", "duration"):
+        distance = kde_distance(rows[key].to_numpy(), recorded[key].to_numpy())
+        cells += [f"{rows[key].mean():.3g}", f"{distance:.2f}"]
+    return [*cells, f"{rows['captured'].mean():.2f}"]
 
 
 if __name__ == "__main__":
