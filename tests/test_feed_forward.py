@@ -86,15 +86,40 @@ def test_many_rows_other_precisions_and_memories_take_the_tensor_operations() ->
     assert not feed_forward.usable(few.to("meta"))
 
 
-def test_a_network_that_was_moved_or_copied_into_computes_with_its_present_weights() -> None:
+def test_a_network_computes_with_its_present_weights_wherever_they_come_from() -> None:
     network, other = make(), make(seed=1)
     observations, previous, _ = batch(3)
+    expected = other(observations, previous).values
     network(observations, previous)
     network.double().float()  # other memory
     with torch.no_grad():
         network.encoder_1.weight.add_(0.5)
     network.load_state_dict(other.state_dict())
-    assert torch.equal(network(observations, previous).values, other(observations, previous).values)
+    assert torch.equal(network(observations, previous).values, expected)
+    network = make()
+    network(observations, previous)
+    network.load_state_dict(other.state_dict(), assign=True)  # other parameters
+    assert torch.equal(network(observations, previous).values, expected)
+    assert all(p is q for p, q in zip(network.all_parameters, network.parameters(), strict=True))
+
+
+def test_inputs_need_not_lie_in_one_piece() -> None:
+    network = make()
+    observations, previous, _ = batch(3)
+    scattered = observations.transpose(1, 2).contiguous().transpose(1, 2)
+    assert not scattered.is_contiguous()
+    assert torch.equal(network(scattered, previous).values, network(observations, previous).values)
+
+
+def test_observations_get_their_gradient_from_few_rows_as_from_many(monkeypatch) -> None:
+    network = make()
+    observations, previous, _ = batch(3)
+    observations.requires_grad_()
+    (few,) = torch.autograd.grad(network(observations, previous).values.sum(), observations)
+    monkeypatch.setattr(feed_forward, "MOST_ROWS", 0)
+    (many,) = torch.autograd.grad(network(observations, previous).values.sum(), observations)
+    assert torch.equal(few, many)
+    assert many.abs().max() > 0
 
 
 def test_weights_changed_before_the_gradient_are_refused() -> None:

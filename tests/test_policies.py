@@ -240,3 +240,15 @@ def test_foreign_spaces_are_refused(observation_space, action_space, message: st
 def test_misfitting_observations_are_refused(shape: tuple[int, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
         make().predict(np.zeros(shape, dtype=np.float32))
+
+
+@pytest.mark.parametrize(
+    ("slots", "previous_action", "message"),
+    [(S + 3, 0, "does not fit"), (S, -1, "previous actions"), (S, ACTIONS.n + 1, "previous")],
+)
+def test_misfitting_memories_are_refused(slots: int, previous_action: int, message: str) -> None:
+    policy = make()
+    hidden, previous = policy.initial_state(slots)
+    state = (hidden, np.full_like(previous, previous_action))
+    with pytest.raises(InputError, match=message):
+        policy.predict(np.zeros((S, *SHAPE), dtype=np.float32), state)

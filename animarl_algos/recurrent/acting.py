@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from animarl_algos.recurrent.feed_forward import WeightViews, affine, encode, head_units
+from animarl_algos.recurrent.feed_forward import affine, encode, head_units
 from animarl_algos.recurrent.gru_kernels import sigmoid_float32, tanh_float32
 from animarl_algos.recurrent.networks import StackedQNetwork
 
@@ -72,12 +71,6 @@ class CompiledActor:
     def __init__(self, network: StackedQNetwork) -> None:
         units, outputs = network.units, network.num_actions * network.num_quantiles
         self._network = network
-        gru = network.gru
-        self._gru = WeightViews(
-            [gru.weight_input, gru.weight_hidden, gru.bias_input, gru.bias_hidden]
-            if gru is not None
-            else [torch.zeros((0, 0, 0))] * 4
-        )
         self._scratch = [
             np.empty(size, dtype=np.float32)
             for size in (
@@ -111,7 +104,7 @@ class CompiledActor:
             q_values,
             *self._settings,
             *self._network.weights.arrays(),
-            *self._gru.arrays(),
+            *self._network.gru_weights.arrays(),
             *self._scratch,
         )
         return q_values

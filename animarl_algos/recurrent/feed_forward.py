@@ -24,9 +24,13 @@ _FASTMATH = {"contract", "nsz", "reassoc"}
 
 
 def usable(rows: torch.Tensor) -> bool:
-    """Whether these loops can work on ``rows`` (K, row, n), and should."""
+    """Whether these loops can work on ``rows`` (K, row, n), and should.
+
+    They give no gradient with respect to the rows themselves.
+    """
     few = rows.shape[0] * rows.shape[1] <= MOST_ROWS
-    return few and rows.dtype == torch.float32 and rows.device.type == "cpu"
+    plain = rows.dtype == torch.float32 and rows.device.type == "cpu"
+    return few and plain and not rows.requires_grad
 
 
 class WeightViews:

@@ -143,11 +143,6 @@ class DuelingHead(nn.Module):
         )
         return folded
 
-    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """(K, row, in) to (K, row, actions * quantiles)."""
-        weight, bias = self.combined()
-        return torch.baddbmm(bias, self.units(inputs), weight)
-
     def units(self, inputs: torch.Tensor) -> torch.Tensor:
         """Hidden units (K, row, 2H), V's first."""
         return torch.relu(self.hidden(inputs))

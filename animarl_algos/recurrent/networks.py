@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import nn
@@ -114,6 +115,7 @@ class StackedQNetwork(nn.Module):
                 nn.ReLU(),
                 StackedLinear(TREATMENT_UNITS, 1, generators),
             )
+        self.register_load_state_dict_post_hook(_look_parameters_up_anew)  # type: ignore[no-untyped-call]
 
     def initial_state(self, batch: int) -> torch.Tensor:
         """Zeros (K, batch, H): nothing remembered."""
@@ -203,6 +205,14 @@ class StackedQNetwork(nn.Module):
         return WeightViews([p for layer in layers for p in (layer.weight, layer.bias)])
 
     @cached_property
+    def gru_weights(self) -> WeightViews:
+        """Weights and biases of the GRU, empty without one."""
+        gru = self.gru
+        if gru is None:
+            return WeightViews([torch.zeros((0, 0, 0))] * 4)
+        return WeightViews([gru.weight_input, gru.weight_hidden, gru.bias_input, gru.bias_hidden])
+
+    @cached_property
     def all_parameters(self) -> list[nn.Parameter]:
         """Every parameter, found once: ``parameters()`` walks all modules anew."""
         return list(self.parameters())
@@ -230,11 +240,11 @@ class StackedQNetwork(nn.Module):
             Mean over the quantiles.
         state : Tensor (K, B, H)
         """
-        features = self._encode(observations, previous_actions)
-        if self.gru is not None:
-            state = self.gru(features, state, Packing.full(1, observations.shape[1], state.device))
-            features = state
-        values = self.dueling(self._with_flag(features, observations))
-        if self.num_quantiles > 1:
-            values = values.view(*values.shape[:-1], self.num_actions, self.num_quantiles).mean(-1)
-        return values, state
+        output = self(observations.unsqueeze(1), previous_actions.unsqueeze(1), state)
+        return output.q_values[:, 0], output.final_state
+
+
+def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:
+    """After ``load_state_dict(assign=True)`` the parameters are other ones."""
+    for name in ("weights", "gru_weights", "all_parameters"):
+        network.__dict__.pop(name, None)

@@ -233,8 +233,18 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         """A copy of the memory, without that of slots whose episode begins."""
         if state is None:
             return self.initial_state(slots)
-        hidden = np.array(state[0], dtype=np.float32, order="C").reshape(slots, self.q_net.units)
-        previous = np.array(state[1], dtype=np.int64, order="C").reshape(slots)
+        hidden = np.array(state[0], dtype=np.float32, order="C")
+        previous = np.array(state[1], dtype=np.int64, order="C")
+        if hidden.shape != (slots, self.q_net.units) or previous.shape != (slots,):
+            raise InputError(
+                f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
+                f"of {self.q_net.units} units: give the one that the last call returned"
+            )
+        if not 0 <= previous.min() <= previous.max() <= self.num_actions:
+            raise InputError(
+                f"previous actions run from {previous.min()} to {previous.max()}: they must lie in "
+                f"0 .. {self.num_actions - 1}, or be {self.num_actions} for none"
+            )
         if episode_start is not None:
             begins = np.asarray(episode_start, dtype=bool)
             hidden[begins], previous[begins] = 0.0, self.num_actions
