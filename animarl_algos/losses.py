@@ -23,7 +23,8 @@ def masked_mean(
     ----------
     per_step : Tensor (K, T, B)
     valid : Tensor (K, T, B) bool
-        False on padded, burnt-in and warm-up steps.
+        False on padded, burnt-in and warm-up steps. Whatever stands there leaves the mean alone;
+        its gradient is zero, provided that what the loss was made of there is finite.
     weights : Tensor (K, B), optional
         Importance-sampling weights. They scale the loss and not the divisor, which stays the number
         of valid steps.
@@ -33,7 +34,6 @@ def masked_mean(
     Tensor (K,)
         Zero for an individual without valid steps.
     """
-    # where, not a product: whatever stands on an invalid step, infinities included, is ignored.
     kept = torch.where(valid, per_step, per_step.new_zeros(()))
     if weights is not None:
         kept = kept * weights.unsqueeze(1)
@@ -152,7 +152,7 @@ def clip_grad_norm_per_individual(
         return torch.zeros(0)
     together = torch.cat([g.flatten(1) for g in gradients], dim=1)
     total: torch.Tensor = torch.linalg.vector_norm(together, dim=1)
-    if total.max() + 1e-6 > max_norm:
+    if (total > max_norm - 1e-6).any():  # not the largest: a NaN would hide the others
         scale = (max_norm / (total + 1e-6)).clamp(max=1.0)
         for gradient in gradients:
             gradient.mul_(scale.view(-1, *[1] * (gradient.dim() - 1)))

@@ -242,6 +242,13 @@ def test_clipping_equals_torch_for_each_individual() -> None:
     assert torch.equal(parameters[0].grad[0], before[0][0])  # small gradients are left alone
 
 
+def test_a_broken_gradient_leaves_the_clipping_of_the_others() -> None:
+    parameter = nn.Parameter(torch.zeros(2, 3))
+    parameter.grad = torch.tensor([[30.0, 0.0, 0.0], [math.nan, 0.0, 0.0]])
+    clip_grad_norm_per_individual([parameter], 10.0)
+    torch.testing.assert_close(parameter.grad[0], torch.tensor([10.0, 0.0, 0.0]))
+
+
 def test_gradient_reversal_is_minus_lambda_times_the_plain_gradient() -> None:
     x = torch.randn(4, 3, requires_grad=True)
     weight = torch.randn(4, 3)
