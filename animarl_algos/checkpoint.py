@@ -8,16 +8,18 @@ A checkpoint is a folder ``checkpoint_000012`` with
 - ``run.npz``: last observations, recurrent states, the running worlds;
 - ``state.json``: counters, schedules, NumPy's and Python's random states, and what it belongs to.
 
-It is written under a temporary name, flushed to disk, then renamed; only then is the previous one
+It is written under a temporary name, flushed to disk, then renamed; only then are older ones
 removed. A kill at any moment, a full disk or an unwritable folder leaves the last one whole.
 Checkpoints are taken between updates only (``algorithm.boundary_hooks``), never within a step.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import zipfile
@@ -36,12 +38,22 @@ from animarl_envs.errors import InputError
 
 FORMAT = 1
 PREFIX = "checkpoint_"
+OWN_NAME = re.compile(PREFIX + r"\d+(\.part)?")
 
 
 def latest_checkpoint(folder: str | Path) -> Path | None:
     """The newest whole checkpoint in ``folder``, or None."""
-    found = sorted(Path(folder).glob(PREFIX + "[0-9]*"))
-    return next((p for p in reversed(found) if p.suffix != ".part"), None)
+    whole = [path for path in _written(folder) if path.suffix != ".part"]
+    return max(whole, key=_number, default=None)
+
+
+def _written(folder: str | Path) -> list[Path]:
+    """All checkpoints, unfinished ones (``.part``) too, but no copies under a name of their own."""
+    return [p for p in Path(folder).glob(PREFIX + "*") if OWN_NAME.fullmatch(p.name)]
+
+
+def _number(checkpoint: Path) -> int:
+    return int(checkpoint.stem.removeprefix(PREFIX))
 
 
 def steps_done(checkpoint: Path) -> int:
@@ -60,7 +72,7 @@ def steps_done(checkpoint: Path) -> int:
 
 
 def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
-    """Write a checkpoint of ``model`` into ``folder`` and remove the one before.
+    """Write a checkpoint of ``model`` into ``folder`` and remove those before.
 
     Raises
     ------
@@ -69,17 +81,16 @@ def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
     """
     folder = Path(folder)
     previous = latest_checkpoint(folder)
-    number = 0 if previous is None else int(previous.name.removeprefix(PREFIX)) + 1
+    number = 0 if previous is None else _number(previous) + 1
     target = folder / f"{PREFIX}{number:06d}"
     part = target.with_suffix(".part")
     try:
-        if part.exists():
-            shutil.rmtree(part)
+        _remove_all_but(previous, folder)
         part.mkdir(parents=True)
         counters, arrays, tensors = training_state(model)
         run: dict[str, Any] = dict(arrays)
         tensors["torch_random_state"] = torch.get_rng_state()
-        _write(part / "model.pt", lambda file: torch.save(tensors, file))
+        _write(part / "model.pt", lambda file: file.write(serialised(tensors)))
         if model.replay_buffer is not None:
             replay = buffer_state(model.replay_buffer)
             _write(part / "replay.npz", lambda file: np.savez(file, **replay))
@@ -96,14 +107,28 @@ def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
         part.rename(target)
         _sync_folder(folder)
     except OSError as error:
-        shutil.rmtree(part, ignore_errors=True)
         raise InputError(
             f"{target}: the checkpoint cannot be written ({error.strerror or error}): make room or "
             "choose a writable folder; the last checkpoint is untouched"
         ) from error
-    if previous is not None:
-        shutil.rmtree(previous)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    _remove_all_but(target, folder)
     return target
+
+
+def _remove_all_but(kept: Path | None, folder: Path) -> None:
+    """What a kill left of older and unfinished checkpoints; what resists is tried again later."""
+    for path in _written(folder):
+        if path != kept:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def serialised(tensors: dict[str, Any]) -> bytes:
+    """As ``torch.save`` writes them; its own writing fails on a full disk with a RuntimeError."""
+    stream = io.BytesIO()
+    torch.save(tensors, stream)
+    return stream.getvalue()
 
 
 def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:

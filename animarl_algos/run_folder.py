@@ -25,7 +25,7 @@ import pandas as pd
 import torch
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.checkpoint import latest_checkpoint
+from animarl_algos.checkpoint import latest_checkpoint, serialised
 from animarl_algos.recipes import named_recipe
 from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings
 from animarl_algos.settings import constructed
@@ -182,7 +182,7 @@ class RunFolder:
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
         """The final weights, tensors only."""
         with write_then_rename(self.path / "policies" / f"{name}.pt") as part:
-            torch.save(model.policy.q_net.state_dict(), part)
+            part.write_bytes(serialised(model.policy.q_net.state_dict()))
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
         """Put the final weights into a learner of the same settings."""

@@ -21,6 +21,11 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
 
     An error or Ctrl-C inside the block removes the temporary file and leaves ``path`` as it was.
     The temporary name ends like ``path``, for libraries that look at the suffix.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written: a full disk, a folder that is not writable.
     """
     path = Path(path)
     if path.is_dir():
@@ -32,16 +37,21 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
         ) as file:
             part = Path(file.name)
     except OSError as error:
-        raise InputError(
-            f"{path}: it cannot be written ({error.strerror}): name another place"
-        ) from None
+        raise _unwritable(path, error) from None
     try:
         part.chmod(0o644)
         yield part
         part.replace(path)
-    except BaseException:
+    except OSError as error:
+        raise _unwritable(path, error) from error
+    finally:
         part.unlink(missing_ok=True)
-        raise
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        f"{path}: it cannot be written ({error.strerror or error}): make room or name another place"
+    )
 
 
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:

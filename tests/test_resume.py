@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 import toys
@@ -131,21 +131,59 @@ def test_an_unfinished_checkpoint_is_passed_over(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint_000001"]
 
 
-def test_a_failed_write_leaves_the_last_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = make().learn(100)
-    whole = save_checkpoint(model, tmp_path)
+FULL = """
+import resource, signal, sys
+sys.path.insert(0, sys.argv[2])
+from pathlib import Path
+from animarl_algos.run_folder import RunFolder
+from test_resume import make, InputError, load_checkpoint, save_checkpoint, weights
+folder = Path(sys.argv[1]) / "checkpoints"
+run = RunFolder(folder.parent)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+model = make().learn(100)
+sizes = [file.stat().st_size for file in save_checkpoint(model, folder).iterdir()]
+for limit in (0, 100, 5000, *(size - 1 for size in sizes)):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    for save in (lambda: save_checkpoint(model, folder), lambda: run.save_policy("dqdil", model)):
+        try:
+            save()
+        except InputError as error:
+            print(error)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    assert [path.name for path in folder.iterdir()] == ["checkpoint_000000"], limit
+    assert not [path for path in run.path.glob("policies/*") if ".part" in path.name], limit
+    restored = make(seed=9)
+    load_checkpoint(restored, folder)
+    assert (weights(restored) == weights(model)).all()
+"""
 
-    def full(*_: Any, **__: Any) -> None:
-        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np, "savez", full)
-    with pytest.raises(InputError, match=r"No space left .* untouched"):
-        save_checkpoint(model, tmp_path)
-    monkeypatch.undo()
-    assert [p.name for p in tmp_path.iterdir()] == [whole.name]
-    load_checkpoint(make(), tmp_path)
+def test_a_full_disk_leaves_the_last_one(tmp_path: Path) -> None:
+    """Files that may not grow, up to one byte less than a whole file of the checkpoint."""
+    run = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path), str(Path(__file__).parent)],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    said = run.stdout.splitlines()
+    assert sum("checkpoint" in line for line in said) == 7
+    assert sum("dqdil.pt" in line for line in said) >= 2
+    assert all("cannot be written (File too large)" in line for line in said), said
+
+
+def test_superseded_checkpoints_go_with_the_next_and_copies_stay(tmp_path: Path) -> None:
+    """A kill between the renaming of the new one and the removal of the old one leaves both."""
+    model = make().learn(20)
+    old = save_checkpoint(model, tmp_path)
+    shutil.copytree(old, tmp_path / "mine")
+    last = save_checkpoint(model, tmp_path)
+    (tmp_path / "mine").rename(old)
+    shutil.copytree(old, tmp_path / "checkpoint_000000_copy")
+    assert latest_checkpoint(tmp_path) == last
+    save_checkpoint(model, tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"checkpoint_000002", "checkpoint_000000_copy"}
 
 
 def test_a_folder_without_checkpoint_is_refused(tmp_path: Path) -> None:
