@@ -238,11 +238,12 @@ def demonstrated_rank(
 ) -> NDArray[np.float64]:
     """Rank of each demonstrated action among its state's action values: 1 is the highest.
 
-    Ties share their mean rank, so that indifference ranks as chance does.
+    Ties share their mean rank, so that indifference ranks as chance does. Among values that are not
+    all finite there is no rank: NaN.
     """
     own = values[np.arange(len(actions)), actions][:, None]
     higher, equal = (values > own).sum(1), (values == own).sum(1)
-    return np.asarray(1 + higher + (equal - 1) / 2, dtype=np.float64)
+    return np.where(np.isfinite(values).all(1), 1 + higher + (equal - 1) / 2, np.nan)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -84,6 +85,11 @@ def update(
     """Step along the gradient of the terms' weighted sum, clipped for each individual by itself.
 
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
+
+    Raises
+    ------
+    InputError
+        If the sum is not finite: training diverged. Nothing is stepped.
     """
     phase = evaluation.phase
     active = [term for term in terms if term.weight(phase) > 0]
@@ -95,6 +101,8 @@ def update(
     )
     if not isinstance(total, torch.Tensor):
         raise InputError(f"all weights of the {phase.name} loss are 0: give one that is not")
+    if not math.isfinite(total.item()):
+        raise _diverged(phase, losses)
     for parameter in evaluation.parameters:
         parameter.grad = None
     total.backward()  # type: ignore[no-untyped-call]
@@ -107,6 +115,15 @@ def update(
     return UpdateResult(
         losses={name: loss.detach() for name, loss in losses.items()},
         priorities=sequence_priorities(evaluation) if prioritized else None,
+    )
+
+
+def _diverged(phase: Phase, losses: dict[str, torch.Tensor]) -> InputError:
+    rate = "learning_rate" if phase.name == "online" else "offline_learning_rate"
+    shown = ", ".join(f"{name} {loss.detach().tolist()}" for name, loss in losses.items())
+    return InputError(
+        f"{phase.name} training diverged (losses per individual: {shown}): lower {rate}, and "
+        "look for rewards that are huge or not finite"
     )
 
 

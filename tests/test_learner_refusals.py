@@ -9,15 +9,25 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 import toys
-from pair_learners import SETTINGS, FlaggedPair, Split, demonstrations
+from pair_learners import (
+    SETTINGS,
+    FlaggedPair,
+    Split,
+    demonstrations,
+    make_pair_learner,
+    weights,
+)
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
+import animarl_algos.offline
 import animarl_envs
 from animarl_algos.dqaas import DQAAS
 from animarl_algos.dqcil import DQCIL
 from animarl_algos.dqdil import DQDIL
 from animarl_algos.dqn import DQN
+from animarl_algos.offline import train_epoch
 from animarl_algos.offline_data import OfflineDataset
 from animarl_algos.qrdqn import QRDQN
 from animarl_algos.recipes import named_recipe
@@ -161,6 +171,44 @@ def test_the_wrapper_is_seen_through_a_vector_of_environments(kind: type) -> Non
 
 def wrapped_agent() -> gym.Env[Any, Any]:
     return DTWReward(gym.make("animarl_envs:AnimaRL/Agent-v0"))
+
+
+# -- training that diverges -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("prioritized", [False, True])
+def test_diverged_training_is_refused(prioritized: bool) -> None:
+    model = make_pair_learner(
+        "dqn", learning_rate=1e30, max_grad_norm=None, prioritized=prioritized
+    )
+    with pytest.raises(InputError, match=r"online training diverged .* lower learning_rate"):
+        model.learn(120)
+    assert torch.isfinite(weights(model)).all()
+
+
+def test_diverged_offline_training_is_refused() -> None:
+    settings = {"offline_epochs": 6, "offline_learning_rate": 1e10, "offline_max_grad_norm": None}
+    with pytest.raises(InputError, match=r"offline training diverged .* lower offline_learn"):
+        make_pair_learner("dqdil-pt", **settings).pretrain()
+
+
+def test_an_epoch_without_finite_values_is_never_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Chosen by rank, in which values that are not numbers are neither higher nor equal."""
+
+    def broken_in_the_second(model: Any, data: Any, epoch: int) -> Any:
+        row = train_epoch(model, data, epoch)
+        if epoch == 1:
+            model.policy.q_net.load_state_dict(
+                {name: w * np.nan for name, w in model.policy.q_net.state_dict().items()}
+            )
+        return row
+
+    monkeypatch.setattr(animarl_algos.offline, "train_epoch", broken_in_the_second)
+    model = make_pair_learner("dqdil-pt", offline_epochs=3)
+    with pytest.raises(InputError, match=r"diverged in epoch 2 .* lower offline_learning_rate"):
+        model.pretrain()
+    assert model.offline_progress.best_epoch == 1 and model.best_weights is not None
+    assert all(torch.isfinite(w).all() for w in model.best_weights.values())
 
 
 # -- a run's demonstrations -----------------------------------------------------------------------

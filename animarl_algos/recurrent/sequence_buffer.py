@@ -347,8 +347,8 @@ class SequenceReplayBuffer:
         errors = np.asarray(errors, dtype=np.float64)
         if errors.shape != indices.shape or not np.isfinite(errors).all():
             raise InputError(
-                f"priority errors of shape {errors.shape} for sequences {indices.shape} must be "
-                "finite numbers, one per sequence: lower the learning rate if training diverged"
+                f"priority errors of shape {errors.shape} for sequences {indices.shape}: give one "
+                "finite number per sequence"
             )
         kernels.update_priorities(
             self.trees.nodes,
