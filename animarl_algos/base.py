@@ -343,7 +343,7 @@ class SequenceQLearning(OfflineLearner):
         return [
             *super()._excluded_save_params(),
             *("demonstrations", "boundary_hooks", "memory", "best_weights", "_recorder", "_losses"),
-            *("_last_obs", "_last_episode_starts", "_last_original_obs"),
+            *("_treatment_counts", "_last_obs", "_last_episode_starts", "_last_original_obs"),
         ]
 
     def _get_torch_save_params(self) -> tuple[list[str], list[str]]:

@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.collection import Recorder, check_environment
 from animarl_algos.exploration import LinearDecay
-from animarl_algos.losses import balanced_accuracy
+from animarl_algos.losses import mean_recall, treatment_counts
 from animarl_algos.progress import ProgressBar
 from animarl_algos.recipe import Recipe
 from animarl_algos.recurrent.policies import GruPolicy
@@ -149,7 +149,7 @@ class OnlineLoop(OffPolicyAlgorithm):
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
         self._last_obs = np.array(self._last_obs)
-        self._losses: dict[str, tuple[torch.Tensor, int]] = {}
+        self._start_averages()
         self._recorder = Recorder(self.env, self.layout, self.recipe)
         steps = self.exploration_steps
         if self.exploration_fraction is not None:
@@ -278,10 +278,9 @@ class OnlineLoop(OffPolicyAlgorithm):
             for name, loss in result.losses.items():
                 totals[name] = totals[name] + loss if name in totals else loss
             if evaluation.treatment_logits is not None:
-                condition, valid = evaluation.batch.condition, evaluation.valid
-                totals["treatment_balanced_accuracy"] = gradient_steps * balanced_accuracy(
-                    evaluation.treatment_logits, condition, valid
-                )  # of the last batch
+                self._treatment_counts += treatment_counts(
+                    evaluation.treatment_logits, evaluation.batch.condition, evaluation.valid
+                )
         self._n_updates += gradient_steps
         for name, total in totals.items():
             before, updates = self._losses.get(name, (torch.zeros_like(total), 0))
@@ -298,13 +297,21 @@ class OnlineLoop(OffPolicyAlgorithm):
 
     # -- log --------------------------------------------------------------------------------------
 
+    def _start_averages(self) -> None:
+        self._losses: dict[str, tuple[torch.Tensor, int]] = {}
+        shape = (self.layout.num_individuals, 2, 2)
+        self._treatment_counts = torch.zeros(shape, dtype=torch.int64, device=self.device)
+
     def _record_losses(self) -> None:
         """Means over the updates since the last log, for each individual."""
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, (summed, updates) in self._losses.items():
-            for individual, value in zip(self.layout.individuals, (summed / updates).tolist()):
+        means = {name: summed / updates for name, (summed, updates) in self._losses.items()}
+        if self._treatment_counts.any():
+            means["treatment_balanced_accuracy"] = mean_recall(self._treatment_counts)
+        for name, mean in means.items():
+            for individual, value in zip(self.layout.individuals, mean.tolist()):
                 self.logger.record(f"train/{name}/{individual}", value)
-        self._losses = {}
+        self._start_averages()
 
     def dump_logs(self) -> None:
         """Write the log: SB3's own figures, epsilon, fill of the memory, world steps per second."""

@@ -94,10 +94,10 @@ def treatment_cross_entropy(
 
 
 @torch.no_grad()
-def balanced_accuracy(
+def treatment_counts(
     logits: torch.Tensor, condition: torch.Tensor, valid: torch.Tensor
 ) -> torch.Tensor:
-    """Mean of the two treatments' recalls over valid steps, per individual.
+    """How many valid steps each treatment has, and of how many it is told; add them up freely.
 
     Parameters
     ----------
@@ -107,16 +107,28 @@ def balanced_accuracy(
 
     Returns
     -------
-    Tensor (K,)
-        0.5 is chance; NaN where only one treatment occurs.
+    Tensor (K, 2, 2) int64
+        Axes (individual, treatment, (told, all)).
     """
     condition = _per_step(condition, logits) > 0
-    correct = (logits > 0) == condition
-    recalls = []
-    for treated in (condition, ~condition):
-        members = valid & treated
-        recalls.append((correct & members).sum((1, 2)) / members.sum((1, 2)))
-    return (recalls[0] + recalls[1]) / 2
+    members = torch.stack([valid & ~condition, valid & condition], dim=1)
+    told = members & ((logits > 0) == condition).unsqueeze(1)
+    return torch.stack([told.sum((2, 3)), members.sum((2, 3))], dim=-1)
+
+
+def mean_recall(counts: torch.Tensor) -> torch.Tensor:
+    """Balanced accuracy, (K,), from :func:`treatment_counts`: the mean of both treatments' recalls.
+
+    0.5 is chance; NaN where only one treatment occurs.
+    """
+    return (counts[..., 0] / counts[..., 1]).mean(-1)
+
+
+def balanced_accuracy(
+    logits: torch.Tensor, condition: torch.Tensor, valid: torch.Tensor
+) -> torch.Tensor:
+    """The :func:`mean_recall` of one batch; arguments as of :func:`treatment_counts`."""
+    return mean_recall(treatment_counts(logits, condition, valid))
 
 
 def _per_step(condition: torch.Tensor, like: torch.Tensor) -> torch.Tensor:

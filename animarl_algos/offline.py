@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
 from animarl_algos.loop import OnlineLoop
-from animarl_algos.losses import balanced_accuracy
+from animarl_algos.losses import mean_recall, treatment_counts
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.terms import ScoredActionsTemporalDifference
 from animarl_algos.updates import evaluate, update
@@ -265,7 +265,7 @@ def demonstrated_values(model: OfflineLearner, dataset: OfflineDataset) -> Demon
     policy, count = model.policy, model.layout.num_individuals
     values: list[list[NDArray[np.float64]]] = [[] for _ in range(count)]
     actions: list[list[NDArray[np.int64]]] = [[] for _ in range(count)]
-    logits, conditions, valids = [], [], []
+    counts: list[torch.Tensor] = []
     for batch in dataset.batches(model.offline_batch_size):
         evaluation = evaluate(
             batch.to(model.device),
@@ -282,22 +282,17 @@ def demonstrated_values(model: OfflineLearner, dataset: OfflineDataset) -> Demon
             values[k].append(q_values[k][shown[k]])
             actions[k].append(labels[k].cpu().numpy()[shown[k]])
         if evaluation.treatment_logits is not None:
-            logits.append(evaluation.treatment_logits.flatten(1))
-            condition = evaluation.batch.condition.unsqueeze(1)
-            conditions.append(condition.expand_as(evaluation.treatment_logits).flatten(1))
-            valids.append(evaluation.valid.flatten(1))
+            counts.append(
+                treatment_counts(
+                    evaluation.treatment_logits, evaluation.batch.condition, evaluation.valid
+                )
+            )
     if not all(sum(map(len, actions[k])) for k in range(count)):
         raise InputError(
             "the validation split holds no demonstrated action: split the data again, or infer the "
             "actions from the positions first"
         )
-    accuracy = None
-    if logits:
-        accuracy = balanced_accuracy(
-            torch.cat(logits, 1).unsqueeze(1),
-            torch.cat(conditions, 1).unsqueeze(1),
-            torch.cat(valids, 1).unsqueeze(1),
-        )
+    accuracy = mean_recall(torch.stack(counts).sum(0)) if counts else None
     return DemonstratedValues(
         values=[np.concatenate(v) for v in values],
         actions=[np.concatenate(a) for a in actions],

@@ -71,8 +71,7 @@ def require_finite(model: SequenceQLearning) -> None:
             if not torch.isfinite(parameter).all():
                 raise FloatingPointError(f"{step}: weight {name} is not finite")
     for name, (total, _) in model._losses.items():
-        # With one condition in a batch there is no balanced accuracy; that is no loss.
-        if name != "treatment_balanced_accuracy" and not torch.isfinite(total).all():
+        if not torch.isfinite(total).all():
             raise FloatingPointError(f"{step}: loss {name} is not finite")
     for row in model.offline_progress.history:
         for name, value in row.items():

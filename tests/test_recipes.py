@@ -12,7 +12,7 @@ import torch
 import toys
 from pair_learners import SETTINGS, make_pair_learner, weights
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, configure
 
 from animarl_algos.dqn import DQN
 from animarl_algos.recipes import RECIPES
@@ -80,7 +80,7 @@ def test_steps_are_counted_in_the_world() -> None:
     assert model.n_envs == 4 and model.layout.num_copies == 2
     assert model.num_timesteps == 50
     assert model.replay_buffer is not None
-    running = int(model.replay_buffer.step_count.sum())
+    running = int(model.replay_buffer.staging.step_count.sum())
     assert model.replay_buffer.num_steps + running == 50
 
 
@@ -117,6 +117,22 @@ def test_progress_callbacks_and_logs(tmp_path: Path, capsys: pytest.CaptureFixtu
         "time/fps",
     ):
         assert column in columns
+
+
+def test_the_logged_balanced_accuracy_is_of_all_updates_since_the_last_log() -> None:
+    """Also where single minibatches hold one condition, and know no balanced accuracy."""
+
+    class Seen(Logger):
+        figures: list[float] = []
+
+        def dump(self, step: int = 0) -> None:
+            self.figures += [v for k, v in self.name_to_value.items() if "balanced" in k]
+            super().dump(step)
+
+    model = make_pair_learner("dqcil", batch_size=1)
+    model.set_logger(Seen(None, []))
+    model.learn(300, log_interval=10)
+    assert Seen.figures and all(0.0 <= figure <= 1.0 for figure in Seen.figures)
 
 
 @pytest.mark.parametrize("prioritized", [False, True])
