@@ -11,7 +11,8 @@ import torch
 from numpy.typing import DTypeLike, NDArray
 
 from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.recurrent.gather import BatchBuffers, Frames, Sequences
+from animarl_algos.recurrent.gather import BatchBuffers
+from animarl_algos.recurrent.rings import Frames, Sequences
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS, Locomotion, apply_actions

@@ -113,4 +113,4 @@ def test_errors_of_evicted_sequences_change_nothing() -> None:
     before = buffer.trees.nodes.copy()
     buffer.update_priorities(old, np.full(old.shape, 50.0))
     np.testing.assert_array_equal(buffer.trees.nodes, before)
-    assert buffer.max_priority.tolist() == [1.0]
+    assert buffer.ring.max_priority.tolist() == [1.0]

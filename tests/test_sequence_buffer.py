@@ -204,7 +204,7 @@ def test_no_more_episodes_are_kept_than_asked_for() -> None:
     capped = fill(make_buffer(stream, 200, max_episodes=3, seed=1), stream)
     whole = fill(make_buffer(stream, 200, seed=1), stream)
     assert whole.num_episodes > capped.num_episodes == 3
-    frames = whole.sequences.frames[: whole.num_sequences]
+    frames = whole.ring.sequences.frames[: whole.num_sequences]
     assert capped.num_steps == int(frames[-3:].sum()) - 3
     assert capped.sample(50).lengths.max() <= frames[-3:].max() - 1
 

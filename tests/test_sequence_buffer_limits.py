@@ -23,7 +23,7 @@ def test_memory_is_allocated_once_and_stated() -> None:
     for _ in range(5):
         buffer.sample(8)
     assert buffer.nbytes <= stated + 8 * 2 * 11 * 8 * 8  # at most the padding of longer batches
-    rows = buffer.ring.observations.nbytes
+    rows = buffer.ring.frames.observations.nbytes
     assert rows == 600 * 2 * 3 * 4
     assert stated > rows
 

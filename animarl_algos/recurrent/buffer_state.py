@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -20,22 +17,22 @@ _SETTINGS = (
 
 def buffer_state(buffer: SequenceReplayBuffer) -> dict[str, Any]:
     """Arrays (copies) and plain numbers: the used part of the ring and the running episodes."""
-    rows, slots = buffer.used_rows(), buffer.used_slots()
+    rows, slots = buffer.ring.used_rows, buffer.ring.used_slots
     state: dict[str, Any] = {name: getattr(buffer, name) for name in _SETTINGS}
     state["num_copies"] = buffer.num_copies
-    state["cursor"] = buffer.cursor.copy()
+    state["cursor"] = buffer.ring.cursor.copy()
     state["streams"] = buffer.streams.copy()
-    state["max_priority"] = buffer.max_priority.copy()
+    state["max_priority"] = buffer.ring.max_priority.copy()
     state["priorities"] = buffer.trees.priorities[:, slots if buffer.prioritized else slots[:0]]
-    for name, array in buffer.ring._asdict().items():
+    for name, array in buffer.ring.frames._asdict().items():
         state[f"ring_{name}"] = array[rows]
-    for name, array in buffer.sequences._asdict().items():
+    for name, array in buffer.ring.sequences._asdict().items():
         state[f"sequence_{name}"] = array[slots]
     if buffer.num_copies:
-        running = _running_rows(buffer)
-        state["step_count"] = buffer.step_count.copy()
-        state["staged_state"] = buffer.staged_state.copy()
-        for name, array in buffer.staging._asdict().items():
+        running = buffer.staging.used_rows
+        state["step_count"] = buffer.staging.step_count.copy()
+        state["staged_state"] = buffer.staging.state.copy()
+        for name, array in buffer.staging.frames._asdict().items():
             state[f"staging_{name}"] = array[running]
     return state
 
@@ -59,22 +56,22 @@ def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> No
                 f"{getattr(buffer, name)}: resume with the settings it was saved with"
             )
     try:
-        buffer.cursor[:] = state["cursor"]
+        buffer.ring.cursor[:] = state["cursor"]
         buffer.streams[:] = state["streams"]
-        buffer.max_priority[:] = state["max_priority"]
-        rows, slots = buffer.used_rows(), buffer.used_slots()
-        for name, array in buffer.ring._asdict().items():
+        buffer.ring.max_priority[:] = state["max_priority"]
+        rows, slots = buffer.ring.used_rows, buffer.ring.used_slots
+        for name, array in buffer.ring.frames._asdict().items():
             array[rows] = state[f"ring_{name}"]
-        for name, array in buffer.sequences._asdict().items():
+        for name, array in buffer.ring.sequences._asdict().items():
             array[slots] = state[f"sequence_{name}"]
         if buffer.prioritized:
             buffer.trees.restore(slots, state["priorities"])
         if copies := int(state["num_copies"]):
             buffer.allocate_staging(copies)
-            buffer.step_count[:] = state["step_count"]
-            buffer.staged_state[:] = state["staged_state"]
-            running = _running_rows(buffer)
-            for name, array in buffer.staging._asdict().items():
+            buffer.staging.step_count[:] = state["step_count"]
+            buffer.staging.state[:] = state["staged_state"]
+            running = buffer.staging.used_rows
+            for name, array in buffer.staging.frames._asdict().items():
                 array[running] = state[f"staging_{name}"]
     except (KeyError, IndexError, TypeError, ValueError) as error:
         if isinstance(error, InputError):
@@ -83,9 +80,3 @@ def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> No
             f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
             "start from another checkpoint"
         ) from error
-
-
-def _running_rows(buffer: SequenceReplayBuffer) -> NDArray[np.int64]:
-    """Rows of the staging area that hold steps of unfinished episodes."""
-    room = buffer.max_episode_steps + 1
-    return np.concatenate([c * room + np.arange(t) for c, t in enumerate(buffer.step_count)])

@@ -11,70 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.recurrent.batch import SequenceBatch
-
-NO_LABEL = -1
-
-
-class Frames(NamedTuple):
-    """What is known per frame, one row each; an episode of T steps fills T + 1 rows in order.
-
-    Row t holds the observation at t and the step taken from it; the last row only an observation.
-    """
-
-    observations: NDArray[np.float32]  # (rows, K, n)
-    actions: NDArray[np.int16]  # (rows, K)
-    rewards: NDArray[np.float32]  # (rows, K)
-    penalties: NDArray[np.float32]  # (rows, K)
-    labels: NDArray[np.int16]  # (rows, K), NO_LABEL: none
-    warmup: NDArray[np.bool_]  # (rows,), the step is replayed, not chosen
-
-    @classmethod
-    def allocate(cls, rows: int, num_individuals: int, observation_dim: int) -> Frames:
-        """Rows of zeros."""
-        flat = (rows, num_individuals)
-        return cls(
-            observations=np.zeros((*flat, observation_dim), dtype=np.float32),
-            actions=np.zeros(flat, dtype=np.int16),
-            rewards=np.zeros(flat, dtype=np.float32),
-            penalties=np.zeros(flat, dtype=np.float32),
-            labels=np.full(flat, NO_LABEL, dtype=np.int16),
-            warmup=np.zeros(rows, dtype=np.bool_),
-        )
-
-    @staticmethod
-    def bytes_per_row(num_individuals: int, observation_dim: int) -> int:
-        return num_individuals * (4 * observation_dim + 12) + 1
-
-
-class Sequences(NamedTuple):
-    """Where each sequence (an episode or a piece of one) lies among the frames, one slot each."""
-
-    first: NDArray[np.int64]  # (slots,), row of its first step, prefix included
-    prefix: NDArray[np.int64]  # (slots,), burn-in steps
-    trained: NDArray[np.int64]  # (slots,), steps after the prefix
-    at_start: NDArray[np.bool_]  # (slots,), the first step is its episode's first
-    terminated: NDArray[np.bool_]  # (slots,), the last step terminated the episode
-    condition: NDArray[np.float32]  # (slots,)
-    frames: NDArray[np.int64]  # (slots,), rows of the episode, at its last sequence; else 0
-    initial_state: NDArray[np.float32]  # (slots, K, H), state before the first step; H may be 0
-
-    @classmethod
-    def allocate(cls, slots: int, num_individuals: int, state_size: int) -> Sequences:
-        """Empty slots."""
-        return cls(
-            first=np.zeros(slots, dtype=np.int64),
-            prefix=np.zeros(slots, dtype=np.int64),
-            trained=np.zeros(slots, dtype=np.int64),
-            at_start=np.zeros(slots, dtype=np.bool_),
-            terminated=np.zeros(slots, dtype=np.bool_),
-            condition=np.zeros(slots, dtype=np.float32),
-            frames=np.zeros(slots, dtype=np.int64),
-            initial_state=np.zeros((slots, num_individuals, state_size), dtype=np.float32),
-        )
-
-    @staticmethod
-    def bytes_per_slot(num_individuals: int, state_size: int) -> int:
-        return 38 + 4 * num_individuals * state_size
+from animarl_algos.recurrent.rings import NO_LABEL, Frames, Sequences
 
 
 class BatchArrays(NamedTuple):

@@ -17,10 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.recurrent import sequence_kernels as kernels
 from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.recurrent.gather import BatchBuffers, Frames, Sequences
+from animarl_algos.recurrent.gather import BatchBuffers
 from animarl_algos.recurrent.memory_limit import refuse_too_large
+from animarl_algos.recurrent.rings import (
+    EPISODES,
+    NEXT,
+    OLDEST,
+    ROWS_USED,
+    Frames,
+    Ring,
+    Sequences,
+    Staging,
+)
 from animarl_algos.recurrent.state_mode import StateMode, check_state_mode
-from animarl_algos.recurrent.step_arrays import NotGiven, fit
+from animarl_algos.recurrent.step_arrays import NotGiven, Step, fit
 from animarl_algos.recurrent.sum_tree import SumTrees
 from animarl_envs.errors import InputError
 
@@ -130,11 +140,15 @@ class SequenceReplayBuffer:
             + 8 * num_individuals * tree_nodes,
             f"buffer_size {buffer_size}",
         )
-        self.ring = Frames.allocate(buffer_size, num_individuals, observation_dim)
-        self.sequences = Sequences.allocate(self.num_slots, num_individuals, self.state_size)
         self.trees = SumTrees(num_individuals, self.num_slots if prioritized else 0)
-        self.max_priority = np.ones(num_individuals)
-        self.cursor = np.zeros(5, dtype=np.int64)
+        self.ring = Ring.allocate(
+            buffer_size,
+            self.num_slots,
+            num_individuals,
+            observation_dim,
+            self.state_size,
+            trees=self.trees.nodes,
+        )
         self.streams = np.empty(num_individuals, dtype=np.uint64)
         self.seed(seed)
         self._batch = BatchBuffers(
@@ -161,24 +175,28 @@ class SequenceReplayBuffer:
     @property
     def num_sequences(self) -> int:
         """Sequences that can be drawn."""
-        return int(self.cursor[kernels.NEXT] - self.cursor[kernels.OLDEST])
+        return int(self.ring.cursor[NEXT] - self.ring.cursor[OLDEST])
 
     @property
     def num_episodes(self) -> int:
         """Finished episodes in the ring."""
-        return int(self.cursor[kernels.EPISODES])
+        return int(self.ring.cursor[EPISODES])
 
     @property
     def num_steps(self) -> int:
         """Steps of the world in the ring."""
-        return int(self.cursor[kernels.ROWS_USED]) - self.num_episodes
+        return int(self.ring.cursor[ROWS_USED]) - self.num_episodes
 
     @property
     def nbytes(self) -> int:
         """Bytes allocated: ring, sequences, priorities, staging area and minibatch."""
-        arrays: list[NDArray[Any]] = [*self.ring, *self.sequences, self.trees.nodes]
+        arrays: list[NDArray[Any]] = [
+            *self.ring.frames,
+            *self.ring.sequences,
+            self.ring.trees,
+        ]
         if self.num_copies:
-            arrays += [*self.staging, self.staged_state]
+            arrays += [*self.staging.frames, self.staging.state]
         return sum(array.nbytes for array in arrays) + self._batch.nbytes
 
     # -- adding -----------------------------------------------------------------------------------
@@ -239,61 +257,38 @@ class SequenceReplayBuffer:
         labels = none.labels if labels is None else labels
         warmup = none.warmup if warmup is None else warmup
         condition = none.condition if condition is None else condition
-        actions = fit("actions", actions, np.int64, pair)
-        terminated = fit("terminated", terminated, np.bool_, each)
-        truncated = fit("truncated", truncated, np.bool_, each)
-        condition = fit("condition", condition, np.float32, each)
-        ended = kernels.stage_steps(
-            self.staging,
-            self.step_count,
-            self.staged_state,
-            self.stride,
-            self.burn_in,
-            self.num_actions,
+        step = Step(
             fit("observations", observations, np.float32, observed),
-            actions,
+            fit("actions", actions, np.int64, pair),
             fit("rewards", rewards, np.float32, pair),
             fit("next_observations", next_observations, np.float32, observed),
-            terminated,
-            truncated,
+            fit("terminated", terminated, np.bool_, each),
+            fit("truncated", truncated, np.bool_, each),
             fit("penalties", penalties, np.float32, pair),
             fit("labels", labels, np.int64, pair),
             fit("warmup", warmup, np.bool_, each),
             fit("hidden", hidden, np.float32, (*pair, self.state_size)),
+            fit("condition", condition, np.float32, each),
         )
+        cut = (self.stride, self.burn_in)
+        ended = kernels.stage_steps(self.staging, step, *cut, self.num_actions)
         if ended == kernels.BAD_ACTION:
             raise InputError(
-                f"actions run from {actions.min()} to {actions.max()}: they must lie in "
+                f"actions run from {step.actions.min()} to {step.actions.max()}: they must lie in "
                 f"0 .. {self.num_actions - 1}"
             )
         if ended == kernels.TOO_LONG:
             raise InputError(
-                f"copy {int(self.step_count.argmax())} is past {self.max_episode_steps} steps "
+                f"copy {self.staging.step_count.argmax()} is past {self.max_episode_steps} steps "
                 "without an end: raise max_episode_steps or give the environment a time limit"
             )
         if ended:
-            kernels.commit_ended(
-                self.staging,
-                self.step_count,
-                self.staged_state,
-                self.ring,
-                self.sequences,
-                self.cursor,
-                self.trees.nodes,
-                self.max_priority,
-                self.alpha,
-                self.stride,
-                self.burn_in,
-                self.max_episodes,
-                terminated,
-                truncated,
-                condition,
-            )
+            kernels.commit_ended(self.staging, step, self.ring, self.alpha, *cut, self.max_episodes)
 
     def drop_running(self) -> None:
         """Forget the unfinished episodes of all copies, as when every copy is reset."""
         if self.num_copies:
-            self.step_count[:] = 0
+            self.staging.step_count[:] = 0
 
     # -- drawing ----------------------------------------------------------------------------------
 
@@ -317,19 +312,12 @@ class SequenceReplayBuffer:
         serials, slots = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
         weights = np.empty(shape, dtype=np.float32)
         kernels.choose(
-            self.trees.nodes,
-            self.streams,
-            self.cursor,
-            self.sequences,
-            self.beta(progress),
-            self.stratified,
-            serials,
-            slots,
-            weights,
-            np.empty(batch_size, dtype=np.int64),
-            np.empty(batch_size, dtype=np.int64),
+            *(self.ring, self.streams, self.beta(progress), self.stratified),
+            *(serials, slots, weights),
         )
-        batch = self._batch.fill(self.ring, self._unscored, self.sequences, slots, serials, weights)
+        batch = self._batch.fill(
+            *(self.ring.frames, self._unscored, self.ring.sequences, slots, serials, weights)
+        )
         return batch if self.device.type == "cpu" else batch.to(self.device)
 
     def update_priorities(self, indices: NDArray[np.int64], errors: ArrayLike) -> None:
@@ -350,27 +338,9 @@ class SequenceReplayBuffer:
                 f"priority errors of shape {errors.shape} for sequences {indices.shape}: give one "
                 "finite number per sequence"
             )
-        kernels.update_priorities(
-            self.trees.nodes,
-            self.cursor,
-            self.num_slots,
-            self.max_priority,
-            self.alpha,
-            indices,
-            errors,
-        )
+        kernels.update_priorities(self.ring, self.alpha, indices, errors)
 
     # -- inside -----------------------------------------------------------------------------------
-
-    def used_rows(self) -> NDArray[np.int64]:
-        """Rows of the ring that hold finished episodes, oldest first."""
-        used, end = self.cursor[kernels.ROWS_USED], self.cursor[kernels.NEXT_ROW]
-        return np.asarray(np.arange(end - used, end) % self.buffer_size)
-
-    def used_slots(self) -> NDArray[np.int64]:
-        """Slots of the sequences that can be drawn, oldest first."""
-        oldest, end = self.cursor[kernels.OLDEST], self.cursor[kernels.NEXT]
-        return np.asarray(np.arange(oldest, end) % self.num_slots)
 
     def allocate_staging(self, copies: int) -> None:
         """Make room for the running episodes of so many copies, none of them begun."""
@@ -382,7 +352,8 @@ class SequenceReplayBuffer:
             f"{copies} copies of max_episode_steps {self.max_episode_steps}",
         )
         self.num_copies = copies
-        self.staging = Frames.allocate(rows, k, self.observation_dim)
-        self.staged_state = np.zeros((copies, pieces, k, self.state_size), dtype=np.float32)
-        self.step_count = np.zeros(copies, dtype=np.int64)
+        self.staging = Staging.allocate(
+            *(copies, self.max_episode_steps + 1, pieces),
+            *(k, self.observation_dim, self.state_size),
+        )
         self._none = NotGiven.allocate(copies, k)

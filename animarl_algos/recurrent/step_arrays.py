@@ -7,8 +7,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from animarl_algos.recurrent.gather import NO_LABEL
+from animarl_algos.recurrent.rings import NO_LABEL
 from animarl_envs.errors import InputError
+
+
+class Step(NamedTuple):
+    """One step of every copy, as the kernels want it."""
+
+    observations: NDArray[np.float32]  # (copies, K, n)
+    actions: NDArray[np.int64]  # (copies, K)
+    rewards: NDArray[np.float32]  # (copies, K)
+    next_observations: NDArray[np.float32]  # (copies, K, n)
+    terminated: NDArray[np.bool_]  # (copies,)
+    truncated: NDArray[np.bool_]  # (copies,)
+    penalties: NDArray[np.float32]  # (copies, K)
+    labels: NDArray[np.int64]  # (copies, K)
+    warmup: NDArray[np.bool_]  # (copies,)
+    hidden: NDArray[np.float32]  # (copies, K, H)
+    condition: NDArray[np.float32]  # (copies,)
 
 
 class NotGiven(NamedTuple):
