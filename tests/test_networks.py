@@ -12,7 +12,7 @@ from torch import nn
 from animarl_algos.losses import clip_grad_norm_per_individual, masked_mean, squared_l2
 from animarl_algos.recurrent.gru import Packing
 from animarl_algos.recurrent.networks import StackedQNetwork
-from animarl_algos.recurrent.output import QOutput, dueling_parts
+from animarl_algos.recurrent.output import QOutput
 from animarl_algos.values import take_action
 from animarl_envs.errors import InputError
 
@@ -68,8 +68,8 @@ def test_network_equals_modules_per_individual(options: dict[str, object]) -> No
     for k in range(K):
         expected, value, advantage = reference_network(network, k, observations[k], previous[k])
         torch.testing.assert_close(output.values[k], expected, rtol=1e-4, atol=1e-5)
-        state_value, centred = dueling_parts(output.values[k])
-        torch.testing.assert_close(state_value, value, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(output.values[k].mean(-2), value, rtol=1e-4, atol=1e-5)
+        centred = output.values[k] - value.unsqueeze(-2)
         torch.testing.assert_close(
             centred, advantage - advantage.mean(-2, keepdim=True), rtol=1e-4, atol=1e-5
         )
@@ -102,12 +102,14 @@ def test_dueling_identities() -> None:
     network = make()
     observations, previous = batch()
     before = network(observations, previous).values
-    assert dueling_parts(before)[1].mean(-2).abs().max() < 1e-6
     with torch.no_grad():
         network.dueling.value.bias.add_(5.0)
     after = network(observations, previous).values
     torch.testing.assert_close(after, before + 5.0)
     assert torch.equal(after.argmax(-2), before.argmax(-2))
+    with torch.no_grad():
+        network.dueling.advantage.bias.add_(7.0)  # of all actions alike: no advantage of any
+    torch.testing.assert_close(network(observations, previous).values, after)
     with torch.no_grad():  # the same for all actions: invisible
         network.dueling.advantage.bias.add_(3.0)
     torch.testing.assert_close(network(observations, previous).values, after)

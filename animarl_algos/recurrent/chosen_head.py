@@ -44,11 +44,6 @@ def chosen_values(
     return values
 
 
-def usable(tensor: torch.Tensor) -> bool:
-    """Whether these loops can work on the tensor."""
-    return tensor.dtype == torch.float32 and tensor.device.type == "cpu"
-
-
 class _ChosenValues(torch.autograd.Function):
     @staticmethod
     def forward(

@@ -15,6 +15,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from animarl_algos.recurrent.compiled import runs_compiled
+
 MOST_ROWS = 256
 """Rows (of all individuals together) up to which these loops are the faster way."""
 
@@ -29,8 +31,7 @@ def usable(rows: torch.Tensor) -> bool:
     They give no gradient with respect to the rows themselves.
     """
     few = rows.shape[0] * rows.shape[1] <= MOST_ROWS
-    plain = rows.dtype == torch.float32 and rows.device.type == "cpu"
-    return few and plain and not rows.requires_grad
+    return few and runs_compiled(rows) and not rows.requires_grad
 
 
 class WeightViews:

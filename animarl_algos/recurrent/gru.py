@@ -23,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.recurrent import gru_kernels
+from animarl_algos.recurrent.compiled import runs_compiled
 from animarl_envs.errors import InputError
 
 
@@ -197,7 +198,7 @@ class _StackedGRU(torch.autograd.Function):
         units = state.shape[-1]
         hidden_n = gates.new_empty((individuals, rows, units))
         hidden = gates.new_empty((individuals, rows, units))
-        if gru_kernels.usable(gates):
+        if runs_compiled(gates):
             gru_kernels.forward(
                 gates, hidden_n, hidden, state, weight_hidden, bias_hidden, packing.active
             )
@@ -213,7 +214,7 @@ class _StackedGRU(torch.autograd.Function):
         inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden = ctx.saved_tensors
         packing: Packing = ctx.packing
         units = state.shape[-1]
-        backward = gru_kernels.backward if gru_kernels.usable(gates) else None
+        backward = gru_kernels.backward if runs_compiled(gates) else None
         if backward is not None:
             grad_gates, grad_hidden_n, grad_state = backward(
                 grad_outputs[0], gates, hidden_n, hidden, state, weight_hidden, packing.active

@@ -119,11 +119,6 @@ def _backward(  # type: ignore[no-untyped-def]
             end = start
 
 
-def usable(tensor: torch.Tensor) -> bool:
-    """Whether these kernels can work on the tensor."""
-    return tensor.dtype == torch.float32 and tensor.device.type == "cpu"
-
-
 def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
     array: NDArray[np.float32] = tensor.detach().contiguous().numpy()
     return array

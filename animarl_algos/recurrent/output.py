@@ -9,6 +9,7 @@ from typing import Protocol
 import torch
 
 from animarl_algos.recurrent import chosen_head
+from animarl_algos.recurrent.compiled import runs_compiled
 from animarl_algos.recurrent.gru import Packing
 from animarl_algos.values import take_action
 
@@ -58,7 +59,7 @@ class HeadUnits:
         return torch.baddbmm(bias, self.units, weight)
 
     def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
-        if not chosen_head.usable(self.units):
+        if not runs_compiled(self.units):
             return take_action(self.values(), actions)
         return chosen_head.chosen_values(
             self.units, self.weight, self.bias, actions, self.num_quantiles
@@ -139,22 +140,3 @@ class QOutput:
         if not self.recurrent:
             return self.initial_state
         return self.packing.final(self.features, self.initial_state)
-
-
-def dueling_parts(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """State value and centred advantage of Q-values.
-
-    The centred advantages sum to zero over actions, so V is the mean of Q over actions.
-
-    Parameters
-    ----------
-    values : Tensor (..., actions, quantiles)
-
-    Returns
-    -------
-    state_value : Tensor (..., quantiles)
-    advantage : Tensor (..., actions, quantiles)
-        A - mean over actions of A.
-    """
-    state_value = values.mean(-2)
-    return state_value, values - state_value.unsqueeze(-2)

@@ -1,0 +1,10 @@
+"""Where compiled loops stand in for tensor operations."""
+
+from __future__ import annotations
+
+import torch
+
+
+def runs_compiled(tensor: torch.Tensor) -> bool:
+    """Whether the loops, which know float32 on the CPU alone, can work on the tensor."""
+    return tensor.dtype == torch.float32 and tensor.device.type == "cpu"
