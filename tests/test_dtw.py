@@ -9,27 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from textbook_dtw import textbook
 
 import animarl_envs
 from animarl_envs.dtw import dtw_distance
 from animarl_envs.errors import InputError
 from animarl_envs.views import AnimalVectorEnv
 from animarl_envs.wrappers import DTWReward, DTWRewardParallel, DTWRewardVector
-
-Path = NDArray[np.float64]
-
-
-def textbook(x: Path, y: Path) -> NDArray[np.float64]:
-    """The whole matrix W, by the definition."""
-    cost = np.linalg.norm(x[:, None] - y[None], axis=-1)
-    total = np.full((len(x) + 1, len(y) + 1), np.inf)
-    total[0, 0] = 0.0
-    for t in range(len(x)):
-        for j in range(len(y)):
-            before = min(total[t, j + 1], total[t + 1, j], total[t, j])
-            total[t + 1, j + 1] = cost[t, j] + before
-    return total[1:, 1:]
 
 
 @settings(max_examples=30, deadline=None)
