@@ -19,6 +19,7 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
 from animarl_algos.exploration import fit_boltzmann_temperature
+from animarl_algos.loop import AS_MANY_AS_STEPS
 from animarl_algos.offline import (
     DemonstrationData,
     OfflineDataset,
@@ -65,7 +66,8 @@ class SequenceQLearning(OfflineLearner):
         ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
     train_freq, gradient_steps
         ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
-        finished. ``(n, "step")`` or a number: ``gradient_steps`` updates after n steps of each.
+        finished. ``(n, "step")`` or a number: ``gradient_steps`` updates after n steps of each
+        copy, or with -1 as many as steps were done in all copies.
     updates_per_episode
         May be fractional.
     learning_starts
@@ -195,6 +197,7 @@ class SequenceQLearning(OfflineLearner):
         self.layout = SlotLayout(1, ("agent",), condition_flag=False)
         self._updates_due = 0.0
         self._target_count = 0
+        self._rollout_steps = self._rollout_episodes = 0
         if _init_setup_model:
             self._setup_model()
 
@@ -273,6 +276,11 @@ class SequenceQLearning(OfflineLearner):
         for name in ("offline_epochs", "learning_starts", "updates_per_episode"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name} is {getattr(self, name)}: it must not be negative")
+        if self.gradient_steps < 1 and self.gradient_steps != AS_MANY_AS_STEPS:
+            raise InputError(
+                f"gradient_steps is {self.gradient_steps}: it must be at least 1, or -1 for as "
+                "many updates as steps"
+            )
         if self.offline_epochs and not self.recipe.offline:
             raise InputError(
                 f"recipe {self.recipe.name} learns without demonstrations: set offline_epochs to 0"

@@ -34,6 +34,9 @@ from animarl_algos.terms import Phase
 from animarl_algos.updates import evaluate, update
 from animarl_envs.errors import InputError
 
+AS_MANY_AS_STEPS = -1
+"""Value of ``gradient_steps``, as in stable-baselines3."""
+
 Memory = tuple[NDArray[np.float32], NDArray[np.int64]]
 
 
@@ -63,6 +66,8 @@ class OnlineLoop(OffPolicyAlgorithm):
     exploration_rate: float
     _updates_due: float
     _target_count: int
+    _rollout_steps: int
+    _rollout_episodes: int
 
     @abstractmethod
     def phase(self, name: str) -> Phase:
@@ -100,27 +105,33 @@ class OnlineLoop(OffPolicyAlgorithm):
         assert self.env is not None and self.replay_buffer is not None
         try:
             self.prepare(callback, progress_bar=progress_bar)
-            if not self.recipe.online:
-                return self
-            callback.on_training_start(locals(), globals())
-            while self.num_timesteps < total_timesteps:
-                self.at_boundary()
-                rollout = self.collect_rollouts(
-                    self.env,
-                    callback=callback,
-                    train_freq=self.train_freq,  # type: ignore[arg-type]
-                    replay_buffer=self.replay_buffer,  # type: ignore[arg-type]
-                    learning_starts=self.learning_starts,
-                    log_interval=log_interval,
-                )
-                if not rollout.continue_training:
-                    break
-                self._train_as_due(rollout.n_episodes)
-            callback.on_training_end()
+            if self.recipe.online:
+                callback.on_training_start(locals(), globals())
+                self._alternate(total_timesteps, callback, log_interval)
+                callback.on_training_end()
+            self.at_boundary()  # where an interruption of the last stretch is raised
         finally:
             for hook in self.boundary_hooks:
                 hook.release()
         return self
+
+    def _alternate(
+        self, total_timesteps: int, callback: BaseCallback, log_interval: int | None
+    ) -> None:
+        """Rollouts and updates in turns."""
+        while self.num_timesteps < total_timesteps:
+            self.at_boundary()
+            rollout = self.collect_rollouts(
+                self.env,  # type: ignore[arg-type]
+                callback=callback,
+                train_freq=self.train_freq,  # type: ignore[arg-type]
+                replay_buffer=self.replay_buffer,  # type: ignore[arg-type]
+                learning_starts=self.learning_starts,
+                log_interval=log_interval,
+            )
+            if not rollout.continue_training:
+                break
+            self._train_as_due()
 
     def at_boundary(self) -> None:
         """Between updates: let the hooks (checkpoints) look at a state that is whole."""
@@ -145,6 +156,7 @@ class OnlineLoop(OffPolicyAlgorithm):
             self.memory: Memory = self.policy.initial_state(self.n_envs)
             assert self.replay_buffer is not None
             self.replay_buffer.drop_running()
+            self._rollout_steps = self._rollout_episodes = 0
         total_timesteps, callback = super()._setup_learn(
             total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
         )
@@ -185,43 +197,50 @@ class OnlineLoop(OffPolicyAlgorithm):
     ) -> RolloutReturn:
         """Act until ``train_freq`` steps of every copy, or episodes of all copies, are done.
 
-        The end of training ends it too, so that an update is never late by an episode.
+        The end of training and a callback that returns False end it too. What was collected until
+        then counts when training is continued, as if it had never been stopped.
         """
-        steps, episodes, copies = 0, 0, self.layout.num_copies
+        copies, continue_training = self.layout.num_copies, True
         callback.on_rollout_start()
-        while self.num_timesteps < self._total_timesteps and should_collect_more_steps(
-            train_freq, steps, episodes
+        while (
+            continue_training
+            and self.num_timesteps < self._total_timesteps
+            and should_collect_more_steps(train_freq, self._rollout_steps, self._rollout_episodes)
         ):
             actions, hidden = self._act(learning_starts)
             observation: Any = self._last_obs
             new_obs, rewards, dones, infos = env.step(actions)
             new_obs = np.array(new_obs)  # an environment may overwrite its own
-            self.num_timesteps += copies
-            steps += 1
-            callback.update_locals(locals())
-            if not callback.on_step():
-                return RolloutReturn(steps * copies, episodes, continue_training=False)
             ended = self._recorder.record(
                 replay_buffer, observation, hidden, actions, new_obs, rewards, dones, infos
             )
             self._last_obs = new_obs
             self._last_episode_starts = dones
             finished = ended.count
-            self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
-            self._set_exploration()
-            self._update_target(copies, finished)
+            self._count(copies, finished)
             if finished:
                 self._forget(dones)
                 over = np.flatnonzero(dones)
                 self._update_info_buffer([infos[s] for s in over], dones[over])
-                episodes += finished
-                before, self._episode_num = self._episode_num, self._episode_num + finished
-                if log_interval is not None and (
-                    self._episode_num // log_interval > before // log_interval
-                ):
-                    self.dump_logs()
-        callback.on_rollout_end()
-        return RolloutReturn(steps * copies, episodes, continue_training=True)
+            callback.update_locals(locals())
+            continue_training = callback.on_step()
+            if log_interval is not None and self._episode_num % log_interval < finished:
+                self.dump_logs()
+        if continue_training:
+            callback.on_rollout_end()
+        return RolloutReturn(
+            self._rollout_steps * copies, self._rollout_episodes, continue_training
+        )
+
+    def _count(self, steps: int, episodes: int) -> None:
+        """World steps and episodes that have just passed, in all that counts them."""
+        self.num_timesteps += steps
+        self._episode_num += episodes
+        self._rollout_steps += 1
+        self._rollout_episodes += episodes
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+        self._set_exploration()
+        self._update_target(steps, episodes)
 
     def _act(self, learning_starts: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Actions of all slots, and the recurrent states before them; the memory moves on."""
@@ -240,10 +259,17 @@ class OnlineLoop(OffPolicyAlgorithm):
 
     # -- learn from the memory --------------------------------------------------------------------
 
-    def _train_as_due(self, episodes: int) -> None:
+    def _train_as_due(self) -> None:
+        """Make the updates that a rollout asks for, once it is whole."""
         assert self.replay_buffer is not None and isinstance(self.train_freq, TrainFreq)
+        steps, episodes = self._rollout_steps, self._rollout_episodes
+        if should_collect_more_steps(self.train_freq, steps, episodes):
+            return
+        self._rollout_steps = self._rollout_episodes = 0
         if self.train_freq.unit is TrainFrequencyUnit.EPISODE:
             self._updates_due += self.updates_per_episode * episodes
+        elif self.gradient_steps == AS_MANY_AS_STEPS:
+            self._updates_due += steps * self.layout.num_copies
         else:
             self._updates_due += self.gradient_steps
         if self.num_timesteps < self.learning_starts or self.replay_buffer.num_sequences == 0:

@@ -13,7 +13,8 @@ from animarl_algos.offline import OfflineProgress
 
 COUNTERS = (
     "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates", "_updates_due",
-    "_target_count", "_current_progress_remaining", "exploration_rate", "root_seed",
+    "_target_count", "_rollout_steps", "_rollout_episodes", "_current_progress_remaining",
+    "exploration_rate", "root_seed",
 )  # fmt: skip
 
 
