@@ -18,7 +18,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
-from animarl_algos.exploration import fit_boltzmann_temperature
+from animarl_algos.exploration import LinearDecay, fit_boltzmann_temperature
 from animarl_algos.loop import AS_MANY_AS_STEPS
 from animarl_algos.offline import (
     DemonstrationData,
@@ -27,6 +27,13 @@ from animarl_algos.offline import (
     OfflineProgress,
     demonstrated_values,
     run_offline_phase,
+)
+from animarl_algos.ranges import (
+    LEARNER,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SET_BY_LEARNER,
+    refuse_unknown,
 )
 from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
@@ -204,6 +211,7 @@ class SequenceQLearning(OfflineLearner):
     # -- set up -----------------------------------------------------------------------------------
 
     def _setup_model(self) -> None:
+        self._refuse_bad_settings()
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         if self.env is not None:
@@ -211,13 +219,15 @@ class SequenceQLearning(OfflineLearner):
             self.episode_limit = longest_episode(self.env, self.max_episode_steps)
         self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
         self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
-        self._refuse_bad_settings()
         self.root_seed = self._root_seed()
         self.observation_size = int(np.prod(self.observation_space.shape or ()))
         policy_kwargs = {"n_quantiles": self.default_quantiles} | self.policy_kwargs
         if "optimizer_class" not in policy_kwargs:
             fused = {"fused": True}  # Adam's steps of all parameters in one call
-            policy_kwargs["optimizer_kwargs"] = fused | policy_kwargs.get("optimizer_kwargs", {})
+            given = policy_kwargs.get("optimizer_kwargs") or {}
+            if not isinstance(given, dict):
+                raise InputError(f"policy_kwargs: optimizer_kwargs is {given!r}: give a table")
+            policy_kwargs["optimizer_kwargs"] = fused | given
         self.policy = self.policy_class(  # type: ignore[assignment]
             self.observation_space,
             self.action_space,
@@ -270,12 +280,22 @@ class SequenceQLearning(OfflineLearner):
         )
 
     def _refuse_bad_settings(self) -> None:
-        for name in ("batch_size", "offline_batch_size", "buffer_size"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        for name in ("offline_epochs", "learning_starts", "updates_per_episode"):
-            if getattr(self, name) < 0:
-                raise InputError(f"{name} is {getattr(self, name)}: it must not be negative")
+        for name, numbers in LEARNER.items():
+            numbers.check(name.lstrip("_"), getattr(self, name))
+        rate = self.learning_rate
+        if callable(rate):
+            NOT_NEGATIVE.check("learning_rate at the start", rate(1.0))
+        else:
+            POSITIVE.check("learning_rate", rate)
+        LinearDecay(
+            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_steps
+        )
+        for phase in ("online", "offline"):
+            self.phase(phase)
+        refuse_unknown("policy_kwargs", self.policy_kwargs, self.policy_class, SET_BY_LEARNER)
+        refuse_unknown(
+            "replay_buffer_kwargs", self.replay_buffer_kwargs, SequenceReplayBuffer, SET_BY_LEARNER
+        )
         if self.gradient_steps < 1 and self.gradient_steps != AS_MANY_AS_STEPS:
             raise InputError(
                 f"gradient_steps is {self.gradient_steps}: it must be at least 1, or -1 for as "
@@ -285,8 +305,6 @@ class SequenceQLearning(OfflineLearner):
             raise InputError(
                 f"recipe {self.recipe.name} learns without demonstrations: set offline_epochs to 0"
             )
-        self.phase("online")
-        self.phase("offline")
 
     def phase(self, name: str) -> Phase:
         """The numbers of the ``"online"`` or ``"offline"`` phase."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from animarl_algos.ranges import PROBABILITY, Range
 from animarl_envs.errors import InputError
 
 
@@ -23,14 +24,9 @@ class LinearDecay:
     steps: int
 
     def __post_init__(self) -> None:
-        for name in ("initial", "final"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(
-                    f"exploration_{name}_eps is {getattr(self, name)}: "
-                    "it is a probability, between 0 and 1"
-                )
-        if self.steps < 0:
-            raise InputError(f"exploration_steps is {self.steps}: it must not be negative")
+        PROBABILITY.check("exploration_initial_eps", self.initial)
+        PROBABILITY.check("exploration_final_eps", self.final)
+        Range(whole=True).check("exploration_steps", self.steps)
 
     def __call__(self, num_timesteps: int) -> float:
         passed = min(num_timesteps / self.steps, 1.0) if self.steps else 1.0

@@ -75,20 +75,17 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         Whatever making them, or beginning to learn, would refuse.
     """
     species, asked = checked_species(settings, demos), settings.learner()
-    try:
-        env = SlotVecEnv(
-            species,
-            settings.copies,
-            demos=demos,
-            focal=settings.focal,
-            condition_flag=None,
-            **asked.env_kwargs,
-        )
-        learner = named_recipe(settings.algo).algorithm(
-            env=env, seed=settings.seed, device="cpu", **constructed(asked.arguments)
-        )
-    except TypeError as error:  # an unknown key of policy_kwargs or replay_buffer_kwargs
-        raise InputError(f"{settings.algo}: a setting does not fit ({error}): mend it") from error
+    env = SlotVecEnv(
+        species,
+        settings.copies,
+        demos=demos,
+        focal=settings.focal,
+        condition_flag=None,
+        **asked.env_kwargs,
+    )
+    learner = named_recipe(settings.algo).algorithm(
+        env=env, seed=settings.seed, device="cpu", **constructed(asked.arguments)
+    )
     check_environment(env, learner.layout, learner.recipe)
 
 

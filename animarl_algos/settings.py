@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.ranges import COUNT, POSITIVE
 from animarl_envs.errors import InputError
 
 
-def as_frequency(value: int | tuple[int, str] | list[Any] | TrainFreq, name: str) -> TrainFreq:
+def as_frequency(value: Any, name: str) -> TrainFreq:
     """``(n, "step")``, ``(n, "episode")``, or ``n`` for steps.
 
     Raises
@@ -21,13 +23,14 @@ def as_frequency(value: int | tuple[int, str] | list[Any] | TrainFreq, name: str
     """
     if isinstance(value, TrainFreq):
         return value
-    number, unit = value if isinstance(value, tuple | list) else (value, "step")
-    if unit not in ("step", "episode") or isinstance(number, bool) or int(number) != number:
+    number, unit = value, "step"
+    if isinstance(value, tuple | list) and len(value) == 2:
+        number, unit = value
+    if unit not in ("step", "episode") or not isinstance(number, int | float | np.number):
         raise InputError(
             f'{name} is {value!r}: give (n, "step"), (n, "episode") or a number of steps'
         )
-    if number < 1:
-        raise InputError(f"{name} is {value!r}: it must be at least 1")
+    COUNT.check(name, number)
     return TrainFreq(int(number), TrainFrequencyUnit(unit))
 
 
@@ -99,9 +102,11 @@ LINEAR = "lin_"
 def linear_start(value: str, place: str) -> float:
     """The first value of ``lin_<number>``."""
     try:
-        return float(value.removeprefix(LINEAR))
+        start = float(value.removeprefix(LINEAR))
     except ValueError:
         raise InputError(f"{place} is {value!r}: write lin_ and a number") from None
+    POSITIVE.check(f"{place}, the number after lin_,", start)
+    return start
 
 
 def constructed(arguments: dict[str, Any]) -> dict[str, Any]:

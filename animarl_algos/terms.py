@@ -20,6 +20,7 @@ from animarl_algos.losses import (
     squared_l2,
     treatment_cross_entropy,
 )
+from animarl_algos.ranges import NOT_NEGATIVE, PROBABILITY, Range
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.values import ValueDistribution, one_step_target
 from animarl_envs.errors import InputError
@@ -57,13 +58,11 @@ class Phase:
     scaled_penalties: bool = False
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.gamma <= 1.0:
-            raise InputError(f"{self.name} gamma is {self.gamma}: it must lie between 0 and 1")
+        prefix = "" if self.name == "online" else f"{self.name}_"
+        PROBABILITY.check(prefix + "gamma", self.gamma)
         for key in ("alpha", "lambda1", "lambda2", "lambda3"):
-            if not 0.0 <= getattr(self, key) < float("inf"):
-                raise InputError(
-                    f"{self.name} {key} is {getattr(self, key)}: give a number of at least 0"
-                )
+            NOT_NEGATIVE.check(prefix + key, getattr(self, key))
+        Range(above=0.0, optional=True).check(prefix + "max_grad_norm", self.max_grad_norm)
 
 
 class ActionValues(Protocol):

@@ -19,7 +19,7 @@ import torch
 from torch.nn import functional
 
 from animarl_algos.quantile_huber import quantile_huber
-from animarl_envs.errors import InputError
+from animarl_algos.ranges import Range
 
 
 class ErrorLoss(Enum):
@@ -128,10 +128,7 @@ class Quantiles:
     num_quantiles: int
 
     def __post_init__(self) -> None:
-        if self.num_quantiles < 2:
-            raise InputError(
-                f"n_quantiles={self.num_quantiles}: give at least 2, or None for expected values"
-            )
+        Range(least=2, whole=True).check("n_quantiles", self.num_quantiles)
 
     def q_values(self, values: torch.Tensor) -> torch.Tensor:
         """Expected returns (..., actions): the quantiles' mean."""

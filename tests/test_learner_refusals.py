@@ -73,11 +73,6 @@ class Case:
     more: Callable[[], dict[str, Any]] = dict
 
 
-def wrong(words: str, **settings: Any) -> Case:
-    """A setting that no learner can use."""
-    return Case(words, DQN, lambda: toys.Pair(2), lambda: settings)
-
-
 def with_convolutions(_: str, env: Any, **settings: Any) -> DQN:
     return DQN("CnnPolicy", env, **settings)
 
@@ -130,11 +125,6 @@ CASES = {
     ),
     "episodes without end": Case("give max_episode_steps", DQN, lambda: gym.make("Blackjack-v1")),
     "unknown policy": Case("'CnnPolicy' is unknown", with_convolutions, lambda: toys.Pair(2)),
-    "gamma": wrong("online gamma is 1.5", gamma=1.5),
-    "offline alpha": wrong("offline alpha is -1.0", offline_alpha=-1.0),
-    "batch size": wrong("batch_size is 0", batch_size=0),
-    "training frequency": wrong("train_freq", train_freq=(1, "game")),
-    "exploration": wrong("exploration_final_eps", exploration_final_eps=2.0),
 }
 
 
@@ -147,6 +137,54 @@ def test_recipes_that_cannot_learn_say_so_before_they_start(name: str) -> None:
         model.learn(20)
     assert not updates
     assert len(str(caught.value).splitlines()) == 1
+
+
+NAN = float("nan")
+WRONG: list[tuple[str, Any]] = [
+    *(("learning_rate", value) for value in (-1.0, 0.0, NAN, None, lambda _: -1.0)),
+    *(("offline_learning_rate", value) for value in (-1.0, 0.0, NAN)),
+    *((name, value) for name in ("gamma", "offline_gamma") for value in (-0.1, 1.5, NAN)),
+    *((name, -1.0) for name in ("alpha", "offline_alpha", "lambda1", "lambda2", "lambda3")),
+    *(("tau", value) for value in (-1.0, 0.0, 3.0, NAN)),
+    *(("max_grad_norm", value) for value in (-1.0, 0.0, NAN)),
+    *(("offline_max_grad_norm", value) for value in (-1.0, 0.0)),
+    *(("exploration_initial_eps", value) for value in (-0.1, 1.1)),
+    *(("exploration_final_eps", value) for value in (-0.1, 2.0, NAN)),
+    *(("exploration_fraction", value) for value in (-1.0, 0.0, 7.0, {})),
+    *(("exploration_steps", value) for value in (-1, 2.5)),
+    *(("offline_patience", value) for value in (-1, 0, 1.5, [])),
+    *((name, 0) for name in ("batch_size", "offline_batch_size", "buffer_size")),
+    *(("gradient_steps", value) for value in (0, -2)),
+    *((name, -1) for name in ("learning_starts", "offline_epochs", "burn_in", "seed")),
+    *(("updates_per_episode", value) for value in (-1.0, NAN, float("inf"))),
+    *((name, 0) for name in ("max_episode_steps", "sequence_length", "stats_window_size")),
+    *(("train_freq", value) for value in ((1, "game"), (0, "step"), (1,), NAN, None, {})),
+    *(("target_update_interval", value) for value in (0, (NAN, "episode"), ("x", "step"))),
+    *(("policy_kwargs", {"hiden": 4}), ("policy_kwargs", {"seed": 4})),
+    *(("policy_kwargs", {"epsilon": value}) for value in (-0.1, 2.0)),
+    *(("policy_kwargs", {"hidden": value}) for value in (0, 2.5, "x")),
+    *(("policy_kwargs", {"n_quantiles": value}) for value in (1, 2.5, "x")),
+    *(("policy_kwargs", {"temperature": value}) for value in (0.0, -1.0, [1.0, -1.0])),
+    *(("policy_kwargs", {"optimizer_kwargs": value}) for value in ({"lrr": 1}, {"eps": -1.0}, 3)),
+    *(("replay_buffer_kwargs", {"alhpa": 1}), ("replay_buffer_kwargs", {"alpha": -1.0})),
+    *(("replay_buffer_kwargs", {"beta_start": value}) for value in (-2.0, 1.1)),
+    *(("replay_buffer_kwargs", {"beta_end": value}) for value in (-0.1, 2.0)),
+    ("replay_buffer_kwargs", {"max_episodes": 0}),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG)
+def test_a_setting_that_no_learner_can_use_is_named(name: str, value: Any) -> None:
+    named = next(iter(value)) if name.endswith("kwargs") else name
+    with pytest.raises(InputError, match=named) as caught:
+        DQN("GruPolicy", toys.Pair(2), **SETTINGS | {name: value})
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_ends_of_the_ranges_belong_to_them() -> None:
+    ends = {"tau": 1.0, "gamma": 1.0, "exploration_fraction": 1.0, "max_grad_norm": None}
+    zeros = ("alpha", "exploration_steps", "exploration_initial_eps", "updates_per_episode")
+    DQN("GruPolicy", toys.Pair(2), **SETTINGS | ends | dict.fromkeys(zeros, 0))
 
 
 def test_unknown_recipes_are_refused() -> None:

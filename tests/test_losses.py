@@ -172,7 +172,7 @@ def test_q_values_and_the_choice_of_distribution() -> None:
     assert value_distribution(2).q_values(values).tolist() == [[0.5, 2.5, 4.5], [6.5, 8.5, 10.5]]
     assert value_distribution(None).q_values(values[..., :1]).tolist() == [[0, 2, 4], [6, 8, 10]]
     assert take_action(values, torch.tensor([2, 0])).tolist() == [[4, 5], [6, 7]]
-    with pytest.raises(InputError, match="n_quantiles=1"):
+    with pytest.raises(InputError, match="n_quantiles is 1"):
         value_distribution(1)
 
 

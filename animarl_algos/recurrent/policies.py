@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
+from animarl_algos.ranges import COUNT, NOT_NEGATIVE, POSITIVE, PROBABILITY
 from animarl_algos.recurrent.acting import CompiledActor
 from animarl_algos.recurrent.networks import StackedQNetwork
 from animarl_algos.values import ExpectedValue, Quantiles, value_distribution
@@ -96,6 +97,11 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 f"action space {action_space} is not Discrete starting at 0: these learners choose "
                 "among numbered actions"
             )
+        COUNT.check("hidden", hidden)
+        PROBABILITY.check("epsilon", epsilon)
+        NOT_NEGATIVE.check("reversal", reversal)
+        for each in () if temperature is None else np.atleast_1d(temperature):
+            POSITIVE.check("temperature", each)
         super().__init__(
             observation_space,
             action_space,
@@ -127,11 +133,14 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         self.q_net_target.load_state_dict(self.q_net.state_dict())
         self.q_net_target.requires_grad_(False)
         self._actor = CompiledActor(self.q_net)
-        self.optimizer = self.optimizer_class(
-            self.q_net.parameters(),
-            lr=lr_schedule(1),  # type: ignore[call-arg]
-            **self.optimizer_kwargs,
-        )
+        try:
+            self.optimizer = self.optimizer_class(
+                self.q_net.parameters(),
+                lr=lr_schedule(1),  # type: ignore[call-arg]
+                **self.optimizer_kwargs,
+            )
+        except (TypeError, ValueError) as error:
+            raise InputError(f"optimizer_class and optimizer_kwargs do not fit: {error}") from error
 
     def make_q_net(self) -> StackedQNetwork:
         """A network as the constructor's arguments describe it, freshly initialised."""

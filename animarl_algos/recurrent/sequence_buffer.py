@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_algos.ranges import NOT_NEGATIVE, PROBABILITY, Range
 from animarl_algos.recurrent import sequence_kernels as kernels
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.recurrent.gather import BatchBuffers
@@ -113,8 +114,10 @@ class SequenceReplayBuffer:
                 f"buffer_size {buffer_size} cannot hold an episode of {max_episode_steps} steps "
                 f"and its last observation: set it to {max(max_episode_steps, 1) + 1} or more"
             )
-        if max_episodes is not None and max_episodes < 1:
-            raise InputError(f"max_episodes is {max_episodes}: it must be at least 1")
+        Range(least=1, whole=True, optional=True).check("max_episodes", max_episodes)
+        NOT_NEGATIVE.check("alpha of the replay memory", alpha)
+        PROBABILITY.check("beta_start", beta_start)
+        PROBABILITY.check("beta_end", beta_end)
         self.max_episodes = buffer_size if max_episodes is None else max_episodes
         self.state_mode = check_state_mode(state_mode, sequence_length, burn_in, state_size)
         self.stride = max_episode_steps if sequence_length is None else sequence_length - burn_in
