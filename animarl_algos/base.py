@@ -8,6 +8,7 @@ learning from whole episodes or pieces of them. What the loss is made of is the 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,7 +24,6 @@ from animarl_algos.loop import AS_MANY_AS_STEPS
 from animarl_algos.offline import (
     DemonstrationData,
     OfflineDataset,
-    OfflineLearner,
     OfflineProgress,
     demonstrated_values,
     run_offline_phase,
@@ -37,13 +37,14 @@ from animarl_algos.ranges import (
 )
 from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.saving import SavedLearner
 from animarl_algos.settings import as_frequency, longest_episode
 from animarl_algos.slots import SlotLayout
 from animarl_algos.terms import Phase
 from animarl_envs.errors import InputError
 
 
-class SequenceQLearning(OfflineLearner):
+class SequenceQLearning(SavedLearner):
     """Sequence Q-learning for K independent individuals; see the recipes for what is minimised.
 
     Steps are steps of the world: one step of all slots of a copy counts once.
@@ -173,6 +174,8 @@ class SequenceQLearning(OfflineLearner):
             "device": device,
             "_init_setup_model": False,
         }
+        if env is None and _init_setup_model:
+            raise InputError("there is no environment to learn in: give env=")
         try:
             super().__init__(policy, env, **arguments)  # type: ignore[arg-type]
         except AssertionError as error:
@@ -205,6 +208,7 @@ class SequenceQLearning(OfflineLearner):
         self._updates_due = 0.0
         self._target_count = 0
         self._rollout_steps = self._rollout_episodes = 0
+        self.acting_rule = {}
         if _init_setup_model:
             self._setup_model()
 
@@ -239,10 +243,42 @@ class SequenceQLearning(OfflineLearner):
             **policy_kwargs,
         ).to(self.device)
         self.policy.epsilon = self.exploration_rate
+        for name, value in self.acting_rule.items():
+            setattr(self.policy, name, value)
         if self.env is not None:
             self.replay_buffer = self._make_replay_buffer()
         self.boundary_hooks = []
         self.best_weights = None
+
+    def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
+        """Learn in ``env`` from now on, which must suit the networks and the replay memory.
+
+        A learner that was loaded without an environment gets its replay memory here, for as many
+        copies as ``env`` has.
+
+        Raises
+        ------
+        InputError
+            If the individuals, the spaces or the number of copies differ.
+        """
+        slots = self._wrap_env(env, self.verbose)
+        there, here = SlotLayout.of(slots), self.layout
+        if replace(there, num_copies=1) != replace(here, num_copies=1):
+            raise InputError(
+                f"the environment has {_described(there)}, this learner {_described(here)}: give "
+                "one with the same individuals"
+            )
+        new = self.replay_buffer is None
+        if new:
+            self.n_envs = slots.num_envs
+        try:
+            super().set_env(slots, force_reset)
+        except (AssertionError, ValueError) as error:
+            raise InputError(f"the environment does not suit this learner: {error}") from error
+        if new:
+            self.layout = there
+            self.episode_limit = longest_episode(slots, self.max_episode_steps)
+            self.replay_buffer = self._make_replay_buffer()
 
     def reset_optimizer(self, learning_rate: float) -> None:
         """A new optimiser for the online network, with nothing accumulated."""
@@ -360,17 +396,9 @@ class SequenceQLearning(OfflineLearner):
         """
         shown = demonstrated_values(self, dataset)
         fitted = [fit_boltzmann_temperature(v, a) for v, a in zip(shown.values, shown.actions)]
-        self.temperature = np.array(fitted)
-        return self.temperature
+        return np.array(fitted)
 
-    # -- store ------------------------------------------------------------------------------------
 
-    def _excluded_save_params(self) -> list[str]:
-        return [
-            *super()._excluded_save_params(),
-            *("demonstrations", "boundary_hooks", "memory", "best_weights", "_recorder", "_losses"),
-            *("_treatment_counts", "_last_obs", "_last_episode_starts", "_last_original_obs"),
-        ]
-
-    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
-        return ["policy", "policy.optimizer"], []
+def _described(layout: SlotLayout) -> str:
+    flag = "a" if layout.condition_flag else "no"
+    return f"the individuals {', '.join(layout.individuals)} and {flag} condition flag"

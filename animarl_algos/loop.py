@@ -256,6 +256,7 @@ class OnlineLoop(OffPolicyAlgorithm):
 
     def _set_exploration(self) -> None:
         self.exploration_rate = self.exploration_schedule(self.num_timesteps)
+        self.policy.epsilon = self.exploration_rate
 
     # -- learn from the memory --------------------------------------------------------------------
 

@@ -1,0 +1,126 @@
+"""What a learner saves of itself, and how it goes on from there in an environment."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import toys
+from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
+
+from animarl_algos.dqn import DQN
+from animarl_envs.errors import InputError
+
+
+def saved(folder: Path) -> Path:
+    make_pair_learner("dqn").learn(40).save(folder / "model")
+    return folder / "model"
+
+
+def test_the_acting_rule_is_saved_as_it_was_set(tmp_path: Path) -> None:
+    model = make_pair_learner("dqn").learn(40)
+    model.policy.epsilon = 0.123
+    model.policy.temperature = model.fit_temperature(demonstrations().val)
+    model.save(tmp_path / "model")
+    loaded = DQN.load(tmp_path / "model", device="cpu")
+    assert loaded.policy.epsilon == 0.123
+    assert loaded.policy.temperature == model.policy.temperature.tolist()
+    rng = np.random.default_rng(0)
+    for each in (model, loaded):
+        each.policy.seed(5)
+    for _ in range(5):
+        observation = rng.normal(size=(40, 4)).astype(np.float32)
+        np.testing.assert_array_equal(loaded.predict(observation)[0], model.predict(observation)[0])
+
+
+# -- another environment --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("copies", [2, 3])
+def test_a_loaded_learner_goes_on_in_the_environment_it_is_given(
+    copies: int, tmp_path: Path
+) -> None:
+    loaded = DQN.load(saved(tmp_path), device="cpu")
+    before = weights(loaded)
+    loaded.set_env(toys.Pair(copies))
+    loaded.learn(60)
+    assert loaded.layout.num_copies == copies and loaded.num_timesteps == 60
+    assert not torch.equal(before, weights(loaded))
+
+
+def test_a_loaded_learner_without_environment_cannot_learn(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="call set_env first"):
+        DQN.load(saved(tmp_path), device="cpu").learn(10)
+
+
+class Strangers(toys.Pair):
+    individuals = ("owl", "mouse")
+
+
+class Narrow(toys.Pair):
+    num_actions = 2
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: Strangers(2), "the individuals owl, mouse and no condition flag"),
+        (lambda: FlaggedPair(2), "a condition flag"),
+        (lambda: Narrow(2), "does not suit"),
+        (lambda: toys.Recall(4), "the individuals agent"),
+    ],
+)
+def test_an_environment_that_does_not_fit_is_refused(
+    other: Callable[[], Any], words: str, tmp_path: Path
+) -> None:
+    for model in (DQN.load(saved(tmp_path), device="cpu"), make_pair_learner("dqn")):
+        with pytest.raises(InputError, match=words) as caught:
+            model.set_env(other())
+        assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_replay_memory_keeps_its_copies() -> None:
+    with pytest.raises(InputError, match="does not suit this learner"):
+        make_pair_learner("dqn").set_env(toys.Pair(4))
+
+
+def test_a_learner_without_environment_is_refused() -> None:
+    with pytest.raises(InputError, match="give env="):
+        DQN("GruPolicy", **SETTINGS)
+
+
+# -- the replay memory ----------------------------------------------------------------------------
+
+
+def test_the_replay_memory_is_saved_and_loaded_without_pickle(tmp_path: Path) -> None:
+    model = make_pair_learner("dqn").learn(60)
+    model.save_replay_buffer(tmp_path / "memory.pkl")  # as SB3's callbacks call it
+    model.save_replay_buffer(archive := io.BytesIO())
+    archive.seek(0)
+    assert model.replay_buffer is not None
+    expected = model.replay_buffer.sample(8)
+    for place in (tmp_path / "memory.pkl", archive):
+        other = make_pair_learner("dqn", seed=99)
+        other.load_replay_buffer(place)
+        assert other.replay_buffer is not None
+        assert other.replay_buffer.num_steps == model.replay_buffer.num_steps
+        assert torch.equal(other.replay_buffer.sample(8).observations, expected.observations)
+        assert other.learn(20, reset_num_timesteps=False).num_timesteps == 20
+
+
+def test_what_is_no_replay_memory_is_refused(tmp_path: Path) -> None:
+    model = make_pair_learner("dqn")
+    (tmp_path / "pickle.pkl").write_bytes(pickle.dumps({"rows": 3}))
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    np.savez(tmp_path / "arrays.npz", rows=np.zeros(3))
+    for name in ("pickle.pkl", "array.npy", "arrays.npz", "missing.npz"):
+        with pytest.raises(InputError, match=name):
+            model.load_replay_buffer(tmp_path / name)
+    with pytest.raises(InputError, match="call set_env first"):
+        DQN.load(saved(tmp_path), device="cpu").save_replay_buffer(tmp_path / "memory")
