@@ -8,7 +8,6 @@ learning from whole episodes or pieces of them. What the loss is made of is the 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,7 +19,6 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
 from animarl_algos.exploration import LinearDecay, fit_boltzmann_temperature
-from animarl_algos.loop import AS_MANY_AS_STEPS
 from animarl_algos.offline import (
     DemonstrationData,
     OfflineDataset,
@@ -263,7 +261,7 @@ class SequenceQLearning(SavedLearner):
         """
         slots = self._wrap_env(env, self.verbose)
         there, here = SlotLayout.of(slots), self.layout
-        if replace(there, num_copies=1) != replace(here, num_copies=1):
+        if _described(there) != _described(here):
             raise InputError(
                 f"the environment has {_described(there)}, this learner {_described(here)}: give "
                 "one with the same individuals"
@@ -332,11 +330,8 @@ class SequenceQLearning(SavedLearner):
         refuse_unknown(
             "replay_buffer_kwargs", self.replay_buffer_kwargs, SequenceReplayBuffer, SET_BY_LEARNER
         )
-        if self.gradient_steps < 1 and self.gradient_steps != AS_MANY_AS_STEPS:
-            raise InputError(
-                f"gradient_steps is {self.gradient_steps}: it must be at least 1, or -1 for as "
-                "many updates as steps"
-            )
+        if self.gradient_steps == 0:
+            raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
         if self.offline_epochs and not self.recipe.offline:
             raise InputError(
                 f"recipe {self.recipe.name} learns without demonstrations: set offline_epochs to 0"

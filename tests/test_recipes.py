@@ -16,7 +16,6 @@ from stable_baselines3.common.logger import Logger, configure
 
 from animarl_algos.dqn import DQN
 from animarl_algos.recipes import RECIPES
-from animarl_envs.errors import InputError
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -147,12 +146,6 @@ def test_as_many_updates_as_steps() -> None:
     before = model._n_updates
     assert 0 < before < 80  # none before the first episode was over
     assert model.learn(40, reset_num_timesteps=False)._n_updates == before + 40
-
-
-@pytest.mark.parametrize("gradient_steps", [0, -2])
-def test_other_numbers_of_updates_are_refused(gradient_steps: int) -> None:
-    with pytest.raises(InputError, match=f"gradient_steps is {gradient_steps}"):
-        make_pair_learner("dqn", gradient_steps=gradient_steps)
 
 
 # -- the offline phase ----------------------------------------------------------------------------
