@@ -12,7 +12,7 @@ from scripted_pair import ScriptedPair, log_draws
 
 from animarl_algos.recipes import named_recipe
 
-STEPS = 160
+STEPS = 120
 TOLERANCE = 1e-4
 SETTINGS: dict[str, Any] = {
     "learning_rate": lambda remaining: 0.01 * remaining,
@@ -26,7 +26,7 @@ SETTINGS: dict[str, Any] = {
     "max_grad_norm": 1.0,
     "tau": 0.3,
     "target_update_interval": (10, "step"),
-    "learning_starts": 30,
+    "learning_starts": 20,
     "exploration_steps": 100,
     "seed": 5,
     "device": "cpu",
@@ -50,7 +50,7 @@ def test_a_run_equals_its_reference(name: str, memory: str) -> None:
     references = [ReferenceLearner(model, k, STEPS) for k in range(2)]
     log_draws(model, env)
     model.learn(STEPS)
-    assert model._n_updates > 10
+    assert model._n_updates >= 8
     nets = (model.policy.q_net, model.policy.q_net_target)
     buffer = model.replay_buffer
     assert buffer is not None
