@@ -22,10 +22,12 @@ import random
 import re
 import shutil
 import signal
+import sys
+import threading
 import zipfile
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import torch
@@ -37,6 +39,8 @@ from animarl_algos.training_state import identity, restore_training_state, train
 from animarl_envs.errors import InputError
 
 FORMAT = 1
+TERMINATED = 128 + signal.SIGTERM
+"""The exit code after SIGTERM, as a shell gives it."""
 PREFIX = "checkpoint_"
 OWN_NAME = re.compile(PREFIX + r"\d+(\.part)?")
 
@@ -185,6 +189,8 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> InputError:
+    if isinstance(error, PermissionError):
+        return InputError(f"{error.filename}: it cannot be read: see to its permissions")
     first_line = str(error).splitlines()[0] if str(error) else ""
     return InputError(
         f"{path}: the checkpoint is damaged ({type(error).__name__}: {first_line[:120]}): "
@@ -213,10 +219,10 @@ def _sync_folder(folder: Path) -> None:
 
 
 class CheckpointCallback(BaseCallback):
-    """Writes a checkpoint every ``every`` world steps, after each offline epoch, and on Ctrl-C.
+    """Writes a checkpoint every ``every`` world steps, after each offline epoch, and when stopped.
 
-    On Ctrl-C (SIGINT) the update under way is finished, the checkpoint written, and
-    ``KeyboardInterrupt`` raised; a second Ctrl-C interrupts at once.
+    On Ctrl-C (SIGINT) and SIGTERM the update under way is finished, the checkpoint written, and
+    ``KeyboardInterrupt`` or ``SystemExit`` raised; a second signal does so at once.
 
     Parameters
     ----------
@@ -232,8 +238,8 @@ class CheckpointCallback(BaseCallback):
             raise InputError(f"a checkpoint every {every} steps is not possible: give at least 1")
         self.folder = Path(folder)
         self.every = every
-        self.interrupted = False
-        self._previous_handler: Any = None
+        self.interrupted: int | None = None
+        self._previous_handlers: dict[int, Any] = {}
 
     def _init_callback(self) -> None:
         self.model.boundary_hooks.append(self)  # type: ignore[attr-defined]
@@ -242,15 +248,15 @@ class CheckpointCallback(BaseCallback):
         self._catch_interrupt()
 
     def _catch_interrupt(self) -> None:
-        try:
-            self._previous_handler = signal.signal(signal.SIGINT, self._on_interrupt)
-        except ValueError:  # not in the main thread: Ctrl-C goes to the main thread as it is
-            self._previous_handler = None
+        if threading.current_thread() is not threading.main_thread():
+            return  # signals go to the main thread
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._previous_handlers[number] = signal.signal(number, self._on_interrupt)
 
     def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self.interrupted:
-            raise KeyboardInterrupt
-        self.interrupted = True
+        if self.interrupted is not None:
+            _stop(number)
+        self.interrupted = number
 
     def _on_step(self) -> bool:
         return True
@@ -259,20 +265,25 @@ class CheckpointCallback(BaseCallback):
         """Called by the algorithm between updates and after each offline epoch."""
         model: SequenceQLearning = self.model  # type: ignore[assignment]
         due = model.num_timesteps >= self.due or model.offline_progress.epoch > self.epochs
-        if due or self.interrupted:
+        if due or self.interrupted is not None:
             save_checkpoint(model, self.folder)
             self.due = self.every * (model.num_timesteps // self.every + 1)
             self.epochs = model.offline_progress.epoch
-        if self.interrupted:
+        if self.interrupted is not None:
             self.release()
-            raise KeyboardInterrupt
+            _stop(self.interrupted)
 
     def _on_training_end(self) -> None:
         save_checkpoint(self.model, self.folder)  # type: ignore[arg-type]
         self.release()
 
     def release(self) -> None:
-        """Give SIGINT back to whoever had it."""
-        if self._previous_handler is not None:
-            signal.signal(signal.SIGINT, self._previous_handler)
-            self._previous_handler = None
+        """Give the signals back to whoever had them."""
+        while self._previous_handlers:
+            signal.signal(*self._previous_handlers.popitem())
+
+
+def _stop(number: int) -> NoReturn:
+    if number == signal.SIGTERM:
+        sys.exit(TERMINATED)
+    raise KeyboardInterrupt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 from animarl_envs.errors import InputError, MissingExtraError
@@ -25,7 +26,7 @@ except ModuleNotFoundError as error:
     print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
     sys.exit(2)
 
-INTERRUPTED = 130  # the exit code of Ctrl-C, which typer gives without a word
+INTERRUPTED = (130, 128 + signal.SIGTERM)  # Ctrl-C, which typer gives without a word, and SIGTERM
 
 app = typer.Typer(
     name="animarl",
@@ -46,19 +47,30 @@ app.command("watch")(watch_command)
 
 def main() -> None:
     """Entry point of the ``animarl`` script."""
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         app()
     except (InputError, MissingExtraError) as error:
         print(f"animarl: {error}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(
+            f"animarl: {where}a file cannot be read or written ({error.strerror or error}): make "
+            "room, or see to its permissions; finished stages and checkpoints are kept",
+            file=sys.stderr,
+        )
+        sys.exit(2)
     except SystemExit as ended:
-        if ended.code == INTERRUPTED:
+        if ended.code in INTERRUPTED:
             print(
                 "\nanimarl: interrupted; given again, the same command takes up a run where its "
                 "last checkpoint or finished stage left it",
                 file=sys.stderr,
             )
         raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 if __name__ == "__main__":

@@ -7,18 +7,30 @@ from tqdm.auto import tqdm
 
 
 class ProgressBar(BaseCallback):
-    """Advances by the world steps done; shows the epsilon and the mean return of late episodes."""
+    """Advances by the world steps done; its line is ended however training ends."""
+
+    _bar: tqdm | None = None
 
     def _on_training_start(self) -> None:
         self._seen = self.model.num_timesteps
         self._bar = tqdm(
             total=self.locals["total_timesteps"] - self._seen, desc="online", unit="step"
         )
+        self.model.boundary_hooks.append(self)  # type: ignore[attr-defined]
 
     def _on_step(self) -> bool:
+        assert self._bar is not None
         self._bar.update(self.model.num_timesteps - self._seen)
         self._seen = self.model.num_timesteps
         return True
 
+    def at_boundary(self) -> None:
+        """Nothing to do between updates."""
+
+    def release(self) -> None:
+        """End the line, also after an error or an interruption."""
+        if self._bar is not None:
+            self._bar.close()
+
     def _on_training_end(self) -> None:
-        self._bar.close()
+        self.release()

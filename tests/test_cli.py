@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import shutil
+import signal
 import sys
 import zipfile
 from collections.abc import Callable
@@ -131,18 +133,36 @@ def test_train_by_environment_and_preset_then_more(
     assert '"num_timesteps": 400' in (latest / "state.json").read_text()
 
 
-def test_ctrl_c_says_how_to_go_on(
-    animarl: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_command_that_is_stopped_says_how_to_go_on(
+    number: int,
+    code: int,
+    animarl: Callable[..., Done],
+    small: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), number)
 
     command = ("train", str(small), "--algo", "dqn", *TINY[:4], "--out", "run")
+    before = signal.getsignal(signal.SIGTERM)
     with monkeypatch.context() as patched:
         patched.setattr("animarl_algos.pipeline.train", interrupted)
         done = animarl(*command)
-    assert done.returncode == 130 and "the same command takes up" in done.stderr
+    assert signal.getsignal(signal.SIGTERM) == before
+    assert done.returncode == code and "the same command takes up" in done.stderr
     assert animarl(*command).returncode == 0
+
+
+def test_a_folder_that_cannot_be_made_is_named(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "logs").write_text("a file in the way")
+    done = animarl("train", str(small), "--algo", "dqn", *TINY[:4], "--out", "run")
+    assert done.returncode == 2
+    assert "run/logs" in done.stderr and "cannot be read or written" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_one_individual_learns_and_is_evaluated(

@@ -107,17 +107,26 @@ def test_a_run_killed_by_sigkill_goes_on(tmp_path: Path) -> None:
     assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
 
 
-def test_ctrl_c_writes_a_checkpoint_first(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_a_run_that_is_told_to_stop_writes_a_checkpoint_first(
+    number: int,
+    raised: type[BaseException],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     class Interrupt(CheckpointCallback):
         def _on_step(self) -> bool:
             if self.model.num_timesteps == 120:
-                os.kill(os.getpid(), signal.SIGINT)
+                os.kill(os.getpid(), number)
             return True
 
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt):
-        make().learn(STEPS, callback=Interrupt(tmp_path, every=10_000))
-    assert signal.getsignal(signal.SIGINT) is before
+    before = signal.getsignal(number)
+    with pytest.raises(raised):
+        make().learn(STEPS, callback=Interrupt(tmp_path, every=10_000), progress_bar=True)
+    assert signal.getsignal(number) is before
+    assert capsys.readouterr().err.endswith("\n")  # what is said next has a line of its own
     resumed = go_on(make(), tmp_path)
     assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
 
@@ -236,4 +245,16 @@ def test_a_damaged_checkpoint_is_refused(name: str, damage: str, tmp_path: Path)
 def test_a_checkpoint_without_one_of_its_files_is_refused(name: str, tmp_path: Path) -> None:
     (save_checkpoint(make().learn(100), tmp_path) / name).unlink()
     with pytest.raises(InputError, match="damaged"):
+        load_checkpoint(make(), tmp_path)
+
+
+def test_a_checkpoint_that_may_not_be_read_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(file: Path, **_: Any) -> None:
+        raise PermissionError(13, "Permission denied", str(file))
+
+    save_checkpoint(make().learn(20), tmp_path)
+    monkeypatch.setattr(torch, "load", forbidden)
+    with pytest.raises(InputError, match=r"model.pt: it cannot be read: see to its permissions"):
         load_checkpoint(make(), tmp_path)
