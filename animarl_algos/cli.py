@@ -31,6 +31,8 @@ INTERRUPTED = (130, 128 + signal.SIGTERM)  # Ctrl-C, which typer gives without a
 app = typer.Typer(
     name="animarl",
     help="Recorded animals become a simulator: fit, train, evaluate, report.",
+    epilog="First steps: animarl run packaged --steps 20000 --out runs/first, then "
+    "animarl watch AnimaRL/Agent-v0 --model runs/first. COMMAND --help gives examples.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,

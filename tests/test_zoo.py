@@ -26,6 +26,7 @@ from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
 
 AGENT, NAME = "AnimaRL/Agent-v0", "AnimaRL-Agent-v0"
+DQN = ["train", "--algo", "dqn", "--env", AGENT]
 TINY = ["--n-timesteps", "200", "--seed", "1", "--eval-freq", "100", "--eval-episodes", "2"]
 
 
@@ -250,6 +251,13 @@ def test_optimize_tunes_into_sqlite(
         (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma"], "write KEY:VALUE"),
         (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma:["], "not valid YAML"),
         (["train", "--algo", "dqn", "--env", AGENT, "--env-kwargs", "wind:1"], "'wind' is unknown"),
+        ([*DQN, "-params", "policy_kwargs:{hiden: 4}"], "policy_kwargs: 'hiden' is unknown"),
+        ([*DQN, "-params", "learning_rate:-1"], "learning_rate is -1.0"),
+        ([*DQN, "--env-kwargs", "copies:2"], "give -params n_envs"),
+        ([*DQN, "--device", "abacus"], "'abacus' is unknown"),
+        ([*DQN, "-i", "no.zip"], "no.zip: there is no such zip file"),
+        ([*DQN, "-f", "/dev/null/logs"], "/dev/null/logs: a file cannot be"),
+        (["optimize", *DQN[1:], "--n-trials", "0"], "--n-trials is 0"),
         (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "does not suit"),
         (["train", "--algo", "dqdil", "--env", "CartPole-v1"], "'dtw_penalty'"),
@@ -267,6 +275,13 @@ def test_bad_input_is_one_sentence(
     assert done.returncode == 2
     assert word in done.stderr and "Traceback" not in done.stderr
     assert "invalid choice" in word or len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_refused_setting_leaves_no_empty_run_for_enjoy(
+    zoo: Callable[..., Done], tmp_path: Path
+) -> None:
+    assert zoo(*DQN, "-params", "tau:3").returncode == 2
+    assert not list(tmp_path.glob("logs/*/*"))
 
 
 def test_nothing_on_the_command_line_or_in_a_file_is_evaluated(

@@ -18,32 +18,37 @@ Command = Callable[..., None]
 def _asked(
     context: typer.Context,
     file: Annotated[
-        str, typer.Argument(help="Recorded episodes, or 'packaged' for those of the species.")
+        str,
+        typer.Argument(
+            help="A file of recorded episodes, or 'packaged': those that come with the species."
+        ),
     ] = PACKAGED,
     env: Annotated[
         str | None,
-        typer.Option(help="Environment id, such as AnimaRL/Fly-v0: names the species."),
+        typer.Option(help="Environment id, such as AnimaRL/Fly-v0: another way to give --species."),
     ] = None,
     species: Annotated[
         str | None,
         typer.Option(help="agent, fly, newt, silkmoth or custom; by default what FILE says."),
     ] = None,
     algo: Annotated[
-        str, typer.Option(help="dqn, bc, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt, or a qr- twin.")
+        str,
+        typer.Option(help="dqn, bc, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."),
     ] = "dqdil-pt",
     preset: Annotated[
-        str, typer.Option(help="Settings of zoo_configs: paper (its numbers) or default (tuned).")
+        str, typer.Option(help="Settings of zoo_configs: paper (the paper's) or default (tuned).")
     ] = "default",
     steps: Annotated[
         int | None,
-        typer.Option(help="Environment steps of the online phase; by default the preset's."),
+        typer.Option(help="Environment steps, after the offline epochs; by default the preset's."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Root of all randomness.")] = 0,
     out: Annotated[
         Path, typer.Option(help="Run folder; made if absent, continued if killed.")
     ] = Path("runs/run"),
     source: Annotated[
-        str | None, typer.Option(help="Reader; by default found by a look at the file.")
+        str | None,
+        typer.Option(help="Format of FILE ('animarl data sources'); by default recognised."),
     ] = None,
     copies: Annotated[
         int | None, typer.Option(help="Worlds simulated side by side; by default the preset's.")
@@ -66,7 +71,11 @@ def _asked(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="A setting of the learner, KEY=VALUE; may be repeated."),
+        typer.Option(
+            "--set",
+            help="A setting of the learner, KEY=VALUE, such as learning_rate=0.001; may be "
+            "repeated. Names: zoo_configs/ALGO.yml.",
+        ),
     ] = None,
 ) -> None:
     """Only its signature is used, by :func:`with_run_options`."""

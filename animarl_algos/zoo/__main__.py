@@ -18,6 +18,7 @@ import yaml
 
 from animarl_algos.presets import PRESETS
 from animarl_algos.recipes import RECIPES
+from animarl_algos.run_settings import check_device
 from animarl_algos.zoo.enjoy import enjoy
 from animarl_algos.zoo.environments import species_of_id
 from animarl_algos.zoo.manager import EVAL_BY_LENGTH, AnimalExperimentManager
@@ -95,6 +96,13 @@ def train(arguments: list[str]) -> None:
         for package in peeked.gym_packages:
             __import__(package)
         species_of_id(peeked.env)
+    if peeked.device != "auto":
+        check_device(peeked.device)
+    model = peeked.trained_agent
+    if model is not None and not (model.suffix == ".zip" and model.is_file()):
+        raise InputError(f"{model}: there is no such zip file: name a model that 'train' saved")
+    if peeked.n_trials < 1:
+        raise InputError(f"--n-trials is {peeked.n_trials}: give at least 1")
     if "--algo" not in rest:
         rest += ["--algo", "dqdil-pt"]
     torch.set_num_threads(1)
@@ -127,6 +135,9 @@ def _peek(arguments: list[str]) -> argparse.Namespace:
     for option in ("--env", "--algo", "--storage", "--study-name"):
         look.add_argument(option)
     look.add_argument("-f", "--log-folder", default="logs")
+    look.add_argument("-i", "--trained-agent", type=Path)
+    look.add_argument("--device", default="auto")
+    look.add_argument("--n-trials", type=int, default=1)
     look.add_argument("--gym-packages", nargs="+", default=[])
     return look.parse_known_args(arguments)[0]
 
@@ -152,6 +163,17 @@ def main() -> None:
     except InputError as error:
         print(f"animarl_algos.zoo: {error}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(
+            f"animarl_algos.zoo: {where}a file cannot be read or written "
+            f"({error.strerror or error}): make room, or see to its permissions",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("\nanimarl_algos.zoo: interrupted", file=sys.stderr)
+        sys.exit(130)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,11 @@ from animarl_envs.errors import InputError
 
 EVAL_BY_LENGTH = 0
 """An evaluation frequency that stands for a tenth of the run, at most :data:`MOST_BETWEEN`."""
+OF_TRAINING = {
+    "copies": "give -params n_envs:16",
+    "split": "it learns from train and is scored on val",
+}
+"""Options of the slot VecEnv that are no environment's, and what to do instead."""
 MOST_BETWEEN = 25_000
 """Steps of the world; rl_zoo3's own default, longer than many a run."""
 
@@ -65,6 +71,10 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         found = learner_preset(
             self.algo, self.env_name.gym_id, self.preset, overrides, config=self.own_config
         )
+        given = self.env_kwargs | (self._eval_env_kwargs_args or {})
+        for name, instead in OF_TRAINING.items():
+            if self.species is not None and name in given:
+                raise InputError(f"--env-kwargs {name}: training sets it itself: {instead}")
         options = found.env_kwargs if self.species is not None else {}
         options = options | self.env_kwargs
         self.eval_env_kwargs = options | (self._eval_env_kwargs_args or {})
@@ -75,6 +85,17 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         }
         print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
         return deepcopy(settings), settings
+
+    def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
+        """rl_zoo3's; a refused one leaves no empty folder for ``enjoy`` to find as the latest."""
+        try:
+            result: tuple[BaseAlgorithm, dict[str, Any]] | None = super().setup_experiment()
+        except InputError:
+            with suppress(OSError):
+                Path(self.params_path).rmdir()
+                Path(self.save_path).rmdir()
+            raise
+        return result
 
     def _save_config(self, saved_hyperparams: dict[str, Any]) -> None:
         """The settings as resolved and the command, as plain YAML."""
