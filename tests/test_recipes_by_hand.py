@@ -86,8 +86,8 @@ def test_the_reversal_turns_the_encoders_gradient_alone() -> None:
     """Gradient of J_tr: minus the plain one before the reversal, the plain one behind it."""
     gradients = {}
     for reversal in (1.0, -1.0):  # a reversal of -1 is the identity
-        model = make_pair_learner("dqcil", policy_kwargs={"hidden": 8, "reversal": reversal})
-        model.updates_per_episode = 0.0
+        model = make_pair_learner("dqcil", updates_per_episode=0.0)
+        model.policy.q_net.reversal = reversal
         model.learn(40)
         assert model.replay_buffer is not None
         evaluation = evaluated(model, model.replay_buffer.sample(4), needs_target=False)
