@@ -64,7 +64,16 @@ def test_files_are_plain_data() -> None:
             continue
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
         assert strings(content) - set(content) <= {
-            *("GruPolicy", "episode", "cumulative", "increment", "onset", "joint"),
+            *(
+                "GruPolicy",
+                "MlpPolicy",
+                "episode",
+                "step",
+                "cumulative",
+                "increment",
+                "onset",
+                "joint",
+            ),
             *(name for name in RECIPES),
             "pretraining",
         }
