@@ -16,14 +16,15 @@ from animarl_algos.offline import OfflineLearner
 from animarl_algos.recurrent.buffer_state import buffer_state, restore_buffer
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
 
 Place = str | Path | io.BufferedIOBase
 
 
 @contextmanager
-def _opened(path: Place, mode: str) -> Iterator[Any]:
+def _opened(path: Place) -> Iterator[Any]:
     """The file at ``path``, as stable-baselines3 finds it; one that was given stays open."""
-    file = open_path(path, mode, suffix="npz")
+    file = open_path(path, "r", suffix="npz")
     try:
         yield file
     finally:
@@ -53,7 +54,12 @@ class SavedLearner(OfflineLearner):
     def save_replay_buffer(self, path: Place) -> None:
         """Write the replay memory as an ``npz`` archive, whatever the name of ``path``."""
         state = buffer_state(self._the_memory())
-        with _opened(path, "w") as file:
+        if isinstance(path, io.BufferedIOBase):
+            np.savez(path, **state)
+            return
+        path = Path(path)
+        named = path if path.suffix else path.with_suffix(".npz")
+        with write_then_rename(named) as part, part.open("wb") as file:
             np.savez(file, **state)
 
     def load_replay_buffer(self, path: Place, truncate_last_traj: bool = True) -> None:
@@ -66,7 +72,7 @@ class SavedLearner(OfflineLearner):
         """
         buffer = self._the_memory()
         try:
-            with _opened(path, "r") as file, np.load(file, allow_pickle=False) as arrays:
+            with _opened(path) as file, np.load(file, allow_pickle=False) as arrays:
                 restore_buffer(buffer, dict(arrays))
         except InputError as error:
             raise InputError(f"{path}: {error}") from error

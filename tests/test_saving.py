@@ -114,6 +114,22 @@ def test_the_replay_memory_is_saved_and_loaded_without_pickle(tmp_path: Path) ->
         assert other.learn(20, reset_num_timesteps=False).num_timesteps == 20
 
 
+def test_a_memory_that_cannot_be_written_leaves_the_last_one(tmp_path: Path, monkeypatch) -> None:
+    model = make_pair_learner("dqn").learn(60)
+    model.save_replay_buffer(tmp_path / "memory")
+    before = (tmp_path / "memory.npz").read_bytes()
+
+    def run_out_of_room(file: io.BufferedIOBase, **arrays: np.ndarray) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", run_out_of_room)
+    with pytest.raises(InputError, match=r"memory\.npz: it cannot be written \(No space left"):
+        model.save_replay_buffer(tmp_path / "memory")
+    assert [file.name for file in tmp_path.iterdir()] == ["memory.npz"]
+    assert (tmp_path / "memory.npz").read_bytes() == before
+
+
 def test_what_is_no_replay_memory_is_refused(tmp_path: Path) -> None:
     model = make_pair_learner("dqn")
     (tmp_path / "pickle.pkl").write_bytes(pickle.dumps({"rows": 3}))
