@@ -118,7 +118,7 @@ def test_an_interrupted_save_leaves_the_old_file(
         raise OSError("no space left")
 
     monkeypatch.setattr(np, "savez_compressed", full_disc)
-    with pytest.raises(OSError, match="no space left"):
+    with pytest.raises(InputError, match=r"tracks\.npz: it cannot be written \(no space left"):
         Demonstrations(**content(dt=0.2)).save(path)
     assert path.read_bytes() == before
 
