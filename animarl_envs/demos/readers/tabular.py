@@ -18,6 +18,8 @@ from animarl_envs.errors import InputError, MissingExtraError
 
 PIECE_ROWS = 500_000
 LONGEST_LINE = 2**20
+_SWALLOWED = "Calling read(nbytes) on source failed"
+"""What pandas makes of Ctrl-C while it asks for more; errors of the source come through as such."""
 
 
 def first_line(path: Path) -> str:
@@ -114,6 +116,8 @@ def _text_pieces(
         raise
     except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
         first = str(error).splitlines()[0][:200]
+        if _SWALLOWED in first:
+            raise KeyboardInterrupt from None
         raise InputError(f"{path}: a cell or line cannot be read ({first}): mend it") from None
 
 
