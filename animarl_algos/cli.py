@@ -6,10 +6,12 @@ import signal
 import sys
 
 from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import unreadable_or_unwritable
 
 try:
     import typer
 
+    from animarl_algos.checkpoint import TERMINATED
     from animarl_algos.commands import data
     from animarl_algos.commands.fit import fit_command
     from animarl_algos.commands.importing import import_command
@@ -26,7 +28,7 @@ except ModuleNotFoundError as error:
     print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
     sys.exit(2)
 
-INTERRUPTED = (130, 128 + signal.SIGTERM)  # Ctrl-C, which typer gives without a word, and SIGTERM
+INTERRUPTED = (130, TERMINATED)  # Ctrl-C, which typer gives without a word, and SIGTERM
 
 app = typer.Typer(
     name="animarl",
@@ -49,17 +51,15 @@ app.command("watch")(watch_command)
 
 def main() -> None:
     """Entry point of the ``animarl`` script."""
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
     try:
         app()
     except (InputError, MissingExtraError) as error:
         print(f"animarl: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
         print(
-            f"animarl: {where}a file cannot be read or written ({error.strerror or error}): make "
-            "room, or see to its permissions; finished stages and checkpoints are kept",
+            f"animarl: {unreadable_or_unwritable(error)}; finished stages and checkpoints are kept",
             file=sys.stderr,
         )
         sys.exit(2)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from animarl_algos.ranges import PROBABILITY, Range
+from animarl_algos.ranges import PROBABILITY, WHOLE
 from animarl_envs.errors import InputError
 
 
@@ -26,7 +26,7 @@ class LinearDecay:
     def __post_init__(self) -> None:
         PROBABILITY.check("exploration_initial_eps", self.initial)
         PROBABILITY.check("exploration_final_eps", self.final)
-        Range(whole=True).check("exploration_steps", self.steps)
+        WHOLE.check("exploration_steps", self.steps)
 
     def __call__(self, num_timesteps: int) -> float:
         passed = min(num_timesteps / self.steps, 1.0) if self.steps else 1.0

@@ -124,13 +124,6 @@ def mean_recall(counts: torch.Tensor) -> torch.Tensor:
     return (counts[..., 0] / counts[..., 1]).mean(-1)
 
 
-def balanced_accuracy(
-    logits: torch.Tensor, condition: torch.Tensor, valid: torch.Tensor
-) -> torch.Tensor:
-    """The :func:`mean_recall` of one batch; arguments as of :func:`treatment_counts`."""
-    return mean_recall(treatment_counts(logits, condition, valid))
-
-
 def _per_step(condition: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
     return condition.unsqueeze(1).expand_as(like) if condition.dim() == 2 else condition
 

@@ -58,6 +58,7 @@ COUNT = Range(least=1, whole=True)
 NOT_NEGATIVE = Range()
 POSITIVE = Range(above=0.0)
 PROBABILITY = Range(most=1.0)
+POSITIVE_OR_NONE = replace(POSITIVE, optional=True)
 SHARE = Range(above=0.0, most=1.0)
 
 LEARNER = {

@@ -20,7 +20,7 @@ from animarl_algos.losses import (
     squared_l2,
     treatment_cross_entropy,
 )
-from animarl_algos.ranges import NOT_NEGATIVE, PROBABILITY, Range
+from animarl_algos.ranges import NOT_NEGATIVE, POSITIVE_OR_NONE, PROBABILITY
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.values import ValueDistribution, one_step_target
 from animarl_envs.errors import InputError
@@ -62,7 +62,7 @@ class Phase:
         PROBABILITY.check(prefix + "gamma", self.gamma)
         for key in ("alpha", "lambda1", "lambda2", "lambda3"):
             NOT_NEGATIVE.check(prefix + key, getattr(self, key))
-        Range(above=0.0, optional=True).check(prefix + "max_grad_norm", self.max_grad_norm)
+        POSITIVE_OR_NONE.check(prefix + "max_grad_norm", self.max_grad_norm)
 
 
 class ActionValues(Protocol):

@@ -48,6 +48,15 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+def unreadable_or_unwritable(error: OSError) -> str:
+    """What to say of a file where nobody nearer knew better."""
+    where = f"{error.filename}: " if error.filename else ""
+    return (
+        f"{where}a file cannot be read or written ({error.strerror or error}): make room, or see "
+        "to its permissions"
+    )
+
+
 def _unwritable(path: Path, error: OSError) -> InputError:
     return InputError(
         f"{path}: it cannot be written ({error.strerror or error}): make room or name another place"

@@ -11,7 +11,7 @@ import toys
 from stable_baselines3.common.utils import LinearSchedule
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.losses import balanced_accuracy, treatment_cross_entropy
+from animarl_algos.losses import mean_recall, treatment_counts, treatment_cross_entropy
 
 SETTINGS: dict[str, Any] = {
     "learning_rate": 3e-3,
@@ -48,7 +48,7 @@ class Reading:
         """Balanced accuracy of the treatment head; 0.5 is chance."""
         assert self.logits is not None
         everywhere = torch.ones_like(self.logits, dtype=torch.bool)
-        return float(balanced_accuracy(self.logits, self.condition, everywhere))
+        return float(mean_recall(treatment_counts(self.logits, self.condition, everywhere)))
 
     def head_cross_entropy(self) -> float:
         """Of the treatment head [nat]; chance is log 2."""

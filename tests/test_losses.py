@@ -14,10 +14,11 @@ from torch import nn
 from animarl_algos.gradient_reversal import reverse_gradient
 from animarl_algos.losses import (
     action_cross_entropy,
-    balanced_accuracy,
     clip_grad_norm_per_individual,
     masked_mean,
+    mean_recall,
     squared_l2,
+    treatment_counts,
     treatment_cross_entropy,
 )
 from animarl_algos.quantile_huber import quantile_huber, quantile_huber_definition
@@ -211,10 +212,14 @@ def test_balanced_accuracy_weighs_both_treatments_equally() -> None:
     logits = torch.tensor([[[1.0, 1.0, 1.0, 1.0, -1.0]]])
     condition = torch.tensor([[1, 1, 1, 0, 0]])
     valid = torch.ones(1, 1, 5, dtype=torch.bool)
-    assert balanced_accuracy(logits, condition, valid).item() == 0.75
+    assert mean_recall(treatment_counts(logits, condition, valid)).item() == 0.75
     valid[..., 3] = False
-    assert balanced_accuracy(logits, condition, valid).item() == 1.0
-    assert balanced_accuracy(logits[..., :3], condition[..., :3], valid[..., :3]).isnan().all()
+    assert mean_recall(treatment_counts(logits, condition, valid)).item() == 1.0
+    assert (
+        mean_recall(treatment_counts(logits[..., :3], condition[..., :3], valid[..., :3]))
+        .isnan()
+        .all()
+    )
 
 
 def test_squared_l2_is_the_sum_of_squares_per_individual() -> None:

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from animarl_algos.losses import balanced_accuracy
+from animarl_algos.losses import mean_recall, treatment_counts
 from animarl_algos.recurrent.networks import TREATMENT_UNITS
 
 SMALLEST_SCALE = 1e-3
@@ -46,7 +46,8 @@ def probe_balanced_accuracy(
     with torch.no_grad():
         logits = probe((features - centre) / scale)[:, 0].view(1, 1, -1)
     truth = condition.view(1, 1, -1)
-    return float(balanced_accuracy(logits, truth, torch.ones_like(truth, dtype=torch.bool)))
+    everywhere = torch.ones_like(truth, dtype=torch.bool)
+    return float(mean_recall(treatment_counts(logits, truth, everywhere)))
 
 
 def share_of_variance(features: torch.Tensor, condition: torch.Tensor) -> float:

@@ -127,7 +127,7 @@ def decide_along(
         slots = np.array([who])
     observations = _flagged(demonstration_observations(species, one), one, condition_flag)
     actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
-    own = int(np.flatnonzero(slots == who)[0])
+    own = slots.tolist().index(who)
     values = np.empty((steps, NUM_ACTIONS))
     state: Any = None
     moment, memory = steps // 2, None
@@ -179,7 +179,8 @@ def _map(
     state = None if memory is None else tuple(np.tile(m.T, len(places)).T for m in memory)
     q_values = policy.advance(flat, state, np.zeros(rows, dtype=bool))[0]
     shape = (len(side), len(side))
-    map_q = q_values.reshape(len(places), len(slots), -1)[:, slots == who][:, 0].astype(np.float64)
+    own = slots.tolist().index(who)
+    map_q = q_values.reshape(len(places), len(slots), -1)[:, own].astype(np.float64)
     if species.arena.shape == "disc":
         map_q[np.hypot(places[:, 0], places[:, 1]) > species.arena.size] = np.nan
     return {

@@ -21,7 +21,6 @@ MOST_ROWS = 256
 """Rows (of all individuals together) up to which these loops are the faster way."""
 
 _ZERO = np.float32(0.0)
-_ONE = np.float32(1.0)
 _FASTMATH = {"contract", "nsz", "reassoc"}
 
 

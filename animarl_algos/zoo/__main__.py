@@ -24,6 +24,7 @@ from animarl_algos.zoo.environments import species_of_id
 from animarl_algos.zoo.manager import EVAL_BY_LENGTH, AnimalExperimentManager
 from animarl_algos.zoo.samplers import converted, sampler
 from animarl_envs.errors import InputError
+from animarl_envs.files import unreadable_or_unwritable
 
 USAGE = """python -m animarl_algos.zoo COMMAND ...
 
@@ -164,12 +165,7 @@ def main() -> None:
         print(f"animarl_algos.zoo: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        print(
-            f"animarl_algos.zoo: {where}a file cannot be read or written "
-            f"({error.strerror or error}): make room, or see to its permissions",
-            file=sys.stderr,
-        )
+        print(f"animarl_algos.zoo: {unreadable_or_unwritable(error)}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("\nanimarl_algos.zoo: interrupted", file=sys.stderr)

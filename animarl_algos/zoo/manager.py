@@ -32,13 +32,13 @@ from animarl_envs.errors import InputError
 
 EVAL_BY_LENGTH = 0
 """An evaluation frequency that stands for a tenth of the run, at most :data:`MOST_BETWEEN`."""
+MOST_BETWEEN = 25_000
+"""Steps of the world; rl_zoo3's own default, longer than many a run."""
 OF_TRAINING = {
     "copies": "give -params n_envs:16",
     "split": "it learns from train and is scored on val",
 }
 """Options of the slot VecEnv that are no environment's, and what to do instead."""
-MOST_BETWEEN = 25_000
-"""Steps of the world; rl_zoo3's own default, longer than many a run."""
 
 
 class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
