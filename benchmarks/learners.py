@@ -1,6 +1,7 @@
 """Speed of the learners, beside the published figures of the authors' code and SB3's own DQN.
 
     python benchmarks/learners.py [--quick]
+    python benchmarks/learners.py --profile
 
 One run, one process, one thread, on the packaged demonstrations of the agents (three individuals,
 each its own network). What is measured:
@@ -21,6 +22,8 @@ CartPole    feed-forward DQN here and in stable-baselines3, learning: same width
 A figure is the best of many short repeats, the one least disturbed by whatever else runs; between
 processes of different sessions Linux shares the processor evenly whatever their nice level, so on a
 busy machine look at the load in the last line.
+
+``--profile`` prints what an update of DQDIL at mean length 57 is made of, and nothing else.
 """
 
 from __future__ import annotations
@@ -123,10 +126,16 @@ def acting_rate(seconds: float) -> float:
 
 def update_time(algo: str, mean_length: int, updates: int) -> float:
     """Seconds of one update on synthetic episodes of ``mean_length`` steps on average."""
+    model = filled_learner(algo, mean_length)
+    return best_time(lambda: model.train(1, BATCH), repeats=updates)
+
+
+def filled_learner(algo: str, mean_length: int) -> SequenceQLearning:
+    """``algo`` with a replay memory of synthetic episodes, ready to be updated."""
     model = learner(algo, buffer_size=40_000)
     model.learn(COPIES)
     fill_with_synthetic_episodes(model, mean_length)
-    return best_time(lambda: model.train(1, BATCH), repeats=updates)
+    return model
 
 
 def fill_with_synthetic_episodes(model: SequenceQLearning, mean_length: int) -> None:
@@ -221,6 +230,32 @@ def cartpole_rates(seconds: float) -> tuple[float, float]:
     return steps / best[0], steps / best[1]
 
 
+def profile_update(mean_length: int = 57, updates: int = 40, rows: int = 12) -> Table:
+    """Where the time of an update of DQDIL goes: each operation's own time, without its parts'."""
+    model = filled_learner("dqdil", mean_length)
+    model.train(3, BATCH)
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU]) as profiler:
+        model.train(updates, BATCH)
+    operations = profiler.key_averages()
+    total = sum(operation.self_cpu_time_total for operation in operations)
+    table = Table(title=f"One update of DQDIL, mean length {mean_length}, by operation")
+    table.add_column("operation")
+    for heading in ("own time", "ms", "calls"):
+        table.add_column(heading, justify="right")
+    for operation in sorted(operations, key=lambda each: -each.self_cpu_time_total)[:rows]:
+        table.add_row(
+            operation.key,
+            f"{operation.self_cpu_time_total / total:.0%}",
+            f"{operation.self_cpu_time_total / updates / 1000:.2f}",
+            f"{operation.count / updates:.0f}",
+        )
+    table.add_section()
+    table.add_row(
+        "all, replay and NumPy between them left out", "", f"{total / updates / 1000:.2f}"
+    )
+    return table
+
+
 class Report:
     """The table, a row as soon as it is measured."""
 
@@ -257,8 +292,17 @@ def main() -> None:
     parser.add_argument(
         "--quick", action="store_true", help="fewer repeats: a glance, not figures to quote"
     )
-    budget = Budget(parser.parse_args().quick)
+    parser.add_argument(
+        "--profile", action="store_true", help="only what an update is made of, by operation"
+    )
+    arguments = parser.parse_args()
     torch.set_num_threads(1)
+    console = Console()
+    console.width = max(console.width, 110)
+    if arguments.profile:
+        console.print(profile_update())
+        return
+    budget = Budget(arguments.quick)
     start, report = time.perf_counter(), Report()
 
     rate = acting_rate(budget.seconds)
@@ -308,8 +352,6 @@ def main() -> None:
         "as fast as SB3",
         "yes" if here >= there else "no",
     )
-    console = Console()
-    console.width = max(console.width, 110)
     console.print(report.table)
     load = os.getloadavg()[0]
     console.print(
