@@ -277,10 +277,19 @@ def test_bad_input_is_one_sentence(
     assert "invalid choice" in word or len(done.stderr.strip().splitlines()) == 1
 
 
-def test_a_refused_setting_leaves_no_empty_run_for_enjoy(
-    zoo: Callable[..., Done], tmp_path: Path
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (*DQN, "-params", "tau:3"),
+        ("train", "--algo", "dqn", "--env", "Pendulum-v1"),
+        ("train", "--algo", "dqcil", "--env", "AnimaRL/Fly-v0"),
+        ("train", "--algo", "bc", "--env", "CartPole-v1"),
+    ],
+)
+def test_a_refused_run_leaves_no_folder_for_enjoy(
+    arguments: tuple[str, ...], zoo: Callable[..., Done], tmp_path: Path
 ) -> None:
-    assert zoo(*DQN, "-params", "tau:3").returncode == 2
+    assert zoo(*arguments).returncode == 2
     assert not list(tmp_path.glob("logs/*/*"))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
-from contextlib import suppress
+from contextlib import closing
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.base import SequenceQLearning
 from animarl_algos.presets import learner_preset
 from animarl_algos.progress import ProgressBar
 from animarl_algos.recipes import named_recipe
@@ -87,15 +89,18 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         return deepcopy(settings), settings
 
     def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
-        """rl_zoo3's; a refused one leaves no empty folder for ``enjoy`` to find as the latest."""
+        """rl_zoo3's; a refused one leaves no folder for ``enjoy`` to find as the latest."""
+        self._is_new = not Path(self.save_path).exists()
         try:
             result: tuple[BaseAlgorithm, dict[str, Any]] | None = super().setup_experiment()
         except InputError:
-            with suppress(OSError):
-                Path(self.params_path).rmdir()
-                Path(self.save_path).rmdir()
+            self._leave_no_folder()
             raise
         return result
+
+    def _leave_no_folder(self) -> None:
+        if self._is_new:
+            shutil.rmtree(self.save_path, ignore_errors=True)
 
     def _save_config(self, saved_hyperparams: dict[str, Any]) -> None:
         """The settings as resolved and the command, as plain YAML."""
@@ -143,14 +148,29 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
     # -- learning ---------------------------------------------------------------------------------
 
     def learn(self, model: BaseAlgorithm) -> None:
-        """Train, with learning curves as CSV and TensorBoard in the folder of the run."""
-        if self.tensorboard_log is None:
-            outputs = ["csv", "tensorboard"]
-            shown = any(isinstance(callback, ProgressBar) for callback in self.callbacks)
-            if self.verbose > 0 and not shown:
-                outputs.append("stdout")
-            model.set_logger(configure(self.save_path, outputs))
-        super().learn(model)
+        """Train, with learning curves as CSV and TensorBoard in the folder of the run.
+
+        An environment or demonstrations that are refused before the first update leave no folder.
+        """
+        assert isinstance(model, SequenceQLearning)
+        try:
+            self._learn_and_log(model)
+        except InputError:
+            if model.num_timesteps == 0 and not model.offline_progress.history:
+                self._leave_no_folder()
+            raise
+
+    def _learn_and_log(self, model: BaseAlgorithm) -> None:
+        if self.tensorboard_log is not None:  # stable-baselines3 writes there by itself
+            super().learn(model)
+            return
+        outputs = ["csv", "tensorboard"]
+        shown = any(isinstance(callback, ProgressBar) for callback in self.callbacks)
+        if self.verbose > 0 and not shown:
+            outputs.append("stdout")
+        with closing(configure(self.save_path, outputs)) as logger:
+            model.set_logger(logger)
+            super().learn(model)
 
     def objective(self, trial: optuna.Trial) -> float:
         """The score on the validation split at the end of training; unpromising trials stop early.
