@@ -31,6 +31,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 
 from animarl_algos.base import SequenceQLearning
@@ -164,11 +165,9 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
                     f"{mine[key]!r} here): resume with the settings it was made with"
                 )
         tensors = torch.load(path / "model.pt", map_location="cpu", weights_only=True)
-        with np.load(path / "run.npz", allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = _arrays(path / "run.npz")
         if model.replay_buffer is not None:
-            with np.load(path / "replay.npz", allow_pickle=False) as file:
-                restore_buffer(model.replay_buffer, dict(file))
+            restore_buffer(model.replay_buffer, _arrays(path / "replay.npz"))
         torch_random_state = tensors.pop("torch_random_state")
         restore_training_state(model, state["counters"], arrays, tensors)
         torch.set_rng_state(torch_random_state)
@@ -186,6 +185,11 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         if type(error).__name__ != "UnpicklingError":
             raise
         raise _damaged(path, error) from error
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        return dict(archive)
 
 
 def _damaged(path: Path, error: Exception) -> InputError:

@@ -6,6 +6,7 @@ was killed goes on where it was.
 
 from __future__ import annotations
 
+from contextlib import closing
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -129,13 +130,14 @@ def train(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
     resumed = latest_checkpoint(checkpoints) is not None
     if resumed:
         load_checkpoint(model, checkpoints)
-    model.set_logger(configure(str(run.log_folder(algo)), ["csv", "tensorboard"]))
-    model.learn(
-        max(0, settings.steps - model.num_timesteps) if resumed else settings.steps,
-        callback=CheckpointCallback(checkpoints, settings.checkpoint_every),
-        reset_num_timesteps=not resumed,
-        progress_bar=progress_bar,
-    )
+    with closing(configure(str(run.log_folder(algo)), ["csv", "tensorboard"])) as logger:
+        model.set_logger(logger)
+        model.learn(
+            max(0, settings.steps - model.num_timesteps) if resumed else settings.steps,
+            callback=CheckpointCallback(checkpoints, settings.checkpoint_every),
+            reset_num_timesteps=not resumed,
+            progress_bar=progress_bar,
+        )
     run.save_policy(algo, model)
     return model
 

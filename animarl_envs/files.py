@@ -66,7 +66,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 def read_npz(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an ``.npz`` without pickle, or one sentence that says why not."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise InputError(
                     f"{path}: it is a single array, not an npz archive: save it with np.savez"

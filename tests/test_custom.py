@@ -27,7 +27,10 @@ from animarl_envs.species.custom import contact_radius_of, species_of
 from animarl_envs.views import AnimalVectorEnv
 from animarl_envs.worlds.chase import ChaseWorld
 
-pytestmark = pytest.mark.filterwarnings("error")
+pytestmark = [
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.usefixtures("_garbage_collected"),
+]
 
 ID = "AnimaRL/Custom-v0"
 EPISODES, STEPS = 8, 60

@@ -110,7 +110,8 @@ def test_data_commands(tmp_path: Path) -> None:
     demos = read(path)
     assert "predator_0 (pursuer)" in animarl("data", "show", path)
     assert "3 episodes, all valid" in animarl("data", "check", path, "--out", tmp_path / "t.csv")
-    rows = list(csv.DictReader((tmp_path / "t.csv").open()))
+    with (tmp_path / "t.csv").open() as file:
+        rows = list(csv.DictReader(file))
     assert [float(row["duration"]) for row in rows] == pytest.approx([0.5, 0.3, 0.9])
     step = np.linalg.norm(np.diff(demos.episode(0).positions[:, 2], axis=0), axis=1)
     assert float(rows[0]["path_length_prey"]) == pytest.approx(step.sum())
@@ -139,7 +140,8 @@ def test_fit_command_saves_what_it_prints(tmp_path: Path) -> None:
     fit = LocomotionFit.load(out)
     assert f"{fit.individuals[0].damping:.3f}" in said
     animarl("fit", path, "--split", "all", "--bootstrap", 0, "--out", tmp_path / "fit.csv")
-    rows = list(csv.DictReader((tmp_path / "fit.csv").open()))
+    with (tmp_path / "fit.csv").open() as file:
+        rows = list(csv.DictReader(file))
     assert [row["individual"] for row in rows] == ["male", "female"]
     assert float(rows[0]["d"]) == fit.individuals[0].damping
     with pytest.raises(InputError, match=r"use \.csv or \.json"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -100,8 +101,9 @@ def test_progress_callbacks_and_logs(tmp_path: Path, capsys: pytest.CaptureFixtu
         return True
 
     model = make_pair_learner("dqcil-pt")
-    model.set_logger(configure(str(tmp_path), ["csv"]))
-    model.learn(60, callback=callback, log_interval=1, progress_bar=True)
+    with closing(configure(str(tmp_path), ["csv"])) as logger:
+        model.set_logger(logger)
+        model.learn(60, callback=callback, log_interval=1, progress_bar=True)
     assert seen == list(range(2, 61, 2))
     bars = capsys.readouterr().err
     assert "60/60" in bars and "2/2" in bars

@@ -39,7 +39,10 @@ from animarl_envs.wrappers import (
     DTWRewardVector,
 )
 
-pytestmark = pytest.mark.filterwarnings("error")
+pytestmark = [
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.usefixtures("_garbage_collected"),
+]
 
 NAMES = (*SPECIES, CUSTOM)
 WRAPPERS: dict[str, tuple[tuple[Any, Any, Any], ...]] = {  # single, vector, parallel

@@ -10,7 +10,10 @@ from gymnasium.vector import AutoresetMode
 from animarl_envs.errors import InputError
 from animarl_envs.views import AnimalVectorEnv
 
-pytestmark = pytest.mark.filterwarnings("error")
+pytestmark = [
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.usefixtures("_garbage_collected"),
+]
 
 
 def test_same_step_hands_out_the_last_observation() -> None:

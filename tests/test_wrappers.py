@@ -23,7 +23,10 @@ from animarl_envs.wrappers import (
     DTWRewardVector,
 )
 
-pytestmark = pytest.mark.filterwarnings("error")
+pytestmark = [
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.usefixtures("_garbage_collected"),
+]
 
 
 def agent(**options: Any) -> Any:

@@ -82,7 +82,7 @@ class Decisions:
             If the file is damaged.
         """
         try:
-            with np.load(file, allow_pickle=False) as stored:
+            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 values: dict[str, Any] = {name: stored[name] for name in stored.files}
             values["individual"] = str(values["individual"])
             values["demo"], values["moment"] = int(values["demo"]), int(values["moment"])

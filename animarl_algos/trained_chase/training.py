@@ -9,6 +9,7 @@ no checkpoint is chosen by what the chases look like.
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -115,13 +116,14 @@ def train(
     if resumed:
         load_checkpoint(model, checkpoints)
     sessions = len(list((folder / "logs").glob(f"{name}-*")))
-    model.set_logger(configure(str(folder / "logs" / f"{name}-{sessions:03d}"), ["csv"]))
-    model.learn(
-        training.steps - model.num_timesteps if resumed else training.steps,
-        callback=CheckpointCallback(checkpoints, training.checkpoint_every),
-        reset_num_timesteps=not resumed,
-        progress_bar=progress_bar,
-    )
+    with closing(configure(str(folder / "logs" / f"{name}-{sessions:03d}"), ["csv"])) as logger:
+        model.set_logger(logger)
+        model.learn(
+            training.steps - model.num_timesteps if resumed else training.steps,
+            callback=CheckpointCallback(checkpoints, training.checkpoint_every),
+            reset_num_timesteps=not resumed,
+            progress_bar=progress_bar,
+        )
     meta = {"condition": condition, "seed": seed, "training": asdict(training)}
     arrays = {key: value.numpy() for key, value in model.policy.q_net.state_dict().items()}
     arrays[_META] = np.array(json.dumps(meta))
