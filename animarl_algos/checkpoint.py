@@ -23,6 +23,7 @@ import re
 import shutil
 import signal
 import sys
+import textwrap
 import threading
 import zipfile
 from pathlib import Path
@@ -136,6 +137,37 @@ def serialised(tensors: dict[str, Any]) -> bytes:
     return stream.getvalue()
 
 
+def load_tensors(file: Path) -> Any:
+    """What :func:`serialised` gave, unchanged: torch itself does not look at the checksums.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is damaged, or holds more than tensors and plain values.
+    """
+    content = io.BytesIO(file.read_bytes())
+    try:
+        with zipfile.ZipFile(content) as archive:
+            changed = archive.testzip()
+        if changed is None:
+            content.seek(0)
+            return torch.load(content, map_location="cpu", weights_only=True)
+    except Exception as error:  # whatever zipfile, its decompressors, torch and pickle raise
+        raise ValueError(f"{file.name} is no whole archive of tensors") from error
+    raise ValueError(f"{file.name} has changed since it was written, in {changed}")
+
+
+def in_short(error: Exception) -> str:
+    """What an error says, for the middle of a sentence: its first line, cut between words."""
+    if isinstance(error, FileNotFoundError):
+        return f"{Path(error.filename).name} is missing"
+    kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+    line = kind + (str(error).splitlines() or [""])[0]
+    return textwrap.shorten(line, 120, placeholder=" ...", break_on_hyphens=False)
+
+
 def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
     """Put ``model`` into the state of the newest checkpoint in ``folder`` (or of ``folder``
     itself).
@@ -148,7 +180,9 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         If there is none, or it is damaged, or belongs to another recipe, policy or environment.
     """
     folder = Path(folder)
-    path = folder if folder.name.startswith(PREFIX) else latest_checkpoint(folder)
+    path = latest_checkpoint(folder)
+    if path is None and (OWN_NAME.fullmatch(folder.name) or (folder / "state.json").exists()):
+        path = folder
     if path is None or not path.is_dir():
         raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
     try:
@@ -164,7 +198,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
                     f"{path}: it belongs to another run ({key} is {stored.get(key)!r} there, "
                     f"{mine[key]!r} here): resume with the settings it was made with"
                 )
-        tensors = torch.load(path / "model.pt", map_location="cpu", weights_only=True)
+        tensors = load_tensors(path / "model.pt")
         arrays = _arrays(path / "run.npz")
         if model.replay_buffer is not None:
             restore_buffer(model.replay_buffer, _arrays(path / "replay.npz"))
@@ -179,11 +213,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         raise
     except (OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError) as error:
         raise _damaged(path, error) from error
-    except (zipfile.BadZipFile, AttributeError, ImportError) as error:
-        raise _damaged(path, error) from error
-    except Exception as error:  # torch.load raises pickle.UnpicklingError, a plain Exception
-        if type(error).__name__ != "UnpicklingError":
-            raise
+    except (zipfile.BadZipFile, AttributeError) as error:
         raise _damaged(path, error) from error
 
 
@@ -195,10 +225,9 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
 def _damaged(path: Path, error: Exception) -> InputError:
     if isinstance(error, PermissionError):
         return InputError(f"{error.filename}: it cannot be read: see to its permissions")
-    first_line = str(error).splitlines()[0] if str(error) else ""
     return InputError(
-        f"{path}: the checkpoint is damaged ({type(error).__name__}: {first_line[:120]}): "
-        "remove this folder and resume from an earlier one, or start the run anew"
+        f"{path}: the checkpoint is damaged ({in_short(error)}): "
+        "put a copy of this folder in its place, or remove it and start the run anew"
     )
 
 
@@ -246,6 +275,7 @@ class CheckpointCallback(BaseCallback):
         self._previous_handlers: dict[int, Any] = {}
 
     def _init_callback(self) -> None:
+        self.interrupted = None  # the same callback may serve again after a Ctrl-C
         self.model.boundary_hooks.append(self)  # type: ignore[attr-defined]
         self.due = self.every * (self.model.num_timesteps // self.every + 1)
         self.epochs = 0

@@ -18,14 +18,12 @@ import json
 import platform
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import pandas as pd
-import torch
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.checkpoint import latest_checkpoint, serialised
+from animarl_algos.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
 from animarl_algos.recipes import named_recipe
 from animarl_algos.run_settings import BEHAVIOUR_CLONING, RunSettings
 from animarl_algos.settings import constructed
@@ -188,19 +186,17 @@ class RunFolder:
         """Put the final weights into a learner of the same settings."""
         file = self.path / "policies" / f"{name}.pt"
         try:
-            weights = torch.load(file, map_location="cpu", weights_only=True)
+            weights = load_tensors(file)
             model.policy.q_net.load_state_dict(weights)
             model.policy.q_net_target.load_state_dict(weights)
         except FileNotFoundError:
             raise InputError(
                 f"{file}: there is no trained policy yet: train the run first"
             ) from None
-        except (
-            RuntimeError, ValueError, TypeError, EOFError, LookupError, UnpicklingError
-        ) as error:  # fmt: skip
-            first_line = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        except (RuntimeError, ValueError, TypeError, LookupError) as error:
             raise InputError(
-                f"{file}: it is not a policy of this run ({first_line}): remove it and train again"
+                f"{file}: it is not a policy of this run ({in_short(error)}): "
+                "remove it and train again"
             ) from None
 
     def has_policy(self, name: str) -> bool:

@@ -19,14 +19,17 @@ from pair_learners import SETTINGS, demonstrations, weights
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.checkpoint import (
     CheckpointCallback,
+    in_short,
     latest_checkpoint,
     load_checkpoint,
     save_checkpoint,
+    serialised,
 )
 from animarl_algos.dqaas import DQAAS
 from animarl_algos.dqdil import DQDIL
 from animarl_algos.dqn import DQN
 from animarl_algos.qrdqn import QRDQN
+from animarl_algos.run_folder import RunFolder
 from animarl_envs.errors import InputError
 
 STEPS = 400
@@ -241,10 +244,71 @@ def test_a_damaged_checkpoint_is_refused(name: str, damage: str, tmp_path: Path)
     load_checkpoint(make(), tmp_path)
 
 
+def flip_a_bit(file: Path, model: SequenceQLearning) -> None:
+    """In the middle of the model's largest weights, as they stand in ``file``."""
+    largest = max(model.policy.q_net.state_dict().values(), key=torch.numel)
+    stored = largest.numpy().tobytes()
+    content = bytearray(file.read_bytes())
+    content[content.index(stored) + len(stored) // 2] ^= 0x40
+    file.write_bytes(content)
+
+
+def test_one_flipped_bit_of_the_weights_is_seen(tmp_path: Path) -> None:
+    """PyTorch would load them: it does not look at the checksums of its archives."""
+    model, other, run = make().learn(20), make(seed=9), RunFolder(tmp_path)
+    before = weights(other)
+    checkpoint = save_checkpoint(model, tmp_path)
+    flip_a_bit(checkpoint / "model.pt", model)
+    torch.load(checkpoint / "model.pt", weights_only=True)
+    with pytest.raises(InputError, match=r"damaged \(model.pt has changed since it was written"):
+        load_checkpoint(other, tmp_path)
+    run.save_policy("dqdil", model)
+    flip_a_bit(tmp_path / "policies" / "dqdil.pt", model)
+    with pytest.raises(InputError, match=r"dqdil.pt has changed .* remove it and train again"):
+        run.load_policy("dqdil", other)
+    assert torch.equal(weights(other), before)
+
+
+def test_what_is_wrong_is_said_in_whole_words(tmp_path: Path) -> None:
+    """Not in those of PyTorch, which explains at length how to open a pickle all the same."""
+    checkpoint = save_checkpoint(make().learn(20), tmp_path)
+    (checkpoint / "model.pt").write_bytes(serialised({"torch_random_state": make}))
+    with pytest.raises(InputError) as caught:
+        load_checkpoint(make(), tmp_path)
+    assert str(caught.value) == (
+        f"{checkpoint}: the checkpoint is damaged (model.pt is no whole archive of tensors): "
+        "put a copy of this folder in its place, or remove it and start the run anew"
+    )
+    assert in_short(OSError("word " * 40)) == "OSError: " + "word " * 21 + "..."
+    assert in_short(KeyError("format")) == "KeyError: 'format'"
+
+
+@pytest.mark.parametrize("name", ["checkpoint_runs", "checkpoint_1"])
+def test_a_runs_own_folder_may_be_called_as_a_checkpoint(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / name
+    with pytest.raises(InputError, match=r"there is no checkpoint"):
+        load_checkpoint(make(), folder)
+    model, resumed = make().learn(20), make(seed=9)
+    save_checkpoint(model, folder)
+    load_checkpoint(resumed, folder)
+    assert torch.equal(weights(resumed), weights(model))
+
+
+@pytest.mark.parametrize("name", ["checkpoint_000000", "checkpoint_000000_copy", "mine"])
+def test_a_checkpoint_may_be_named_itself(name: str, tmp_path: Path) -> None:
+    model, resumed = make().learn(20), make(seed=9)
+    save_checkpoint(model, tmp_path).rename(tmp_path / name)
+    load_checkpoint(resumed, tmp_path / name)
+    assert torch.equal(weights(resumed), weights(model))
+    (tmp_path / name / "model.pt").unlink()
+    with pytest.raises(InputError, match=rf"{name}: the checkpoint is damaged"):
+        load_checkpoint(resumed, tmp_path / name)
+
+
 @pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz"])
 def test_a_checkpoint_without_one_of_its_files_is_refused(name: str, tmp_path: Path) -> None:
     (save_checkpoint(make().learn(100), tmp_path) / name).unlink()
-    with pytest.raises(InputError, match="damaged"):
+    with pytest.raises(InputError, match=rf"damaged \({name} is missing\)"):
         load_checkpoint(make(), tmp_path)
 
 
@@ -255,6 +319,6 @@ def test_a_checkpoint_that_may_not_be_read_is_not_called_damaged(
         raise PermissionError(13, "Permission denied", str(file))
 
     save_checkpoint(make().learn(20), tmp_path)
-    monkeypatch.setattr(torch, "load", forbidden)
+    monkeypatch.setattr(Path, "read_bytes", forbidden)
     with pytest.raises(InputError, match=r"model.pt: it cannot be read: see to its permissions"):
         load_checkpoint(make(), tmp_path)

@@ -84,6 +84,22 @@ def test_ctrl_c_in_the_last_rollout_is_raised(tmp_path: Path) -> None:
     assert latest_checkpoint(tmp_path) is not None
 
 
+def test_a_callback_that_was_interrupted_serves_again(tmp_path: Path) -> None:
+    """As in a notebook, where the cell that learns is run once more."""
+
+    class InterruptOnce(CheckpointCallback):
+        def _on_step(self) -> bool:
+            if self.model.num_timesteps == 100:
+                interrupt()
+            return True
+
+    callback, model = InterruptOnce(tmp_path, every=10_000), make_pair_learner("dqn")
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(STEPS, callback=callback)
+    model.learn(STEPS - model.num_timesteps, callback=callback, reset_num_timesteps=False)
+    assert torch.equal(weights(make_pair_learner("dqn").learn(STEPS)), weights(model))
+
+
 def test_ctrl_c_in_the_last_epoch_is_raised(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
