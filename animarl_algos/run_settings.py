@@ -15,6 +15,7 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.scenario import refuse_other_species
 from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
 from animarl_envs.species.custom import species_of
 
@@ -131,11 +132,7 @@ def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
         and there are none, or nobody has the focal one's name.
     """
     named, algo = settings.species, settings.algo
-    if named != CUSTOM and demos.species != named and demos.species in SPECIES:
-        raise InputError(
-            f"{demos.name}: it holds demonstrations of {demos.species}, not of {named}: "
-            f"give --species {demos.species} or another file"
-        )
+    refuse_other_species(demos, named, "--species")
     unfitted = (Locomotion(1.0, 1.0),) * demos.num_individuals
     species = species_of(demos, unfitted, base=named)
     if named_recipe(algo).algorithm.recipe.needs_condition:

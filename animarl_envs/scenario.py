@@ -18,7 +18,14 @@ from animarl_envs.checks import is_number
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import first_pursuers
 from animarl_envs.errors import InputError
-from animarl_envs.species import CUSTOM, ChaseSpecies, SearchSpecies, Species, get_species
+from animarl_envs.species import (
+    CUSTOM,
+    SPECIES,
+    ChaseSpecies,
+    SearchSpecies,
+    Species,
+    get_species,
+)
 from animarl_envs.species.options import with_options as with_options
 
 Condition = Literal[0, 1, "demo"]
@@ -180,10 +187,17 @@ def make_scenario(
         What :func:`~animarl_envs.species.options.with_options` takes: ``num_pursuers``,
         ``arena``, ``contact_radius``, ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
         With fewer pursuers than recorded, the first ones' recordings are used.
+
+    Raises
+    ------
+    InputError
+        If an option is not valid, or the demonstrations do not fit the species.
     """
     given = None if isinstance(species, str) and species == CUSTOM else species
     spec = get_species(given) if isinstance(given, str) else given
     loaded = _load_demos(demos, spec)
+    if loaded is not None and spec is not None:
+        refuse_other_species(loaded, spec.name)
     if loaded is not None and options.get("num_pursuers") is not None:
         if spec is not None:
             with_options(spec, num_pursuers=options["num_pursuers"])  # refused as without demos
@@ -223,6 +237,23 @@ def make_scenario(
         observation_delay=observation_delay,
         split=None if loaded is None else split,
     )
+
+
+def refuse_other_species(demos: Demonstrations, species: str, option: str = "species") -> None:
+    """Refuse demonstrations of another of the package's species; names of one's own fit any.
+
+    ``option`` is where the user named the species.
+
+    Raises
+    ------
+    InputError
+        If the demonstrations are of another species.
+    """
+    if demos.species != species and {demos.species, species} <= SPECIES.keys():
+        raise InputError(
+            f"{demos.name}: it holds demonstrations of {demos.species}, not of {species}: "
+            f"give {option} {demos.species} or another file"
+        )
 
 
 def describe(scenario: Scenario) -> dict[str, Any]:

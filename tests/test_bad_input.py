@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"split": "holdout"}, "split 'holdout' is unknown"),
     ("agent", {"demos": "absent.npz"}, "absent.npz: there is no such file"),
     ("agent", {"demos": 7}, "demos is 7"),
-    ("silkmoth", {"demos": load_packaged("agent")}, "silkmoth has one individual"),
+    ("silkmoth", {"demos": load_packaged("agent")}, "demonstrations of agent, not of silkmoth"),
+    ("silkmoth", {"demos": replace(load_packaged("agent"), species="ant")}, "has one individual"),
     ("agent", {"start": "somewhere"}, "start is 'somewhere'"),
     ("agent", {"start": np.full((3, 2), 5.0)}, "start lies out of bounds"),
     ("agent", {"start": [["x", "y"]]}, "start is no array of numbers"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -111,6 +113,17 @@ def test_one_focal_individual_learns_while_the_others_replay() -> None:
     venv.step(np.full(5, 12))
     for b, path in enumerate(recorded):
         assert venv.world.position[b, :2] == pytest.approx(path[1, :2])
+
+
+def test_demonstrations_of_another_species_are_refused() -> None:
+    """A species of one's own fits any of the package's."""
+    agents = load_packaged("agent")
+    with pytest.raises(InputError, match="of agent, not of fly: give species agent or another"):
+        SlotVecEnv("fly", 1, demos=agents)
+    for own in ("custom", "wolf"):
+        SlotVecEnv("fly", 1, demos=replace(agents, species=own))
+    for species in ("agent", "custom", replace(AGENT, name="wolf")):
+        SlotVecEnv(species, 1, demos=agents)
 
 
 def test_the_test_split_is_refused() -> None:
