@@ -18,7 +18,8 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
-from animarl_algos.exploration import LinearDecay, fit_boltzmann_temperature
+from animarl_algos.checked import CheckedLearner
+from animarl_algos.exploration import fit_boltzmann_temperature
 from animarl_algos.offline import (
     DemonstrationData,
     OfflineDataset,
@@ -26,23 +27,17 @@ from animarl_algos.offline import (
     demonstrated_values,
     run_offline_phase,
 )
-from animarl_algos.ranges import (
-    LEARNER,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SET_BY_LEARNER,
-    refuse_unknown,
-)
 from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.saving import SavedLearner
 from animarl_algos.settings import as_frequency, longest_episode
 from animarl_algos.slots import SlotLayout
 from animarl_algos.terms import Phase
 from animarl_envs.errors import InputError
 
+PAPER_EPOCHS = 30
 
-class SequenceQLearning(SavedLearner):
+
+class SequenceQLearning(CheckedLearner):
     """Sequence Q-learning for K independent individuals; see the recipes for what is minimised.
 
     Steps are steps of the world: one step of all slots of a copy counts once.
@@ -72,8 +67,8 @@ class SequenceQLearning(SavedLearner):
         ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
     train_freq, gradient_steps
         ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
-        finished. ``(n, "step")`` or a number: ``gradient_steps`` updates after n steps of each
-        copy, or with -1 as many as steps were done in all copies.
+        finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps``
+        updates after n steps of each copy, or with -1 as many as steps were done in all copies.
     updates_per_episode
         May be fractional.
     learning_starts
@@ -86,8 +81,9 @@ class SequenceQLearning(SavedLearner):
     max_episode_steps
         Longest episode; by default what the environment declares.
     offline_epochs
-        Epochs on the demonstrations before the first step in the environment; the best by
-        validation is kept. ``offline_patience`` stops after so many epochs without a better one.
+        Epochs on the demonstrations before the first step in the environment, by default none, or
+        the paper's 30 where a recipe learns from demonstrations alone; the best by validation is
+        kept. ``offline_patience`` stops after so many epochs without a better one.
 
     Raises
     ------
@@ -99,7 +95,6 @@ class SequenceQLearning(SavedLearner):
         "GruPolicy": GruPolicy,
         "MlpPolicy": MlpPolicy,
     }
-    default_quantiles: ClassVar[int | None]
 
     def __init__(
         self,
@@ -132,7 +127,7 @@ class SequenceQLearning(SavedLearner):
         prioritized: bool = True,
         replay_buffer_kwargs: dict[str, Any] | None = None,
         max_episode_steps: int | None = None,
-        offline_epochs: int = 0,
+        offline_epochs: int | None = None,
         offline_learning_rate: float = 1e-4,
         offline_batch_size: int = 16,
         offline_gamma: float = 0.99,
@@ -193,6 +188,8 @@ class SequenceQLearning(SavedLearner):
         self.sequence_length, self.burn_in, self.state_mode = sequence_length, burn_in, state_mode
         self.prioritized = prioritized
         self.max_episode_steps = max_episode_steps
+        if offline_epochs is None:
+            offline_epochs = 0 if self.recipe.online else PAPER_EPOCHS
         self.offline_epochs = offline_epochs
         self.offline_learning_rate = offline_learning_rate
         self.offline_batch_size = offline_batch_size
@@ -202,6 +199,7 @@ class SequenceQLearning(SavedLearner):
         self.offline_max_grad_norm = offline_max_grad_norm
         self.offline_patience = offline_patience
         self.offline_progress = OfflineProgress()
+        self.best_weights = None
         self.layout = SlotLayout(1, ("agent",), condition_flag=False)
         self._updates_due = 0.0
         self._target_count = 0
@@ -213,13 +211,13 @@ class SequenceQLearning(SavedLearner):
     # -- set up -----------------------------------------------------------------------------------
 
     def _setup_model(self) -> None:
-        self._refuse_bad_settings()
+        self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
+        self.refuse_bad_settings()
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         if self.env is not None:
             self.layout = SlotLayout.of(self.env)
             self.episode_limit = longest_episode(self.env, self.max_episode_steps)
-        self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
         self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
         self.root_seed = self._root_seed()
         self.observation_size = int(np.prod(self.observation_space.shape or ()))
@@ -246,7 +244,6 @@ class SequenceQLearning(SavedLearner):
         if self.env is not None:
             self.replay_buffer = self._make_replay_buffer()
         self.boundary_hooks = []
-        self.best_weights = None
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         """Learn in ``env`` from now on, which must suit the networks and the replay memory.
@@ -266,16 +263,23 @@ class SequenceQLearning(SavedLearner):
                 f"the environment has {_described(there)}, this learner {_described(here)}: give "
                 "one with the same individuals"
             )
+        limit, copies = longest_episode(slots, self.max_episode_steps), self.n_envs
+        assert limit is not None
         new = self.replay_buffer is None
         if new:
             self.n_envs = slots.num_envs
+        elif self.episode_limit is not None and limit > self.episode_limit:
+            raise InputError(
+                f"its episodes last up to {limit} steps and the replay memory holds "
+                f"{self.episode_limit}: give one with a shorter time limit"
+            )
         try:
             super().set_env(slots, force_reset)
         except (AssertionError, ValueError) as error:
+            self.n_envs = copies
             raise InputError(f"the environment does not suit this learner: {error}") from error
         if new:
-            self.layout = there
-            self.episode_limit = longest_episode(slots, self.max_episode_steps)
+            self.layout, self.episode_limit = there, limit
             self.replay_buffer = self._make_replay_buffer()
 
     def reset_optimizer(self, learning_rate: float) -> None:
@@ -313,30 +317,6 @@ class SequenceQLearning(SavedLearner):
             **self.replay_buffer_kwargs,
         )
 
-    def _refuse_bad_settings(self) -> None:
-        for name, numbers in LEARNER.items():
-            numbers.check(name.lstrip("_"), getattr(self, name))
-        rate = self.learning_rate
-        if callable(rate):
-            NOT_NEGATIVE.check("learning_rate at the start", rate(1.0))
-        else:
-            POSITIVE.check("learning_rate", rate)
-        LinearDecay(
-            self.exploration_initial_eps, self.exploration_final_eps, self.exploration_steps
-        )
-        for phase in ("online", "offline"):
-            self.phase(phase)
-        refuse_unknown("policy_kwargs", self.policy_kwargs, self.policy_class, SET_BY_LEARNER)
-        refuse_unknown(
-            "replay_buffer_kwargs", self.replay_buffer_kwargs, SequenceReplayBuffer, SET_BY_LEARNER
-        )
-        if self.gradient_steps == 0:
-            raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
-        if self.offline_epochs and not self.recipe.offline:
-            raise InputError(
-                f"recipe {self.recipe.name} learns without demonstrations: set offline_epochs to 0"
-            )
-
     def phase(self, name: str) -> Phase:
         """The numbers of the ``"online"`` or ``"offline"`` phase."""
         prefix = "" if name == "online" else "offline_"
@@ -349,11 +329,21 @@ class SequenceQLearning(SavedLearner):
 
     def prepare(self, callback: BaseCallback, *, progress_bar: bool) -> None:
         """Run the offline phase if it is due, and set the exploration for the steps to come."""
-        if self.offline_progress.epoch < self.offline_epochs and not self.offline_progress.done:
+        if self.offline_epochs:
             self.pretrain(progress_bar=progress_bar)
 
     def pretrain(self, *, progress_bar: bool = False) -> OfflineProgress:
-        """Run the offline phase (or what is left of it); returns its learning curves."""
+        """Run the offline phase, or what is left of it; returns its learning curves.
+
+        Raises
+        ------
+        InputError
+            If there are no ``offline_epochs``, or the demonstrations do not suit.
+        """
+        if not self.offline_epochs:
+            raise InputError("there is nothing to pretrain: give offline_epochs")
+        if self.offline_progress.done:
+            return self.offline_progress
         if not hasattr(self, "_logger"):
             self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
         run_offline_phase(self, self._demonstrations(), progress_bar=progress_bar)

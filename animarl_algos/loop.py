@@ -243,10 +243,15 @@ class OnlineLoop(OffPolicyAlgorithm):
         self._update_target(steps, episodes)
 
     def _act(self, learning_starts: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Actions of all slots, and the recurrent states before them; the memory moves on."""
-        self.policy.epsilon = 1.0 if self.num_timesteps < learning_starts else self.exploration_rate
-        hidden = self.memory[0]
-        actions, self.memory = self.policy.predict(self._last_obs, self.memory)  # type: ignore
+        """Actions of all slots, and the recurrent states before them; the memory moves on.
+
+        They are uniformly random in the first ``learning_starts`` steps.
+        """
+        policy, hidden, temperature = self.policy, self.memory[0], self.policy.temperature
+        if self.num_timesteps < learning_starts:
+            policy.epsilon, policy.temperature = 1.0, None
+        actions, self.memory = policy.predict(self._last_obs, self.memory)  # type: ignore
+        policy.epsilon, policy.temperature = self.exploration_rate, temperature
         return actions, hidden
 
     def _forget(self, dones: NDArray[np.bool_]) -> None:

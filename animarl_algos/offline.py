@@ -29,7 +29,7 @@ Figures = dict[str, float]
 
 
 class OfflineDataset(Protocol):
-    """Demonstrated episodes as sequences; see :mod:`animarl_algos.recurrent.offline_data`."""
+    """Demonstrated episodes as sequences; see :mod:`animarl_algos.offline_data`."""
 
     def batches(
         self, batch_size: int, generator: np.random.Generator | None = None
@@ -141,7 +141,11 @@ def run_offline_phase(
 def _refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
     """Demonstrations of other individuals, another observation or other actions are refused."""
     for name, dataset in (("training", data.train), ("validation", data.val)):
-        batch = next(iter(dataset.batches(1)))
+        batch = next(iter(dataset.batches(1)), None)
+        if batch is None:
+            raise InputError(
+                f"the {name} split holds no demonstrated episode: split the data again"
+            )
         mine = (model.layout.num_individuals, model.observation_size)
         theirs = (batch.num_individuals, batch.observations.shape[-1])
         if mine != theirs:
@@ -184,8 +188,6 @@ def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> F
         for name, loss in update(evaluation, terms, policy.optimizer).losses.items():
             totals[name] = totals[name] + loss if name in totals else loss
         updates += 1
-    if updates == 0:
-        raise InputError("the training split holds no demonstrated episode: split the data again")
     row: Figures = {}
     for name, total in totals.items():
         row |= _per_individual(f"train/{name}", model, (total / updates).cpu().numpy())
@@ -202,7 +204,7 @@ def _keep_if_best(model: OfflineLearner, figure: float) -> None:
     if figure <= progress.best_figure:  # of equals the later: it has been fitted longer
         progress.best_figure, progress.best_epoch = figure, progress.epoch
         state = model.policy.q_net.state_dict()
-        model.best_weights = {name: value.clone() for name, value in state.items()}
+        model.best_weights = {name: value.cpu().clone() for name, value in state.items()}
 
 
 def validation_figures(model: OfflineLearner, dataset: OfflineDataset) -> Figures:

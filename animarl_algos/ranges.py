@@ -34,13 +34,14 @@ class Range:
     whole: bool = False
     optional: bool = False
 
-    def check(self, name: str, value: Any) -> None:
-        """Refuse a value outside; the sentence starts with ``name``."""
+    def check(self, name: str, value: Any) -> Any:
+        """The value, a whole one as an int; one outside is refused, by ``name``."""
         if value is None and self.optional:
-            return
+            return None
         number = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
         if not number or not self._holds(float(value)):
             raise InputError(f"{name} is {value!r}: give {self}")
+        return int(value) if self.whole else value
 
     def _holds(self, number: float) -> bool:
         enough = number >= self.least if self.above is None else number > self.above
@@ -55,38 +56,12 @@ class Range:
 
 WHOLE = Range(whole=True)
 COUNT = Range(least=1, whole=True)
+COUNT_OR_NONE = replace(COUNT, optional=True)
 NOT_NEGATIVE = Range()
 POSITIVE = Range(above=0.0)
 PROBABILITY = Range(most=1.0)
 POSITIVE_OR_NONE = replace(POSITIVE, optional=True)
 SHARE = Range(above=0.0, most=1.0)
-
-LEARNER = {
-    "buffer_size": COUNT,
-    "batch_size": COUNT,
-    "offline_batch_size": COUNT,
-    "learning_starts": WHOLE,
-    "gradient_steps": Range(least=-1, whole=True),
-    "updates_per_episode": NOT_NEGATIVE,
-    "tau": SHARE,
-    "offline_learning_rate": POSITIVE,
-    "exploration_fraction": replace(SHARE, optional=True),
-    "sequence_length": replace(COUNT, optional=True),
-    "burn_in": WHOLE,
-    "max_episode_steps": replace(COUNT, optional=True),
-    "offline_epochs": WHOLE,
-    "offline_patience": replace(COUNT, optional=True),
-    "_stats_window_size": COUNT,
-    "seed": Range(most=2**32 - 1, whole=True, optional=True),
-}
-"""Settings of :class:`animarl_algos.base.SequenceQLearning`, beside those of its phases."""
-SET_BY_LEARNER = {
-    "observation_space", "action_space", "lr_schedule", "individuals", "condition_flag",
-    "treatment_head", "buffer_size", "observation_dim", "num_individuals", "num_actions",
-    "max_episode_steps", "sequence_length", "burn_in", "state_mode", "state_size", "prioritized",
-    "seed", "names", "device", "num_copies",
-}  # fmt: skip
-"""Arguments of the policy and the replay memory that come from elsewhere than their ``kwargs``."""
 
 
 def refuse_unknown(

@@ -80,6 +80,7 @@ class SavedLearner(OfflineLearner):
             raise InputError(
                 f"{path}: this is no replay memory saved by save_replay_buffer ({error})"
             ) from error
+        buffer.allocate_staging(self.layout.num_copies)
         self._last_obs = None
 
     def _the_memory(self) -> SequenceReplayBuffer:
@@ -90,7 +91,7 @@ class SavedLearner(OfflineLearner):
     def _excluded_save_params(self) -> list[str]:
         return [
             *super()._excluded_save_params(),
-            *("demonstrations", "boundary_hooks", "memory", "best_weights", "_recorder", "_losses"),
+            *("demonstrations", "boundary_hooks", "memory", "_recorder", "_losses"),
             *("_treatment_counts", "_last_obs", "_last_episode_starts", "_last_original_obs"),
         ]
 

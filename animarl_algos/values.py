@@ -128,7 +128,8 @@ class Quantiles:
     num_quantiles: int
 
     def __post_init__(self) -> None:
-        Range(least=2, whole=True).check("n_quantiles", self.num_quantiles)
+        whole = Range(least=2, whole=True).check("n_quantiles", self.num_quantiles)
+        object.__setattr__(self, "num_quantiles", whole)
 
     def q_values(self, values: torch.Tensor) -> torch.Tensor:
         """Expected returns (..., actions): the quantiles' mean."""

@@ -143,6 +143,17 @@ def test_updates_follow_episodes(prioritized: bool) -> None:
     assert model._n_updates == model._episode_num // 2
 
 
+def test_the_first_steps_are_random_whatever_the_temperature() -> None:
+    model = DQN("GruPolicy", toys.Pair(2), **SETTINGS, learning_starts=150)
+    model.policy.temperature = 1e-9
+    assert model.replay_buffer is not None
+    model.learn(150)
+    chosen = model.replay_buffer.ring.frames.actions[model.replay_buffer.ring.used_rows]
+    counts = np.bincount(chosen[chosen >= 0], minlength=3)
+    assert counts.min() > 0.2 * counts.sum()
+    assert model.policy.temperature == 1e-9
+
+
 def test_as_many_updates_as_steps() -> None:
     model = make_pair_learner("dqn", train_freq=(4, "step"), gradient_steps=-1).learn(80)
     before = model._n_updates

@@ -14,6 +14,8 @@ import torch
 import toys
 from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
 
+import animarl_algos.offline
+from animarl_algos.dqdil import DQDIL
 from animarl_algos.dqn import DQN
 from animarl_envs.errors import InputError
 
@@ -90,6 +92,59 @@ def test_a_replay_memory_keeps_its_copies() -> None:
         make_pair_learner("dqn").set_env(toys.Pair(4))
 
 
+class Patient(toys.Pair):
+    time_limit = 1000
+
+
+def test_a_replay_memory_keeps_its_longest_episode() -> None:
+    with pytest.raises(InputError, match="episodes last up to 1000 steps"):
+        make_pair_learner("dqn").set_env(Patient(2))
+
+
+def test_a_refused_environment_leaves_the_learner_as_it_was(tmp_path: Path) -> None:
+    loaded = DQN.load(saved(tmp_path), device="cpu")
+    before = loaded.n_envs
+    with pytest.raises(InputError, match="does not suit"):
+        loaded.set_env(Narrow(3))
+    assert loaded.n_envs == before
+    loaded.set_env(toys.Pair(2))
+    assert loaded.learn(20).num_timesteps == 20
+
+
+# -- the offline phase ----------------------------------------------------------------------------
+
+
+class Stop(Exception):
+    pass
+
+
+def test_a_learner_saved_in_mid_pretraining_keeps_its_best_epoch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the first epoch, which none of the later ones beats."""
+    settings = {"offline_epochs": 4, "offline_learning_rate": 1e-2}
+    model = make_pair_learner("dqdil-pt", **settings)
+    figures = iter([1.0, 2.0, 3.0, 4.0])
+
+    def scored(*_: Any) -> dict[str, float]:
+        if model.offline_progress.epoch == 2 and loaded is None:
+            raise Stop
+        return {f"val/{model.recipe.selection}": next(figures)}
+
+    loaded = None
+    monkeypatch.setattr(animarl_algos.offline, "validation_figures", scored)
+    with pytest.raises(Stop):
+        model.pretrain()
+    best = model.best_weights
+    assert best is not None and model.offline_progress.best_epoch == 1
+    model.save(tmp_path / "model")
+    loaded = DQDIL.load(tmp_path / "model", env=toys.Pair(2), device="cpu")
+    loaded.demonstrations = demonstrations()
+    assert loaded.pretrain().best_epoch == 1 and loaded.offline_progress.epoch == 4
+    for name, value in loaded.policy.q_net.state_dict().items():
+        assert torch.equal(value, best[name])
+
+
 def test_a_learner_without_environment_is_refused() -> None:
     with pytest.raises(InputError, match="give env="):
         DQN("GruPolicy", **SETTINGS)
@@ -112,6 +167,16 @@ def test_the_replay_memory_is_saved_and_loaded_without_pickle(tmp_path: Path) ->
         assert other.replay_buffer.num_steps == model.replay_buffer.num_steps
         assert torch.equal(other.replay_buffer.sample(8).observations, expected.observations)
         assert other.learn(20, reset_num_timesteps=False).num_timesteps == 20
+
+
+def test_a_replay_memory_may_go_to_another_number_of_copies(tmp_path: Path) -> None:
+    model = make_pair_learner("dqn").learn(60)
+    model.save_replay_buffer(tmp_path / "memory")
+    other = DQN("GruPolicy", toys.Pair(5), **SETTINGS)
+    other.load_replay_buffer(tmp_path / "memory")
+    assert model.replay_buffer is not None and other.replay_buffer is not None
+    assert other.replay_buffer.num_episodes == model.replay_buffer.num_episodes > 0
+    assert other.learn(50).num_timesteps == 50
 
 
 def test_a_memory_that_cannot_be_written_leaves_the_last_one(tmp_path: Path, monkeypatch) -> None:

@@ -59,7 +59,9 @@ def _asked(
     ] = None,
     policy: Annotated[
         str | None,
-        typer.Option(help="GruPolicy (with a memory, the presets' choice) or MlpPolicy."),
+        typer.Option(
+            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's."
+        ),
     ] = None,
     device: Annotated[str | None, typer.Option(help="cpu (default) or cuda.")] = None,
     config: Annotated[

@@ -49,7 +49,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
     hidden
         Units of every hidden layer.
     previous_action
-        Whether the previous action is an input.
+        Whether the previous action is an input; by default it is one for a policy with a memory.
     epsilon
         Probability of a uniformly random action where ``temperature`` is None.
     temperature
@@ -81,7 +81,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         reversal: float = 1.0,
         n_quantiles: int | None = None,
         hidden: int = 32,
-        previous_action: bool = True,
+        previous_action: bool | None = None,
         epsilon: float = 0.0,
         temperature: ArrayLike | None = None,
         seed: int = 0,
@@ -97,11 +97,17 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 f"action space {action_space} is not Discrete starting at 0: these learners choose "
                 "among numbered actions"
             )
-        COUNT.check("hidden", hidden)
+        hidden = COUNT.check("hidden", hidden)
         PROBABILITY.check("epsilon", epsilon)
         NOT_NEGATIVE.check("reversal", reversal)
-        for each in () if temperature is None else np.atleast_1d(temperature):
-            POSITIVE.check("temperature", each)
+        if temperature is not None:
+            for each in np.atleast_1d(temperature):
+                POSITIVE.check("temperature", each)
+            if np.size(temperature) not in (1, len(individuals)):
+                raise InputError(
+                    f"temperature has {np.size(temperature)} numbers for {len(individuals)} "
+                    "individuals: give one, or one for each"
+                )
         super().__init__(
             observation_space,
             action_space,
@@ -119,7 +125,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             "treatment_head": treatment_head,
             "reversal": reversal,
             "hidden": hidden,
-            "previous_action": previous_action,
+            "previous_action": self.recurrent if previous_action is None else previous_action,
             "seed": seed,
         }
         self.n_quantiles = n_quantiles
@@ -326,23 +332,6 @@ class MlpPolicy(GruPolicy):
     """
 
     recurrent: ClassVar[bool] = False
-
-    def __init__(
-        self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Space[Any],
-        lr_schedule: Schedule,
-        *,
-        previous_action: bool = False,
-        **arguments: Any,
-    ) -> None:
-        super().__init__(
-            observation_space,
-            action_space,
-            lr_schedule,
-            previous_action=previous_action,
-            **arguments,
-        )
 
 
 def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.ranges import NOT_NEGATIVE, PROBABILITY, Range
+from animarl_algos.ranges import COUNT_OR_NONE, NOT_NEGATIVE, PROBABILITY
 from animarl_algos.recurrent import sequence_kernels as kernels
 from animarl_algos.recurrent.batch import SequenceBatch
 from animarl_algos.recurrent.gather import BatchBuffers
@@ -114,7 +114,7 @@ class SequenceReplayBuffer:
                 f"buffer_size {buffer_size} cannot hold an episode of {max_episode_steps} steps "
                 f"and its last observation: set it to {max(max_episode_steps, 1) + 1} or more"
             )
-        Range(least=1, whole=True, optional=True).check("max_episodes", max_episodes)
+        max_episodes = COUNT_OR_NONE.check("max_episodes", max_episodes)
         NOT_NEGATIVE.check("alpha of the replay memory", alpha)
         PROBABILITY.check("beta_start", beta_start)
         PROBABILITY.check("beta_end", beta_end)

@@ -1,0 +1,107 @@
+"""Settings that do not go together are refused; those that can be read are taken."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import toys
+from pair_learners import SETTINGS, demonstrations, make_pair_learner, weights
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.bc import BC
+from animarl_algos.dqn import DQN
+from animarl_algos.qrdqn import QRDQN
+from animarl_envs.errors import InputError
+
+
+def refused(kind: type[SequenceQLearning], policy: str, **more: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        kind(policy, toys.Pair(2), **SETTINGS | more)
+    assert len(str(caught.value).splitlines()) == 1
+    return str(caught.value)
+
+
+def test_a_memory_cannot_be_learned_from_single_steps() -> None:
+    said = refused(DQN, "GruPolicy", sequence_length=1)
+    assert "sequence_length is 1" in said and "MlpPolicy" in said
+    assert "sequence_length" in refused(DQN, "GruPolicy", sequence_length=1, state_mode="zero")
+    for policy, more in (
+        ("MlpPolicy", {}),
+        ("GruPolicy", {"state_mode": "stored"}),
+        ("GruPolicy", {"sequence_length": 3, "burn_in": 2}),
+    ):
+        DQN(policy, toys.Pair(2), **SETTINGS | {"sequence_length": 1} | more).learn(20)
+
+
+def test_updates_per_episode_are_not_given_as_gradient_steps() -> None:
+    assert "updates_per_episode" in refused(DQN, "GruPolicy", gradient_steps=50)
+    DQN("GruPolicy", toys.Pair(2), **SETTINGS, gradient_steps=50, train_freq=4)
+
+
+@pytest.mark.parametrize(("kind", "count"), [(DQN, 5), (QRDQN, None)])
+def test_quantiles_belong_to_the_learners_on_quantiles(
+    kind: type[SequenceQLearning], count: int | None
+) -> None:
+    assert "n_quantiles" in refused(kind, "GruPolicy", policy_kwargs={"n_quantiles": count})
+
+
+@pytest.mark.parametrize("count", [1, 2.5, "x"])
+def test_too_few_quantiles_are_refused(count: Any) -> None:
+    assert "at least 2" in refused(QRDQN, "GruPolicy", policy_kwargs={"n_quantiles": count})
+
+
+@pytest.mark.parametrize("policy", ["GruPolicy", "MlpPolicy"])
+def test_unknown_settings_of_either_policy_are_refused(policy: str) -> None:
+    for wrong in ({"hiden": 64}, {"seed": 64}, {"epsilon": 0.5}):
+        said = refused(DQN, policy, policy_kwargs=wrong)
+        assert "is unknown: choose among hidden" in said and next(iter(wrong)) in said
+
+
+def test_temperatures_are_one_or_one_for_each_individual() -> None:
+    said = refused(DQN, "GruPolicy", policy_kwargs={"temperature": [1.0, 2.0, 3.0]})
+    assert said.startswith("temperature has 3 numbers for 2 individuals")
+
+
+def test_only_a_policy_with_a_memory_sees_its_previous_action_unless_asked() -> None:
+    for policy, more, sees in (
+        ("GruPolicy", {}, True),
+        ("MlpPolicy", {}, False),
+        ("MlpPolicy", {"previous_action": True}, True),
+    ):
+        model = DQN(policy, toys.Pair(2), **SETTINGS | {"policy_kwargs": {"hidden": 8} | more})
+        assert model.policy.network_arguments["previous_action"] is sees
+
+
+def test_whole_numbers_may_be_written_as_floats() -> None:
+    asked = {"buffer_size": 2e3, "batch_size": 4.0, "seed": 3.0, "max_episode_steps": 20.0}
+    pieces = {"sequence_length": 8.0, "burn_in": 2.0, "stats_window_size": 5.0}
+    network = {"policy_kwargs": {"hidden": 8.0, "n_quantiles": 5.0}}
+    memory = {"replay_buffer_kwargs": {"max_episodes": 1e2}}
+    model = QRDQN("GruPolicy", toys.Pair(2), **SETTINGS | asked | pieces | network | memory)
+    plain = {"max_episode_steps": 20, "sequence_length": 8, "burn_in": 2}
+    fewer = {"policy_kwargs": {"hidden": 8, "n_quantiles": 5}}
+    same = QRDQN("GruPolicy", toys.Pair(2), **SETTINGS | plain | fewer)
+    assert (weights(model.learn(60)) == weights(same.learn(60))).all()
+
+
+# -- the offline phase ----------------------------------------------------------------------------
+
+
+def test_cloning_takes_the_epochs_of_the_paper_unless_told() -> None:
+    model = BC("GruPolicy", toys.Pair(2), **SETTINGS)
+    assert model.offline_epochs == 30
+    assert "give offline_epochs" in refused(BC, "GruPolicy", offline_epochs=0)
+
+
+def test_pretraining_again_changes_nothing() -> None:
+    model = make_pair_learner("dqdil-pt")
+    progress = model.pretrain()
+    after = weights(model)
+    assert model.pretrain() is progress and progress.epoch == len(progress.history) == 2
+    assert (weights(model) == after).all()
+
+
+def test_there_is_nothing_to_pretrain_without_epochs() -> None:
+    with pytest.raises(InputError, match="give offline_epochs"):
+        make_pair_learner("dqdil", demonstrations=demonstrations()).pretrain()
