@@ -3,7 +3,8 @@
 A file holds a section per environment id and in it the presets ``paper`` and ``default``. The
 section ``common`` goes under every section of its file, and the files named by ``base`` under
 both, so that a number stands in one place. Keys are arguments of the algorithm and rl_zoo3's
-``n_timesteps``, ``n_envs`` and ``env_kwargs``.
+``n_timesteps``, ``n_envs`` and ``env_kwargs``. What goes over another setting replaces it, but
+tables (``env_kwargs``, ``policy_kwargs``, ``replay_buffer_kwargs``) are merged key by key.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def learner_preset(
     preset
         ``"paper"`` or ``"default"``.
     overrides
-        Settings that win over the file's.
+        Settings that go over the file's.
     config
         A file of the same format to read instead of ``zoo_configs/<algo>.yml``.
 
@@ -95,8 +96,8 @@ def learner_preset(
         raise InputError(
             f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of {ids}"
         )
-    for key, value in (overrides or {}).items():
-        found[key] = _checked(key, value, known, f"{algo}: setting {key!r}")
+    given = (overrides or {}).items()
+    found = _over(found, {k: _checked(k, v, known, f"{algo}: setting {k!r}") for k, v in given})
     missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
     if missing:
         raise InputError(f"{config or algo}: it does not say {missing[0]} for {env_id}: add it")
@@ -150,10 +151,20 @@ def _resolve(
     listed = preset in sections.get(env_id, {})
     for base in bases:
         inherited, there = _resolve(base, env_id, preset, known, (*within, str(config)))
-        settings, listed = settings | inherited, listed or there
+        settings, listed = _over(settings, inherited), listed or there
     for section in ("common", env_id):
-        settings |= sections.get(section, {}).get(preset, {})
+        settings = _over(settings, sections.get(section, {}).get(preset, {}))
     return settings, listed
+
+
+def _over(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    """Both settings, the upper ones where both speak; the entries of a table one by one."""
+    tables = {
+        key: lower[key] | value
+        for key, value in upper.items()
+        if isinstance(value, dict) and isinstance(lower.get(key), dict)
+    }
+    return {**lower, **upper, **tables}
 
 
 def read_file(config: str | Path, known: Mapping[str, Any]) -> tuple[list[str], Sections]:

@@ -88,7 +88,7 @@ def strings(data: Any) -> set[str]:
     return {data} if isinstance(data, str) else set()
 
 
-# -- the paper's numbers, typed from its text (DESIGN, section 7) ---------------------------------
+# -- the paper's numbers, typed from its text -----------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -226,6 +226,35 @@ def test_a_file_of_ones_own_builds_on_those_of_the_package(tmp_path: Path) -> No
     assert mine.arguments == plain.arguments | {"alpha": 3.0, "learning_rate": "lin_1e-4"}
     rate = constructed(mine.arguments)["learning_rate"]
     assert [rate(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([1e-4, 5e-5, 0.0])
+
+
+def test_a_table_goes_over_the_one_below_key_by_key(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text(
+        f"base: qr-dqdil\n{AGENT}:\n  paper:\n    env_kwargs: {{contact_radius: 0.15}}\n"
+        "    policy_kwargs: {hidden: 16}\n    replay_buffer_kwargs: {alpha: 0.5}\n"
+    )
+    found = learner_preset("qr-dqdil", AGENT, "paper", config=file)
+    assert found.env_kwargs == {"dtw": "cumulative", "contact_radius": 0.15}
+    assert found.arguments["policy_kwargs"] == {"n_quantiles": 20, "hidden": 16}
+    assert found.arguments["replay_buffer_kwargs"] == {"max_episodes": 5000, "alpha": 0.5}
+
+
+def test_so_does_a_table_of_the_command_line() -> None:
+    asked = {"env_kwargs": {"contact_radius": 0.15}}
+    found = learner_preset("dqdil", AGENT, "paper", asked)
+    assert found.env_kwargs == {"dtw": "cumulative", "contact_radius": 0.15}
+    assert learner_preset("dqdil", AGENT, "paper").env_kwargs == {"dtw": "cumulative"}
+    assert asked == {"env_kwargs": {"contact_radius": 0.15}}
+
+
+def test_null_takes_a_setting_of_the_files_below_back() -> None:
+    one, whole = (
+        learner_preset("dqdil", AGENT, "paper", {"env_kwargs": table})
+        for table in ({"dtw": None}, None)
+    )
+    assert one.env_kwargs == {"dtw": None}
+    assert whole.env_kwargs == {}
 
 
 def test_numbers_that_yaml_takes_for_text_are_numbers() -> None:
