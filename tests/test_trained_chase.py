@@ -115,6 +115,7 @@ def test_one_command_trains_rolls_out_and_repeats(tmp_path: Path) -> None:
     said = run("make", "--steps", "320", "--folder", folder, "--out", str(made), *common)
     assert "individual reward: 10 synthetic episodes" in said
     assert "shared reward: 10 synthetic episodes" in said
+    assert f"fingerprint {Demonstrations.load(made).fingerprint()})" in said
     run("roll-out", "--weights", folder, "--out", str(again), *common)
     assert made.read_bytes() == again.read_bytes()
     tables = run("compare", str(made), "--weights", folder, "--episodes", "5")

@@ -109,8 +109,8 @@ def compare_command(
 
 
 def _roll_out(weights: Path, out: Path, seed: int, episodes: int, epsilon: float) -> None:
-    demos = generate(weights, seed, episodes, epsilon)
-    demos.save(out, dtype=np.float32)
+    generate(weights, seed, episodes, epsilon).save(out, dtype=np.float32)
+    demos = Demonstrations.load(out)  # float32: the fingerprint is that of the file
     for condition, name in enumerate(AGENT.conditions):
         part = demos.select(condition=condition)
         rates = [float((part.outcome == k).mean()) for k in (1, 2)]
