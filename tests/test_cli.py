@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import shutil
 import signal
 import sys
@@ -322,7 +323,20 @@ def test_bad_options_are_refused_in_one_sentence(
 
 
 def test_help_teaches_by_example(animarl: Callable[..., Done]) -> None:
-    for name in ("fit", "run", "train", "evaluate", "report"):
+    for name in ("import", "fit", "run", "train", "evaluate", "report", "watch", "data"):
         done = animarl(name, "--help")
         assert done.returncode == 0
         assert f"animarl {name}" in done.stdout
+
+
+@pytest.mark.parametrize("name", ["sources", "show", "check", "split", "convert", "plot"])
+def test_examples_of_the_data_commands_run(
+    name: str, animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    shutil.copy(small, tmp_path / "demos.npz")
+    said = animarl("data", name, "--help").stdout
+    examples = re.findall(rf"^ *animarl (data {name}\b.*?) *$", said, re.MULTILINE)
+    assert examples
+    for words in map(str.split, examples):
+        assert animarl(*words).returncode == 0
+        assert "--out" not in words or (tmp_path / words[words.index("--out") + 1]).exists()

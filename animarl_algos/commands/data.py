@@ -24,7 +24,10 @@ from animarl_envs.demos.summary_figure import plot_summary
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
-app = typer.Typer(help="Look at, check, split, convert and plot demonstrations.")
+app = typer.Typer(
+    help="Look at, check, split, convert and plot demonstrations.",
+    epilog="For example: animarl data show agent. COMMAND --help gives more.",
+)
 DemosArgument = Annotated[
     str, typer.Argument(help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).")
 ]
@@ -34,7 +37,12 @@ OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
 
 @app.command("sources")
 def sources_command() -> None:
-    """List the readers and their options."""
+    """List the readers and their options.
+
+    Example:
+
+      animarl data sources
+    """
     table = Table("source", "reads", "options (--option name=value)")
     for reader in available_readers():
         table.add_row(reader.name, reader.description, ", ".join(reader.options))
@@ -43,7 +51,14 @@ def sources_command() -> None:
 
 @app.command("show")
 def show_command(file: DemosArgument) -> None:
-    """Say what a file holds: individuals, episodes, durations, speeds, outcomes, provenance."""
+    """Say what a file holds: individuals, episodes, durations, speeds, outcomes, provenance.
+
+    Examples:
+
+      animarl data show demos.npz
+
+      animarl data show agent
+    """
     show(load(file))
 
 
@@ -52,7 +67,12 @@ def check_command(
     file: DemosArgument,
     out: Annotated[Path | None, typer.Option(help="Table per episode (.csv).")] = None,
 ) -> None:
-    """Validate a file, name suspicious episodes, and write the table per episode."""
+    """Validate a file, name suspicious episodes, and write the table per episode.
+
+    Example:
+
+      animarl data check demos.npz --out episodes.csv
+    """
     demos = load(file)
     rows = episode_table(demos)
     console = wide_console()
@@ -78,7 +98,14 @@ def split_command(
     fractions: Annotated[str, typer.Option(help="Of train, val, test.")] = "0.8,0.1,0.1",
     seed: Annotated[int, typer.Option(help="Of the dealing.")] = 0,
 ) -> None:
-    """Deal episodes to train, val and test again; recordings are not torn apart by default."""
+    """Deal episodes to train, val and test again; recordings are not torn apart by default.
+
+    Examples:
+
+      animarl data split demos.npz --seed 1 --out dealt.npz
+
+      animarl data split demos.npz --by episode --fractions 0.6,0.2,0.2 --out dealt.npz
+    """
     try:
         shares = tuple(float(share) for share in fractions.split(","))
     except ValueError:
@@ -96,7 +123,14 @@ def convert_command(
     out: OutOption,
     source: Annotated[str | None, typer.Option(help="Reader of the file.")] = None,
 ) -> None:
-    """Convert to .npz, .csv (long table), or a Minari dataset (a folder, no suffix)."""
+    """Convert to .npz, .csv (long table), or a Minari dataset (a folder, no suffix).
+
+    Examples:
+
+      animarl data convert demos.npz --out demos.csv
+
+      animarl data convert demos.npz --out courtship-v0
+    """
     demos = load(file, source)
     if out.suffix == ".npz":
         demos.save(out)
@@ -111,7 +145,12 @@ def convert_command(
 
 @app.command("plot")
 def plot_command(file: DemosArgument, out: OutOption) -> None:
-    """Draw tracks, durations, path lengths, speeds and distances (.png, .svg, .pdf)."""
+    """Draw tracks, durations, path lengths, speeds and distances (.png, .svg, .pdf).
+
+    Example:
+
+      animarl data plot demos.npz --out demos.png
+    """
     if out.suffix not in {".png", ".svg", ".pdf"}:
         raise InputError(f"{out}: a figure ends in .png, .svg or .pdf: rename it")
     plot_summary(load(file), out)
