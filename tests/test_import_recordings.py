@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.moth_comparison import RECORDED_FIT
 from animarl_envs.demos.readers import default_recipe, follow, get_reader
 from animarl_envs.demos.recipe import Recipe
 from animarl_envs.fitting import fit_locomotion
@@ -34,6 +36,7 @@ def test_onset_fit_of_silkmoth_runs_is_near_the_published_reanalysis(moths: Demo
     (fit,) = fit_locomotion(moths, "onset", split=None).individuals
     assert fit.damping == pytest.approx(0.341, abs=0.005)
     assert fit.thrust == pytest.approx(0.0171, abs=0.0002)
+    assert (round(fit.damping, 3), round(fit.thrust, 4)) == astuple(RECORDED_FIT)
 
 
 @pytest.mark.realdata

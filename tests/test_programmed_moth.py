@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from animarl_envs.demos.moth_comparison import RECORDED_FIT
 from animarl_envs.demos.moth_statistics import search_statistics
 from animarl_envs.demos.programmed_moth import MothProgramme, ProgrammedMoth
 from animarl_envs.errors import InputError
@@ -76,7 +77,7 @@ def test_a_new_contact_starts_the_sequence_anew_and_reset_forgets() -> None:
     assert one.act(observation())[0, 0] == COAST
 
 
-@pytest.mark.parametrize("locomotion", [SILKMOTH.locomotion[0], Locomotion(0.341, 0.0171)])
+@pytest.mark.parametrize("locomotion", [SILKMOTH.locomotion[0], RECORDED_FIT])
 def test_full_senses_find_the_source_more_often(locomotion: Locomotion) -> None:
     species = replace(SILKMOTH, locomotion=(locomotion,))
     full, reduced = (

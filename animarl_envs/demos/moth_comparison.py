@@ -34,7 +34,7 @@ from animarl_envs.locomotion import Locomotion
 from animarl_envs.markdown import markdown_table
 from animarl_envs.species import SILKMOTH
 
-RECORDED_FIT = Locomotion(0.341, 0.0171)  # onset rule on the 24 recorded runs
+RECORDED_FIT = Locomotion(0.342, 0.0171)  # animarl fit moth.npz --method onset --split all
 ABSENT = "-"
 
 
@@ -102,7 +102,7 @@ def rates(
     for who, species in (
         ("programmed, training plumes", SILKMOTH),
         ("programmed, held-out plumes", held_out),
-        ("with d = 0.341, u = 0.0171, training plumes", fitted),
+        (f"with d = {RECORDED_FIT.damping}, u = {RECORDED_FIT.thrust}, training plumes", fitted),
     ):
         for condition, senses in enumerate(("full", "reduced")):
             found = search_statistics(species, condition, episodes=episodes, seed=seed)
