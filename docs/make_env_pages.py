@@ -311,7 +311,8 @@ def custom_page() -> str:
         "What the species is made of. If the file names a species of the suite (`animarl import "
         "--species fly`), its numbers hold where the file is silent; otherwise:",
         markdown_table(("number", "from"), CUSTOM_NUMBERS),
-        "Every one of them is an option as well: `contact_radius=0.1` wins over all rules. A "
+        "Each of them but names and roles, which are the file's, is an option as well: "
+        "`contact_radius=0.1` wins over all rules. A "
         "searcher gets the silkmoth's senses, plume and conditions. Files of flies, newts, "
         "silkmoths or agents can be given to those environments too, `gym.make(\"AnimaRL/Fly-v0\", "
         "demos=\"demos.npz\")`: names, number and time step are then the file's, all else is the "

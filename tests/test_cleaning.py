@@ -253,6 +253,9 @@ def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None
         cutting=Cutting(mode="approach", farther_than=0.3, closer_than=0.2, longest=300.0),
     )  # fmt: skip
     assert Recipe.load(recipe.save(tmp_path / "recipe.yaml")) == recipe
+    (tmp_path / "list.yaml").write_text("- 1")
+    with pytest.raises(InputError, match="no recipe: give one that 'animarl import' wrote beside"):
+        Recipe.load(tmp_path / "list.yaml")
     with pytest.raises(InputError, match="entry 'smothing' is unknown"):
         Recipe.from_dict({"cleaning": {"smothing": 2}})
     (tmp_path / "bad.yaml").write_text("a: [1\n")

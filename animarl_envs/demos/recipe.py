@@ -113,7 +113,7 @@ class Recipe:
             raise InputError(f"{path}: the recipe cannot be read ({first}): check it") from None
         if not isinstance(record, dict):
             raise InputError(
-                f"{path}: it is no recipe: save one with 'animarl import --recipe-out'"
+                f"{path}: it is no recipe: give one that 'animarl import' wrote beside its --out"
             )
         return cls.from_dict(record, str(path))
 
