@@ -17,7 +17,7 @@ class Selection(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """The loss terms of a learner (paper, "Baseline methods"; DESIGN, table of section 7).
+    """The loss terms of a learner (paper, "Baseline methods").
 
     Attributes
     ----------

@@ -166,8 +166,8 @@ def _head_on(
 ) -> Window:
     """An approach shorter than any from rest: both are already running at each other.
 
-    The published locomotion is too slow for the shortest published approaches of newts (DESIGN,
-    section 4), so these start faster than the terminal speed.
+    The published locomotion is too slow for the shortest published approaches of newts, so these
+    start faster than the terminal speed.
     """
     farther = species.recording.start_farther_than
     assert farther is not None
