@@ -54,6 +54,11 @@ class OfflineDataset:
     source
         For messages: where the demonstrations come from.
 
+    Attributes
+    ----------
+    individuals
+        The ``names`` that were given, ``None`` if none were: whose demonstrations they are.
+
     Raises
     ------
     InputError
@@ -84,6 +89,7 @@ class OfflineDataset:
                 "frame and individual, (frames, individuals, components)"
             )
         frames, k, dim = observations.shape
+        self.individuals = tuple(names) if names else None
         self.names = tuple(names or (f"individual_{i}" for i in range(k)))
         if len(set(self.names)) != k:
             raise InputError(f"{source}: names {self.names} do not name {k} individuals")

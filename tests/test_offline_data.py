@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from animarl_algos.offline_data import OfflineDataset, dynamics_scored_penalties
+from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.readers import read
@@ -46,6 +47,13 @@ def arrays(seed: int = 0, lengths: NDArray[np.int64] = LENGTHS) -> dict[str, Any
         "warmup": within < 1,
         "names": NAMES,
     }
+
+
+def test_whose_demonstrations_they_are() -> None:
+    assert OfflineDataset(**arrays()).individuals == NAMES
+    unnamed = OfflineDataset(**arrays() | {"names": None})
+    assert unnamed.individuals is None and unnamed.names[0] == "individual_0"
+    assert SlotVecEnv("agent", 1, focal="prey").offline_data().val.individuals == ("prey",)
 
 
 def test_every_entry_equals_the_demonstrations() -> None:
