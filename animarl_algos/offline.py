@@ -154,6 +154,13 @@ def _refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
                 f"observation components, the environment {mine[0]} with {mine[1]}: "
                 "make them for this environment"
             )
+        known = getattr(dataset, "individuals", None)
+        if known is not None and known != model.layout.individuals:
+            raise InputError(
+                f"the {name} demonstrations are of {', '.join(known)}, the environment's "
+                f"individuals are {', '.join(model.layout.individuals)}: make them for this "
+                "environment"
+            )
         scored = batch.action_penalties
         highest = int(batch.actions.max()) if scored is None else scored.shape[-1] - 1
         if highest >= model.policy.num_actions:

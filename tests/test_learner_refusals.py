@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 import animarl_algos.offline
 import animarl_envs
+from animarl_algos.bc import BC
 from animarl_algos.dqaas import DQAAS
 from animarl_algos.dqcil import DQCIL
 from animarl_algos.dqdil import DQDIL
@@ -48,6 +49,13 @@ def unscored() -> Split:
         rng.normal(size=(5, 2, 4)), np.array([[0, 1]] * 4 + [[-1, -1]]), np.array([5]), 3
     )
     return Split(plain, scored.val)
+
+
+class Nothing:
+    """A dataset of no episode."""
+
+    def batches(self, *_: Any) -> Iterator[Any]:
+        return iter(())
 
 
 def other_actions() -> Split:
@@ -102,6 +110,18 @@ CASES = {
     ),
     "other individuals": Case(
         "2 individuals with 4", DQDIL, lambda: toys.Lock(2), offline(demonstrations)
+    ),
+    "individuals of other names": Case(
+        "of predator_0, predator_1, prey, the environment's individuals are male_0",
+        BC,
+        lambda: SlotVecEnv("fly", 2),
+        offline(lambda: SlotVecEnv("agent", 2, condition_flag=True).offline_data()),
+    ),
+    "no episode": Case(
+        "the training split holds no demonstrated episode",
+        DQDIL,
+        lambda: toys.Pair(2),
+        offline(lambda: Split(Nothing(), demonstrations().val)),
     ),
     "other observations": Case(
         "with 4 observation components, the environment 2 with 5",

@@ -48,7 +48,7 @@ def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> No
     for name in _SETTINGS:
         if name not in state:
             raise InputError(
-                f"the saved replay memory lacks {name!r}: start from another checkpoint"
+                f"the saved replay memory lacks {name!r}: start the run anew"
             )
         if state[name] != getattr(buffer, name):
             raise InputError(
@@ -78,5 +78,5 @@ def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> No
             raise
         raise InputError(
             f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
-            "start from another checkpoint"
+            "start the run anew"
         ) from error
