@@ -1,4 +1,4 @@
-"""What a species is: numbers with units, no behaviour. DESIGN: one frozen spec per species."""
+"""What a species is: numbers with units, no behaviour, in one frozen spec per species."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class ChaseSpecies(Species):
 class SearchSpecies(Species):
     """One searcher and an odour source at the origin; upwind is the direction -x.
 
-    The numbers of the senses are those of DESIGN section 5 ("Silkmoth senses").
+    What the senses tell is in ``docs/plume.md`` ("What the moth senses").
     """
 
     metres_per_unit: float = 1.0  # the plume is in metres
