@@ -1,4 +1,4 @@
-"""How like the validation recordings a learner's rollouts are: what defaults are chosen by.
+"""How like the validation demonstrations a learner's rollouts are: what defaults are chosen by.
 
     python benchmarks/defaults.py fly --algo dqdil-pt --epsilon 0.5 --epsilon 0.1
     python benchmarks/defaults.py fly --set offline_epochs=30 --set offline_gamma=0.9
@@ -41,7 +41,7 @@ def main(
     species: Annotated[str | None, typer.Option(help="Of a file.")] = None,
     algo: Annotated[str, typer.Option(help="The learner.")] = "dqdil-pt",
     settings: Annotated[list[str] | None, typer.Option("--set", help="KEY=VALUE.")] = None,
-    steps: Annotated[int, typer.Option(help="Of the online phase.")] = 1,
+    steps: Annotated[int, typer.Option(help="Of the online phase; 1: the offline one alone.")] = 1,
     epsilon: Annotated[list[float] | None, typer.Option(help="When acting; repeatable.")] = None,
     repetitions: Annotated[int, typer.Option(help="Rollouts per start.")] = 5,
     seed: Annotated[list[int] | None, typer.Option(help="Of all; repeatable.")] = None,
@@ -59,7 +59,8 @@ def main(
     scenario = make_scenario(spec, demos=demos, split="val")
     world = partial(make_world, scenario)
     means = recorded[["path_length", "duration", "return"]].mean()
-    lines = [["recorded", "", f"{means.iloc[0]:.3g}", "", f"{means.iloc[1]:.3g}", ""]]
+    kind = "demonstrated (synthetic)" if demos.synthetic else "recorded"
+    lines = [[kind, "", f"{means.iloc[0]:.3g}", "", f"{means.iloc[1]:.3g}", ""]]
     lines[0].append(f"{means.iloc[2]:.2f}")
     seeds = seed or [0]
     random = RandomPolicy(seeds[0])
@@ -102,7 +103,7 @@ def main(
 
 
 def _cells(rows: pd.DataFrame, recorded: pd.DataFrame) -> list[str]:
-    """DTW, then path length and duration, each with its distance to the recorded, then reached."""
+    """DTW, path length and duration, each with its distance to the demonstrated, then reached."""
     cells = [f"{rows['dtw'].mean():.3g}"]
     for key in ("path_length", "duration"):
         distance = kde_distance(rows[key].to_numpy(), recorded[key].to_numpy())

@@ -61,5 +61,6 @@ def test_the_terminal_table_names_every_method() -> None:
     with console.capture() as printed:
         console.print(evaluation_table(report_inputs().evaluation, focus="dqdil"))
     text = printed.get()
-    for name in ("recorded", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
+    for name in ("demonstrated", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
         assert name in text
+    assert "record" not in text  # demonstrations may be synthetic

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from animarl_algos.evaluation.comparison import COUNTING, interval
 from animarl_algos.evaluation.evaluation import Evaluation
 from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN
+from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.evaluation.style import method_label
 from animarl_algos.evaluation.wording import comparison_row, with_interval
 from animarl_envs.errors import MissingExtraError
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 def evaluation_table(
     evaluation: Evaluation, *, counting: str = "all", focus: str | None = None
 ) -> Table:
-    """One row per method: means with 95 % intervals, and distances to the recordings.
+    """One row per method: means with 95 % intervals, and distances to the demonstrations.
+
+    They are called demonstrated, not recorded: they may be synthetic.
 
     Parameters
     ----------
@@ -40,9 +43,9 @@ def evaluation_table(
         raise MissingExtraError("the table", "algos") from error
     comparison = evaluation.comparison
     table = Table(
-        title=f"Simulated against recorded, {COUNTING[counting]}",
+        title=f"Simulated against demonstrated, {COUNTING[counting]}",
         caption="Mean [95 % interval], resampling demonstrations and seeds. KDE: kernel-density "
-        "distance to the recordings, 0 to 2; in brackets what recordings against recordings give. "
+        "distance to the demonstrations, 0 to 2; in brackets what these against themselves give. "
         "Within starts: the DTW distance with what all methods share of a start taken out.",
         box=SIMPLE_HEAD,
         padding=(0, 1),
@@ -69,7 +72,7 @@ def evaluation_table(
         cells.append("" if own is None else with_interval(interval(own, "within")))
         count = comparison_row(comparison, str(name), PATH_LENGTH, counting)
         table.add_row(
-            escape(method_label(str(name))),
+            "demonstrated" if name == RECORDED else escape(method_label(str(name))),
             "" if count is None else str(int(count["rollouts"])),
             *(escape(cell.replace(" [", "\n[")) for cell in cells),
             style="bold" if name == focus else "",
