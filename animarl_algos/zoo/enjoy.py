@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,10 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.commands.watch import play, trained_actor
 from animarl_algos.focal import FocalPolicy
-from animarl_algos.recipes import RECIPES, named_recipe
+from animarl_algos.recipes import RECIPES
 from animarl_algos.vec_env import SlotVecEnv
 from animarl_algos.zoo.environments import slot_environment, species_of_id
+from animarl_algos.zoo.models import check_fit, load_model
 from animarl_envs.errors import InputError
 from animarl_envs.render import CLIP_SUFFIXES, Renderer, write_clip
 
@@ -36,15 +36,15 @@ def enjoy(arguments: list[str]) -> None:
     model = load_model(asked.algo, path)
     model.policy.seed(asked.seed)
     if not asked.stochastic:
-        model.policy.epsilon = 0.0
+        model.policy.epsilon, model.policy.temperature = 0.0, None
     if species is None:
         mode = None if asked.no_render else "human"
         env: VecEnv = model._wrap_env(gym.make(asked.env, render_mode=mode, **options))
-        _check_fit(model, env, path)
+        check_fit(model, env, path)
         run(model, env, asked.n_timesteps, asked.seed)
         return
     slots = slot_environment(asked.env, 1, split="val", **options)
-    _check_fit(model, slots, path)
+    check_fit(model, slots, path)
     if asked.no_render:
         run(model, slots, asked.n_timesteps, asked.seed)
     else:
@@ -127,35 +127,6 @@ def find_model(asked: argparse.Namespace) -> tuple[Path, dict[str, Any]]:
     return path, settings.get("env_kwargs") or {}
 
 
-def load_model(algo: str, path: Path) -> SequenceQLearning:
-    """A model of ``algo`` from a zip file of stable-baselines3, which holds pickles.
-
-    Raises
-    ------
-    InputError
-        If the file is damaged or of another algorithm.
-    """
-    try:
-        return named_recipe(algo).algorithm.load(path, device="cpu")
-    except (
-        zipfile.BadZipFile, AssertionError, AttributeError, EOFError, KeyError, OSError,
-        RuntimeError, TypeError, ValueError,
-    ) as error:  # fmt: skip
-        first_line = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise InputError(f"{path}: it is no model of {algo} ({first_line})") from error
-
-
-def _check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
-    mine, here = model.observation_space.shape, env.observation_space.shape
-    individuals = len(getattr(env, "individuals", ("agent",)))
-    if mine != here or model.layout.num_individuals != individuals:
-        raise InputError(
-            f"{path}: it was trained with {model.layout.num_individuals} individuals that observe "
-            f"{mine}, this environment has {individuals} that observe {here}: give the --env and "
-            "--algo it was trained with"
-        )
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m animarl_algos.zoo enjoy",
@@ -175,7 +146,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("-n", "--n-timesteps", type=int, default=1000, help="most steps")
     parser.add_argument("--episodes", type=int, default=1, help="episodes to show")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--stochastic", action="store_true", help="act with the last epsilon")
+    parser.add_argument(
+        "--stochastic",
+        action="store_true",
+        help="act with the epsilon or temperature that was saved, instead of the best action",
+    )
     parser.add_argument(
         "--no-render",
         action="store_true",

@@ -1,0 +1,64 @@
+"""Trained models in zip files of stable-baselines3: read, and compared with an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from stable_baselines3.common.vec_env import VecEnv
+
+from animarl_algos.base import SequenceQLearning
+from animarl_algos.recipes import named_recipe
+from animarl_envs.errors import InputError
+
+
+def load_model(algo: str, path: Path) -> SequenceQLearning:
+    """A model of ``algo`` from a zip file, which holds pickles.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or of another algorithm.
+    """
+    with reading_model(algo, path):
+        return named_recipe(algo).algorithm.load(path, device="cpu")
+
+
+@contextmanager
+def reading_model(algo: str, path: Path) -> Iterator[None]:
+    """Whatever goes wrong within, said in one sentence.
+
+    Raises
+    ------
+    InputError
+        If anything does.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # reading damaged pickles can raise any
+        first_line = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise InputError(
+            f"{path}: it is no model of {algo} ({first_line}): name one that 'train' saved with "
+            "this --algo and --env"
+        ) from error
+
+
+def check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
+    """Compare what a model was trained with to an environment.
+
+    Raises
+    ------
+    InputError
+        If the individuals or the shape of their observations differ.
+    """
+    mine, here = model.observation_space.shape, env.observation_space.shape
+    individuals = len(getattr(env, "individuals", ("agent",)))
+    if mine != here or model.layout.num_individuals != individuals:
+        raise InputError(
+            f"{path}: it was trained with {model.layout.num_individuals} individuals that observe "
+            f"{mine}, this environment has {individuals} that observe {here}: give the --env and "
+            "--algo it was trained with"
+        )
