@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
-from contextlib import closing
+from contextlib import closing, suppress
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -22,20 +22,24 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.presets import learner_preset
+from animarl_algos.presets import LearnerPreset, _over, learner_preset
 from animarl_algos.progress import ProgressBar
+from animarl_algos.ranges import COUNT
 from animarl_algos.recipes import named_recipe
 from animarl_algos.zoo.environments import (
     slot_environment,
     species_of_id,
     validation_environment,
 )
+from animarl_algos.zoo.models import check_fit, load_model, reading_model
 from animarl_envs.errors import InputError
 
 EVAL_BY_LENGTH = 0
 """An evaluation frequency that stands for a tenth of the run, at most :data:`MOST_BETWEEN`."""
 MOST_BETWEEN = 25_000
 """Steps of the world; rl_zoo3's own default, longer than many a run."""
+UNSET_STEPS = -1
+"""rl_zoo3's ``--n-timesteps`` where the user gives none: those of the preset."""
 OF_TRAINING = {
     "copies": "give -params n_envs:16",
     "split": "it learns from train and is scored on val",
@@ -68,11 +72,12 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         """Those of the preset, then of a stored trial, then of the command line, each checked."""
         overrides: dict[str, Any] = {}
         if self.storage and self.study_name and self.trial_id is not None:
-            overrides |= self.load_trial(self.storage, self.study_name, self.trial_id)
-        overrides |= self.custom_hyperparams or {}
+            overrides = self.load_trial(self.storage, self.study_name, self.trial_id)
+        overrides = _over(overrides, self.custom_hyperparams or {})
         found = learner_preset(
             self.algo, self.env_name.gym_id, self.preset, overrides, config=self.own_config
         )
+        self._refuse_numbers_below_one(found)
         given = self.env_kwargs | (self._eval_env_kwargs_args or {})
         for name, instead in OF_TRAINING.items():
             if self.species is not None and name in given:
@@ -88,9 +93,20 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
         return deepcopy(settings), settings
 
+    def _refuse_numbers_below_one(self, found: LearnerPreset) -> None:
+        for name in ("n_timesteps", "n_envs"):
+            COUNT.check(f"{self.algo}: setting {name!r}", getattr(found, name))
+        if self.n_timesteps != UNSET_STEPS:
+            COUNT.check("--n-timesteps", self.n_timesteps)
+        COUNT.check("--eval-episodes", self.n_eval_episodes)
+        COUNT.check("--n-eval-envs", self.n_eval_envs)
+        if self.n_evaluations is not None:
+            COUNT.check("--n-evaluations", self.n_evaluations)
+
     def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
         """rl_zoo3's; a refused one leaves no folder for ``enjoy`` to find as the latest."""
-        self._is_new = not Path(self.save_path).exists()
+        run = Path(self.save_path)
+        self._new_folders = [folder for folder in (run, *run.parents) if not folder.exists()]
         try:
             result: tuple[BaseAlgorithm, dict[str, Any]] | None = super().setup_experiment()
         except InputError:
@@ -99,8 +115,12 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         return result
 
     def _leave_no_folder(self) -> None:
-        if self._is_new:
-            shutil.rmtree(self.save_path, ignore_errors=True)
+        if self._new_folders:
+            run, *above = self._new_folders
+            shutil.rmtree(run, ignore_errors=True)
+            with suppress(OSError):  # one that holds something stays, and so do those above it
+                for folder in above:
+                    folder.rmdir()
 
     def _save_config(self, saved_hyperparams: dict[str, Any]) -> None:
         """The settings as resolved and the command, as plain YAML."""
@@ -116,7 +136,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
     def create_envs(self, n_envs: int, eval_env: bool = False, no_log: bool = False) -> VecEnv:
         """Slots that all learn; for evaluation, slots that start from the validation split."""
         if self.species is None:
-            return super().create_envs(n_envs, eval_env, no_log)
+            return super().create_envs(n_envs, eval_env, no_log or self.optimize_hyperparameters)
         make = validation_environment if eval_env else slot_environment
         options = self.eval_env_kwargs if eval_env else self.env_kwargs
         env = make(self.env_name.gym_id, n_envs, **options)
@@ -146,6 +166,13 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         return int(self.n_eval_episodes * env.num_envs // self.n_eval_envs)
 
     # -- learning ---------------------------------------------------------------------------------
+
+    def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
+        """rl_zoo3's; a file that is no model, or one for another environment, is refused."""
+        path = Path(self.trained_agent)
+        check_fit(load_model(self.algo, path), env, path)
+        with reading_model(self.algo, path):
+            return super()._load_pretrained_agent(hyperparams, env)
 
     def learn(self, model: BaseAlgorithm) -> None:
         """Train, with learning curves as CSV and TensorBoard in the folder of the run.
@@ -177,8 +204,9 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
 
         Every trial has the same seed, so that settings alone differ.
         """
-        arguments = deepcopy(self._hyperparams)
-        arguments |= HYPERPARAMS_SAMPLER[self.algo](trial, self.n_actions, self.n_envs, {})
+        given = self.custom_hyperparams or {}
+        drawn = HYPERPARAMS_SAMPLER[self.algo](trial, self.n_actions, self.n_envs, given)
+        arguments = _over(deepcopy(self._hyperparams), drawn)
         env = self.create_envs(self.n_envs, no_log=True)
         scored = self.create_envs(self.n_eval_envs, eval_env=True)
         episodes = self._slot_episodes(scored)
@@ -213,6 +241,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
 
     def hyperparameters_optimization(self) -> None:
         """rl_zoo3's, with a word where no trial came to its end."""
+        Path(self.log_path).mkdir(parents=True, exist_ok=True)
         try:
             super().hyperparameters_optimization()
         except ValueError as error:

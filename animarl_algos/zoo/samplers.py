@@ -43,17 +43,23 @@ def ranges(algo: str) -> tuple[dict[str, tuple[float, float]], dict[str, tuple[f
 
 
 def sampler(algo: str) -> Sampler:
-    """A function that draws the settings of ``algo`` for a trial, as rl_zoo3 calls it."""
+    """A function that draws the settings of ``algo`` for a trial, as rl_zoo3 calls it.
+
+    Of rl_zoo3's arguments the last holds settings that are given: those are not drawn.
+    """
     logarithmic, linear = ranges(algo)
 
-    def sample(trial: optuna.Trial, n_actions: int, n_envs: int, additional: Params) -> Params:
+    def sample(trial: optuna.Trial, n_actions: int, n_envs: int, given: Params) -> Params:
         drawn: Params = {
             name: trial.suggest_float(name, low, high, log=True)
             for name, (low, high) in logarithmic.items()
+            if name not in given
         }
         for name, (low, high) in linear.items():
-            drawn[name] = trial.suggest_float(name, low, high)
-        if algo.startswith("qr-"):
+            if name not in given:
+                drawn[name] = trial.suggest_float(name, low, high)
+        network = given.get("policy_kwargs") or {}
+        if algo.startswith("qr-") and "n_quantiles" not in network:
             drawn["n_quantiles"] = trial.suggest_categorical("n_quantiles", QUANTILES)
         return converted(drawn)
 
