@@ -1,9 +1,8 @@
-"""rl_zoo3 with these learners: train, optimize, enjoy; settings checked, nothing evaluated."""
+"""rl_zoo3 with these learners: train, optimize, enjoy."""
 
 from __future__ import annotations
 
 import sqlite3
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,40 +15,21 @@ import rl_zoo3.exp_manager
 import rl_zoo3.utils
 import yaml
 from commands import Done
+from zoo_commands import AGENT
+from zoo_commands import zoo as zoo
 
 from animarl_algos.presets import known_settings, learner_preset
 from animarl_algos.recipes import RECIPES
-from animarl_algos.zoo.__main__ import main, register
+from animarl_algos.zoo import enjoy, manager, samplers
+from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment
 from animarl_algos.zoo.samplers import sampler
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
 
-AGENT, NAME = "AnimaRL/Agent-v0", "AnimaRL-Agent-v0"
-DQN = ["train", "--algo", "dqn", "--env", AGENT]
+NAME = "AnimaRL-Agent-v0"
+CARTPOLE = ["--env", "CartPole-v1", "-n", "16", "--eval-episodes", "1"]
 TINY = ["--n-timesteps", "200", "--seed", "1", "--eval-freq", "100", "--eval-episodes", "2"]
-
-
-@pytest.fixture
-def zoo(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Callable[..., Done]:
-    """``python -m animarl_algos.zoo`` in this process, in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: str) -> Done:
-        monkeypatch.setattr(sys, "argv", ["zoo", *arguments])
-        monkeypatch.setattr(sys, "orig_argv", ["zoo", *arguments])
-        capfd.readouterr()
-        code = 0
-        try:
-            main()
-        except SystemExit as ended:
-            code = int(ended.code or 0)
-        said = capfd.readouterr()
-        return Done(code, said.out, said.err)
-
-    return call
 
 
 @pytest.fixture(scope="module")
@@ -237,85 +217,62 @@ def test_optimize_tunes_into_sqlite(
     assert config["alpha"] == study.trials[0].params["alpha"]
 
 
-# -- bad input ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
-        (["dance"], "'dance' is unknown: choose train, optimize, enjoy"),
-        (["train", "--algo", "ppo", "--env", AGENT], "invalid choice: 'ppo'"),
-        (["train", "--algo", "dqn", "--env", "AnimaRL/Dodo-v0"], "'AnimaRL/Dodo-v0' is not"),
-        (["train", "--algo", "dqn", "--env", AGENT, "--preset", "fast"], "invalid choice: 'fast'"),
-        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gama:1"], "'gama' is unknown"),
-        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma"], "write KEY:VALUE"),
-        (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma:["], "not valid YAML"),
-        (["train", "--algo", "dqn", "--env", AGENT, "--env-kwargs", "wind:1"], "'wind' is unknown"),
-        ([*DQN, "-params", "policy_kwargs:{hiden: 4}"], "policy_kwargs: 'hiden' is unknown"),
-        ([*DQN, "-params", "learning_rate:-1"], "learning_rate is -1.0"),
-        ([*DQN, "--env-kwargs", "copies:2"], "give -params n_envs"),
-        ([*DQN, "--device", "abacus"], "'abacus' is unknown"),
-        ([*DQN, "-i", "no.zip"], "no.zip: there is no such zip file"),
-        ([*DQN, "-f", "/dev/null/logs"], "/dev/null/logs: a file cannot be"),
-        (["optimize", *DQN[1:], "--n-trials", "0"], "--n-trials is 0"),
-        (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),
-        (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "does not suit"),
-        (["train", "--algo", "dqdil", "--env", "CartPole-v1"], "'dtw_penalty'"),
-        (["train", "--algo", "dqcil", "--env", "AnimaRL/Fly-v0"], "condition flag"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT], "train first"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT, "--model", "no.zip"], "no such file"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT, "--out", "a.bmp"], "use .gif or .mp4"),
-        (["enjoy", "--algo", "dqn", "--env", "CartPole-v1", "--out", "a.gif"], "leave it out"),
-    ],
-)
-def test_bad_input_is_one_sentence(
-    arguments: list[str], word: str, zoo: Callable[..., Done]
+@pytest.mark.parametrize("algo", [["--algo=dqn"], ["--alg", "dqn"]])
+@pytest.mark.parametrize("command", [["train"], ["optimize", "--n-trials", "1", "--pruner=none"]])
+def test_the_algorithm_may_be_given_in_any_spelling(
+    command: list[str], algo: list[str], zoo: Callable[..., Done], tmp_path: Path
 ) -> None:
-    done = zoo(*arguments)
-    assert done.returncode == 2
-    assert word in done.stderr and "Traceback" not in done.stderr
-    assert "invalid choice" in word or len(done.stderr.strip().splitlines()) == 1
+    done = zoo(*command, *algo, *CARTPOLE)
+    assert done.returncode == 0, done.stderr
+    assert [folder.name for folder in (tmp_path / "logs").iterdir()] == ["dqn"]
+    runs = list(tmp_path.glob("logs/dqn/*/"))
+    assert len(runs) == (command[0] == "train")
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        (*DQN, "-params", "tau:3"),
-        ("train", "--algo", "dqn", "--env", "Pendulum-v1"),
-        ("train", "--algo", "dqcil", "--env", "AnimaRL/Fly-v0"),
-        ("train", "--algo", "bc", "--env", "CartPole-v1"),
-    ],
-)
-def test_a_refused_run_leaves_no_folder_for_enjoy(
-    arguments: tuple[str, ...], zoo: Callable[..., Done], tmp_path: Path
+def test_a_trial_has_the_network_that_was_asked_for(
+    zoo: Callable[..., Done], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    assert zoo(*arguments).returncode == 2
-    assert not list(tmp_path.glob("logs/*/*"))
+    """The command line, a file and optuna may each say something of one network."""
+    networks: list[dict[str, Any]] = []
+
+    def score(model: Any, *_: Any, **__: Any) -> tuple[float, float]:
+        networks.append(model.policy_kwargs)
+        return 0.0, 0.0
+
+    monkeypatch.setattr(manager, "evaluate_policy", score)
+    monkeypatch.setattr(samplers, "QUANTILES", (7,))
+    params = ["-params", "gamma:0.5", "learning_rate:0.001", "policy_kwargs:{hidden: 8}"]
+    tune = ["optimize", "--algo", "qr-dqn", *CARTPOLE, "--n-trials=1", "--pruner=none", *params]
+    done = zoo(*tune)
+    assert done.returncode == 0, done.stderr
+    assert networks == [{"hidden": 8, "n_quantiles": 7}]
+    place = ["--storage", f"sqlite:///{tmp_path}/logs/qr-dqn/optuna.db", "--study-name",
+             "qr-dqn CartPole-v1"]  # fmt: skip
+    study = optuna.load_study(study_name=place[3], storage=place[1])
+    tuned = {"updates_per_episode", "exploration_final_eps", "n_quantiles"}  # what was not given
+    assert study.trials[0].params.keys() == tuned
+    own = {"base": "qr-dqn", "CartPole-v1": {"default": {"policy_kwargs": {"hidden": 8}}}}
+    (tmp_path / "mine.yml").write_text(yaml.safe_dump(own))
+    for number, given in enumerate([params, ["-conf", "mine.yml"]], start=1):
+        done = zoo("train", "--algo", "qr-dqn", *CARTPOLE, *place, "--trial-id", "0", *given)
+        assert done.returncode == 0, done.stderr
+        folder = tmp_path / "logs" / "qr-dqn" / f"CartPole-v1_{number}" / "CartPole-v1"
+        assert yaml.safe_load((folder / "config.yml").read_text())["policy_kwargs"] == networks[0]
 
 
-def test_nothing_on_the_command_line_or_in_a_file_is_evaluated(
-    zoo: Callable[..., Done], tmp_path: Path
+def test_enjoy_takes_the_best_actions_unless_told(
+    zoo: Callable[..., Done], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """rl_zoo3 evaluates KEY:VALUE, policy_kwargs and normalize, runs .py files, imports names."""
-    evil = f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
-    for key in ("policy_kwargs", "replay_buffer_kwargs", "normalize", "env_wrapper", "policy"):
-        done = zoo("train", "--algo", "dqn", "--env", AGENT, "-params", f'{key}:"{evil}"')
-        assert done.returncode == 2, done.stdout
-        file = tmp_path / "mine.yml"
-        file.write_text(yaml.safe_dump({"base": "dqn", AGENT: {"default": {key: evil}}}))
-        done = zoo("train", "--algo", "dqn", "--env", AGENT, "-conf", str(file))
-        assert done.returncode == 2, done.stdout
-    script = tmp_path / "mine.py"
-    script.write_text(f"{evil}\nhyperparams = {{}}\n")
-    assert zoo("train", "--algo", "dqn", "--env", AGENT, "-conf", str(script)).returncode == 2
-    assert not (tmp_path / "ran").exists()
-
-
-def test_a_damaged_or_foreign_zip_is_refused(zoo: Callable[..., Done], tmp_path: Path) -> None:
-    for content in (b"", b"text", b"PK\x05\x06" + bytes(18)):
-        (tmp_path / "bad.zip").write_bytes(content)
-        done = zoo("enjoy", "--algo", "dqn", "--env", AGENT, "--model", "bad.zip", "--no-render")
-        assert done.returncode == 2 and "no model of dqn" in done.stderr
+    model = RECIPES["dqn"].algorithm("MlpPolicy", "CartPole-v1")
+    model.policy.epsilon, model.policy.temperature = 0.3, 2.0
+    model.save("warm.zip")
+    rules: list[tuple[float, float | None]] = []
+    monkeypatch.setattr(
+        enjoy, "run", lambda m, *_: rules.append((m.policy.epsilon, m.policy.temperature))
+    )
+    for more in ([], ["--stochastic"]):
+        zoo("enjoy", "--algo=dqn", *CARTPOLE[:2], "--no-render", "--model", "warm.zip", *more)
+    assert rules == [(0.0, None), (0.3, 2.0)]
 
 
 def test_help_says_what_a_zip_file_is(zoo: Callable[..., Done]) -> None:

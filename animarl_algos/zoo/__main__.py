@@ -47,10 +47,13 @@ TRAIN_NOTE = """Learners of this project through rl_zoo3, whose options follow. 
   --eval-freq               unless given: a tenth of the steps, at most 25,000; -1 for none
 
 KEY:VALUE pairs are YAML, never evaluated (-params learning_rate:0.001 offline_epochs:5).
+'optimize' does not tune what -params gives.
 AnimaRL ids train all individuals; --env-kwargs focal:prey trains one. The model, its settings,
 learning curves (CSV, TensorBoard) and evaluations on the validation split go to
 <log-folder>/<algo>/<env>_<number>. -i loads a zip file, which holds pickles: only your own.
 """
+
+DEFAULT_ALGO = "dqdil-pt"
 
 
 class StoreData(argparse.Action):
@@ -104,8 +107,6 @@ def train(arguments: list[str]) -> None:
         raise InputError(f"{model}: there is no such zip file: name a model that 'train' saved")
     if peeked.n_trials < 1:
         raise InputError(f"--n-trials is {peeked.n_trials}: give at least 1")
-    if "--algo" not in rest:
-        rest += ["--algo", "dqdil-pt"]
     torch.set_num_threads(1)
 
     class Manager(AnimalExperimentManager):
@@ -113,27 +114,28 @@ def train(arguments: list[str]) -> None:
 
     vars(rl_zoo3.train).update(ExperimentManager=Manager, StoreDict=StoreData)
     warnings.filterwarnings("ignore", message="Training and eval env are not of the same type")
-    # The last of a repeated option counts, so this one only if the user gives none.
-    sys.argv = ["python -m animarl_algos.zoo train", f"--eval-freq={EVAL_BY_LENGTH}", *rest]
+    # The last of a repeated option counts, so these only if the user gives none.
+    defaults = [f"--algo={DEFAULT_ALGO}", f"--eval-freq={EVAL_BY_LENGTH}"]
+    sys.argv = ["python -m animarl_algos.zoo train", *defaults, *rest]
     rl_zoo3.train.train()
 
 
 def optimize(arguments: list[str]) -> None:
     """Training with ``-optimize``, into an SQLite file beside the logs unless told otherwise."""
     peeked = _peek(arguments)
-    folder = Path(peeked.log_folder) / (peeked.algo or "dqdil-pt")
     if peeked.storage is None:
-        folder.mkdir(parents=True, exist_ok=True)
-        arguments += ["--storage", f"sqlite:///{folder / 'optuna.db'}"]
+        file = Path(peeked.log_folder) / peeked.algo / "optuna.db"
+        arguments += ["--storage", f"sqlite:///{file}"]
     if peeked.study_name is None:
-        arguments += ["--study-name", f"{peeked.algo or 'dqdil-pt'} {peeked.env}"]
+        arguments += ["--study-name", f"{peeked.algo} {peeked.env}"]
     train([*arguments, "-optimize", "--no-optim-plots"])
 
 
 def _peek(arguments: list[str]) -> argparse.Namespace:
-    """A look at some of rl_zoo3's options before it parses them itself."""
-    look = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for option in ("--env", "--algo", "--storage", "--study-name"):
+    """A look at some of rl_zoo3's options before it parses them itself, abbreviated or not."""
+    look = argparse.ArgumentParser(add_help=False)
+    look.add_argument("--algo", default=DEFAULT_ALGO)
+    for option in ("--env", "--storage", "--study-name"):
         look.add_argument(option)
     look.add_argument("-f", "--log-folder", default="logs")
     look.add_argument("-i", "--trained-agent", type=Path)
