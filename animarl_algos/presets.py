@@ -97,7 +97,7 @@ def learner_preset(
             f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of {ids}"
         )
     given = (overrides or {}).items()
-    found = _over(found, {k: _checked(k, v, known, f"{algo}: setting {k!r}") for k, v in given})
+    found = merged(found, {k: _checked(k, v, known, f"{algo}: setting {k!r}") for k, v in given})
     missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
     if missing:
         raise InputError(f"{config or algo}: it does not say {missing[0]} for {env_id}: add it")
@@ -151,13 +151,13 @@ def _resolve(
     listed = preset in sections.get(env_id, {})
     for base in bases:
         inherited, there = _resolve(base, env_id, preset, known, (*within, str(config)))
-        settings, listed = _over(settings, inherited), listed or there
+        settings, listed = merged(settings, inherited), listed or there
     for section in ("common", env_id):
-        settings = _over(settings, sections.get(section, {}).get(preset, {}))
+        settings = merged(settings, sections.get(section, {}).get(preset, {}))
     return settings, listed
 
 
-def _over(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     """Both settings, the upper ones where both speak; the entries of a table one by one."""
     tables = {
         key: lower[key] | value

@@ -18,6 +18,8 @@ from animarl_algos.recipes import RECIPES
 
 DQN = ["train", "--algo", "dqn", "--env", AGENT]
 
+STUDY = ["--storage", "sqlite:///none.db", "--study-name", "mine"]
+
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
@@ -41,6 +43,8 @@ DQN = ["train", "--algo", "dqn", "--env", AGENT]
         ([*DQN, "--eval-episodes", "0"], "--eval-episodes is 0"),
         ([*DQN, "--n-eval-envs", "0"], "--n-eval-envs is 0"),
         ([*DQN, "-n", "0"], "--n-timesteps is 0"),
+        ([*DQN, "--trial-id", "3"], "give --storage and --study-name too"),
+        ([*DQN, "--trial-id", "3", *STUDY], "holds no such trial of a study 'mine'"),
         ([*DQN, "-params", "n_timesteps:0"], "'n_timesteps' is 0"),
         ([*DQN, "-params", "n_envs:0"], "'n_envs' is 0"),
         (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),

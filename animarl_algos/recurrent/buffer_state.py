@@ -47,9 +47,7 @@ def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> No
     """
     for name in _SETTINGS:
         if name not in state:
-            raise InputError(
-                f"the saved replay memory lacks {name!r}: start the run anew"
-            )
+            raise InputError(f"the saved replay memory lacks {name!r}: start the run anew")
         if state[name] != getattr(buffer, name):
             raise InputError(
                 f"the saved replay memory has {name} {state[name]}, this run has "

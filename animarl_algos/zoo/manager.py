@@ -15,6 +15,7 @@ import yaml
 from rl_zoo3.callbacks import TrialEvalCallback
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_SAMPLER
+from sqlalchemy.exc import SQLAlchemyError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -22,7 +23,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.base import SequenceQLearning
-from animarl_algos.presets import LearnerPreset, _over, learner_preset
+from animarl_algos.presets import LearnerPreset, learner_preset, merged
 from animarl_algos.progress import ProgressBar
 from animarl_algos.ranges import COUNT
 from animarl_algos.recipes import named_recipe
@@ -71,9 +72,9 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
     def read_hyperparameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Those of the preset, then of a stored trial, then of the command line, each checked."""
         overrides: dict[str, Any] = {}
-        if self.storage and self.study_name and self.trial_id is not None:
-            overrides = self.load_trial(self.storage, self.study_name, self.trial_id)
-        overrides = _over(overrides, self.custom_hyperparams or {})
+        if self.trial_id is not None:
+            overrides = self._stored_trial(self.trial_id)
+        overrides = merged(overrides, self.custom_hyperparams or {})
         found = learner_preset(
             self.algo, self.env_name.gym_id, self.preset, overrides, config=self.own_config
         )
@@ -92,6 +93,17 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         }
         print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
         return deepcopy(settings), settings
+
+    def _stored_trial(self, number: int) -> dict[str, Any]:
+        if not (self.storage and self.study_name):
+            raise InputError(f"--trial-id {number}: give --storage and --study-name too")
+        try:
+            return dict(self.load_trial(self.storage, self.study_name, number))
+        except (KeyError, IndexError, SQLAlchemyError) as error:
+            raise InputError(
+                f"--trial-id {number}: {self.storage} holds no such trial of a study "
+                f"{self.study_name!r}: give the names under which it was tuned"
+            ) from error
 
     def _refuse_numbers_below_one(self, found: LearnerPreset) -> None:
         for name in ("n_timesteps", "n_envs"):
@@ -206,7 +218,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         """
         given = self.custom_hyperparams or {}
         drawn = HYPERPARAMS_SAMPLER[self.algo](trial, self.n_actions, self.n_envs, given)
-        arguments = _over(deepcopy(self._hyperparams), drawn)
+        arguments = merged(deepcopy(self._hyperparams), drawn)
         env = self.create_envs(self.n_envs, no_log=True)
         scored = self.create_envs(self.n_eval_envs, eval_env=True)
         episodes = self._slot_episodes(scored)
