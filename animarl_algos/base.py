@@ -19,19 +19,20 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
 from animarl_algos.checked import CheckedLearner
+from animarl_algos.collection import check_environment
 from animarl_algos.exploration import fit_boltzmann_temperature
 from animarl_algos.offline import (
     DemonstrationData,
     OfflineDataset,
     OfflineProgress,
     demonstrated_values,
+    refuse_foreign,
     run_offline_phase,
 )
 from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.settings import as_frequency, longest_episode
+from animarl_algos.settings import as_frequency, declared_limit, longest_episode
 from animarl_algos.slots import SlotLayout
-from animarl_algos.terms import Phase
 from animarl_envs.errors import InputError
 
 PAPER_EPOCHS = 30
@@ -206,6 +207,7 @@ class SequenceQLearning(CheckedLearner):
         self._rollout_steps = self._rollout_episodes = 0
         self.acting_rule = {}
         if _init_setup_model:
+            self.refuse_what_does_not_go_together()
             self._setup_model()
 
     # -- set up -----------------------------------------------------------------------------------
@@ -254,7 +256,8 @@ class SequenceQLearning(CheckedLearner):
         Raises
         ------
         InputError
-            If the individuals, the spaces or the number of copies differ.
+            If the individuals, the spaces or the number of copies differ, or if episodes may last
+            longer than the replay memory holds, or nobody says how long.
         """
         slots = self._wrap_env(env, self.verbose)
         there, here = SlotLayout.of(slots), self.layout
@@ -263,33 +266,28 @@ class SequenceQLearning(CheckedLearner):
                 f"the environment has {_described(there)}, this learner {_described(here)}: give "
                 "one with the same individuals"
             )
-        limit, copies = longest_episode(slots, self.max_episode_steps), self.n_envs
-        assert limit is not None
-        new = self.replay_buffer is None
+        new, copies = self.replay_buffer is None, self.n_envs
         if new:
             self.n_envs = slots.num_envs
-        elif self.episode_limit is not None and limit > self.episode_limit:
-            raise InputError(
-                f"its episodes last up to {limit} steps and the replay memory holds "
-                f"{self.episode_limit}: give one with a shorter time limit"
-            )
+        elif self.recipe.online:
+            self._refuse_longer_episodes(self.max_episode_steps or declared_limit(slots))
         try:
             super().set_env(slots, force_reset)
         except (AssertionError, ValueError) as error:
             self.n_envs = copies
             raise InputError(f"the environment does not suit this learner: {error}") from error
         if new:
-            self.layout, self.episode_limit = there, limit
+            self.layout = there
+            self.episode_limit = longest_episode(slots, self.max_episode_steps)
             self.replay_buffer = self._make_replay_buffer()
 
-    def reset_optimizer(self, learning_rate: float) -> None:
-        """A new optimiser for the online network, with nothing accumulated."""
-        policy = self.policy
-        policy.optimizer = policy.optimizer_class(
-            policy.q_net.parameters(),
-            lr=learning_rate,  # type: ignore[call-arg]
-            **policy.optimizer_kwargs,
-        )
+    def _refuse_longer_episodes(self, limit: int | None) -> None:
+        assert self.episode_limit is not None
+        if limit is not None and limit > self.episode_limit:
+            raise InputError(
+                f"its episodes last up to {limit} steps and the replay memory holds "
+                f"{self.episode_limit}: give one with a shorter time limit"
+            )
 
     def _root_seed(self) -> int:
         """The seed of this learner's own random streams; without ``seed``, from the system."""
@@ -317,14 +315,6 @@ class SequenceQLearning(CheckedLearner):
             **self.replay_buffer_kwargs,
         )
 
-    def phase(self, name: str) -> Phase:
-        """The numbers of the ``"online"`` or ``"offline"`` phase."""
-        prefix = "" if name == "online" else "offline_"
-        own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
-        settings = {key: getattr(self, prefix + key) for key in own}
-        scaled = name == "offline" and self.offline_scaled_penalties
-        return Phase(name=name, lambda1=self.lambda1, scaled_penalties=scaled, **settings)
-
     # -- before the first step --------------------------------------------------------------------
 
     def prepare(self, callback: BaseCallback, *, progress_bar: bool) -> None:
@@ -334,6 +324,8 @@ class SequenceQLearning(CheckedLearner):
 
     def pretrain(self, *, progress_bar: bool = False) -> OfflineProgress:
         """Run the offline phase, or what is left of it; returns its learning curves.
+
+        One that is over stays as it is, also if ``offline_epochs`` is raised.
 
         Raises
         ------
@@ -348,6 +340,19 @@ class SequenceQLearning(CheckedLearner):
             self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
         run_offline_phase(self, self._demonstrations(), progress_bar=progress_bar)
         return self.offline_progress
+
+    def refuse_what_does_not_suit(self) -> None:
+        """Look at the environment and the demonstrations as :meth:`learn` would, before it.
+
+        Raises
+        ------
+        InputError
+            If they do not give what the recipe learns from.
+        """
+        assert self.env is not None
+        check_environment(self.env, self.layout, self.recipe)
+        if self.offline_epochs and not self.offline_progress.done:
+            refuse_foreign(self, self._demonstrations())
 
     def _demonstrations(self) -> DemonstrationData:
         """Those that were given, or else the environment's own."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
 from animarl_algos.exploration import LinearDecay
 from animarl_algos.ranges import (
@@ -22,6 +22,8 @@ from animarl_algos.recurrent.policies import GruPolicy
 from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.recurrent.state_mode import StateMode
 from animarl_algos.saving import SavedLearner
+from animarl_algos.settings import as_frequency
+from animarl_algos.terms import Phase
 from animarl_envs.errors import InputError
 
 LEARNER = {
@@ -58,9 +60,19 @@ class CheckedLearner(SavedLearner):
     default_quantiles: ClassVar[int | None]
     policy_class: type[GruPolicy]
     policy_kwargs: dict[str, Any]
+    lambda1: float
+    offline_scaled_penalties: bool
     sequence_length: int | None
     burn_in: int
     state_mode: str
+
+    def phase(self, name: str) -> Phase:
+        """The numbers of the ``"online"`` or ``"offline"`` phase."""
+        prefix = "" if name == "online" else "offline_"
+        own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
+        settings = {key: getattr(self, prefix + key) for key in own}
+        scaled = name == "offline" and self.offline_scaled_penalties
+        return Phase(name=name, lambda1=self.lambda1, scaled_penalties=scaled, **settings)
 
     def refuse_bad_settings(self) -> None:
         """Before anything is made; whole numbers become ints.
@@ -68,7 +80,7 @@ class CheckedLearner(SavedLearner):
         Raises
         ------
         InputError
-            If a setting is out of its range, or two do not go together.
+            If a setting is out of its range.
         """
         for name, numbers in LEARNER.items():
             setattr(self, name, numbers.check(name.lstrip("_"), getattr(self, name)))
@@ -88,11 +100,17 @@ class CheckedLearner(SavedLearner):
         )
         if self.gradient_steps == 0:
             raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
-        self._refuse_what_does_not_go_together()
 
-    def _refuse_what_does_not_go_together(self) -> None:
-        assert isinstance(self.train_freq, TrainFreq)
-        if self.train_freq.unit is TrainFrequencyUnit.EPISODE and self.gradient_steps != 1:
+    def refuse_what_does_not_go_together(self) -> None:
+        """Of a new learner; one that was saved acts and learns as it did.
+
+        Raises
+        ------
+        InputError
+            If one setting makes another useless.
+        """
+        frequency = as_frequency(self.train_freq, "train_freq")
+        if frequency.unit is TrainFrequencyUnit.EPISODE and self.gradient_steps != 1:
             raise InputError(
                 f"gradient_steps is {self.gradient_steps} and train_freq counts episodes: "
                 "give updates_per_episode instead, or a train_freq in steps"

@@ -213,7 +213,7 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         raise
     except (OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError) as error:
         raise _damaged(path, error) from error
-    except (zipfile.BadZipFile, AttributeError) as error:
+    except (zipfile.BadZipFile, AttributeError, OverflowError) as error:
         raise _damaged(path, error) from error
 
 

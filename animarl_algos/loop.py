@@ -248,10 +248,13 @@ class OnlineLoop(OffPolicyAlgorithm):
         They are uniformly random in the first ``learning_starts`` steps.
         """
         policy, hidden, temperature = self.policy, self.memory[0], self.policy.temperature
+        policy.epsilon = self.exploration_rate
         if self.num_timesteps < learning_starts:
             policy.epsilon, policy.temperature = 1.0, None
-        actions, self.memory = policy.predict(self._last_obs, self.memory)  # type: ignore
-        policy.epsilon, policy.temperature = self.exploration_rate, temperature
+        try:
+            actions, self.memory = policy.predict(self._last_obs, self.memory)  # type: ignore
+        finally:
+            policy.epsilon, policy.temperature = self.exploration_rate, temperature
         return actions, hidden
 
     def _forget(self, dones: NDArray[np.bool_]) -> None:

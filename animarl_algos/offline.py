@@ -8,7 +8,6 @@ validation figure is taken; the weights of the best epoch are kept.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
@@ -92,9 +91,14 @@ class OfflineLearner(OnlineLoop):
     offline_progress: OfflineProgress
     best_weights: dict[str, torch.Tensor] | None
 
-    @abstractmethod
     def reset_optimizer(self, learning_rate: float) -> None:
         """A new optimiser for the online network, with nothing accumulated."""
+        policy = self.policy
+        policy.optimizer = policy.optimizer_class(
+            policy.q_net.parameters(),
+            lr=learning_rate,  # type: ignore[call-arg]
+            **policy.optimizer_kwargs,
+        )
 
 
 def run_offline_phase(
@@ -102,7 +106,7 @@ def run_offline_phase(
 ) -> None:
     """Train ``model`` for its ``offline_epochs``, as ``offline_progress`` left off."""
     progress, policy = model.offline_progress, model.policy
-    _refuse_foreign(model, data)
+    refuse_foreign(model, data)
     if progress.epoch == 0:
         model.reset_optimizer(model.offline_learning_rate)
     bar = tqdm(
@@ -138,7 +142,7 @@ def run_offline_phase(
     model.best_weights = None
 
 
-def _refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
+def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
     """Demonstrations of other individuals, another observation or other actions are refused."""
     for name, dataset in (("training", data.train), ("validation", data.val)):
         batch = next(iter(dataset.batches(1)), None)
@@ -154,8 +158,9 @@ def _refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
                 f"observation components, the environment {mine[0]} with {mine[1]}: "
                 "make them for this environment"
             )
-        known = getattr(dataset, "individuals", None)
-        if known is not None and known != model.layout.individuals:
+        known = getattr(dataset, "individuals", None)  # of this package's datasets, if named
+        placed = getattr(model.env, "individuals", None)  # of a VecEnv of slots
+        if isinstance(known, tuple) and placed is not None and known != tuple(placed):
             raise InputError(
                 f"the {name} demonstrations are of {', '.join(known)}, the environment's "
                 f"individuals are {', '.join(model.layout.individuals)}: make them for this "

@@ -68,7 +68,7 @@ def open_run(
 
 
 def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
-    """Make the environment and the learner once, so that what does not fit is refused now.
+    """Make the environment and the learners once, so that what does not fit is refused now.
 
     Raises
     ------
@@ -84,10 +84,12 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         condition_flag=None,
         **asked.env_kwargs,
     )
-    learner = named_recipe(settings.algo).algorithm(
-        env=env, seed=settings.seed, device="cpu", **constructed(asked.arguments)
-    )
-    check_environment(env, learner.layout, learner.recipe)
+    for algo in {settings.algo, BEHAVIOUR_CLONING} if settings.baselines else {settings.algo}:
+        arguments = constructed(settings.learner(algo).arguments)
+        learner = named_recipe(algo).algorithm(
+            env=env, seed=settings.seed, device="cpu", **arguments
+        )
+        check_environment(env, learner.layout, learner.recipe)
 
 
 def load_demonstrations(

@@ -72,10 +72,13 @@ class RunSettings:
     def learner(self, algo: str | None = None) -> LearnerPreset:
         """The settings of the run's learner, or of the one it is compared with.
 
-        The other one gets the run's policy, but none of its other ``overrides`` or its ``config``.
+        The other one gets the run's policy, without quantiles, but none of its other ``overrides``
+        or its ``config``.
         """
         own = algo is None or algo == self.algo
         shared = {k: v for k, v in self.overrides.items() if k in ("policy", "policy_kwargs")}
+        if isinstance(network := shared.get("policy_kwargs"), dict):
+            shared["policy_kwargs"] = {k: v for k, v in network.items() if k != "n_quantiles"}
         return learner_preset(
             algo or self.algo,
             environment_id(self.species),

@@ -39,9 +39,24 @@ def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
 
     Looked for are ``max_episode_steps`` or ``time_limit`` of the VecEnv or its environments, and
     the Gymnasium spec.
+
+    Raises
+    ------
+    InputError
+        If it declares none.
     """
     if given is not None or env is None:
         return given
+    limit = declared_limit(env)
+    if limit is None:
+        raise InputError(
+            "the environment does not say how long an episode can last: give max_episode_steps"
+        )
+    return limit
+
+
+def declared_limit(env: VecEnv) -> int | None:
+    """The time limit [steps] that an environment tells of itself, if any."""
     for name in ("max_episode_steps", "time_limit"):
         declared = getattr(env, name, None)
         if declared is None and env.has_attr(name):
@@ -52,9 +67,7 @@ def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
     specs = [spec for spec in env.get_attr("spec") if spec is not None]
     if specs and all(spec.max_episode_steps for spec in specs):
         return max(int(spec.max_episode_steps) for spec in specs)
-    raise InputError(
-        "the environment does not say how long an episode can last: give max_episode_steps"
-    )
+    return None
 
 
 def checked_value(key: str, value: Any, like: Any, place: str) -> Any:

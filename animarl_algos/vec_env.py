@@ -114,6 +114,7 @@ class SlotVecEnv(VecEnv):
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
         self._pending: NDArray[np.int64] | None = None
+        self._offline_data: SpeciesDemonstrations | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
 
@@ -205,9 +206,11 @@ class SlotVecEnv(VecEnv):
         """The train and val splits of the demonstrations, for the offline phase."""
         if self.all_demos is None:
             raise InputError("the environment has no demonstrations: give demos=")
-        return SpeciesDemonstrations(
-            self.scenario.species, self.all_demos, self.individuals, self.condition_flag
-        )
+        if self._offline_data is None:  # its splits are made when first looked at
+            self._offline_data = SpeciesDemonstrations(
+                self.scenario.species, self.all_demos, self.individuals, self.condition_flag
+            )
+        return self._offline_data
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """All that decides the future, for exact resume."""

@@ -275,6 +275,13 @@ def settings(**more: Any) -> RunSettings:
     return RunSettings(**asked | more)
 
 
+def test_what_a_run_is_compared_with_gets_its_policy_without_quantiles() -> None:
+    network = {"n_quantiles": 10, "hidden": 8}
+    asked = settings(algo="qr-dqn", overrides={"policy_kwargs": network})
+    assert asked.learner().arguments["policy_kwargs"] == network
+    assert asked.learner("bc").arguments["policy_kwargs"] == {"hidden": 8}
+
+
 def one_condition() -> Any:
     return load_packaged("agent").select(condition=1)
 

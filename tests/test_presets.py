@@ -278,3 +278,9 @@ def test_a_file_that_is_its_own_base_is_refused(
     monkeypatch.setattr("animarl_algos.presets.CONFIGS", tmp_path)
     with pytest.raises(InputError, match="dqn: it is its own base"):
         learner_preset("dqn", AGENT)
+
+
+def test_epochs_in_a_file_are_a_number(tmp_path: Path) -> None:
+    (tmp_path / "own.yml").write_text("common: {default: {offline_epochs: true}}")
+    with pytest.raises(InputError, match=r"own\.yml: common: default: 'offline_epochs' is True"):
+        learner_preset("bc", "AnimaRL/Agent-v0", config=tmp_path / "own.yml")

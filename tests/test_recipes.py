@@ -154,6 +154,29 @@ def test_the_first_steps_are_random_whatever_the_temperature() -> None:
     assert model.policy.temperature == 1e-9
 
 
+def test_a_ctrl_c_in_the_random_steps_keeps_the_temperature(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    model = DQN("GruPolicy", toys.Pair(2), **SETTINGS, learning_starts=150)
+    model.policy.temperature = 0.7
+    monkeypatch.setattr(model.policy, "predict", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(10)
+    assert model.policy.temperature == 0.7
+
+
+def test_what_a_callback_leaves_in_the_acting_rule_changes_no_step() -> None:
+    def greedy(variables: dict[str, Any], _: dict[str, Any]) -> bool:
+        variables["self"].policy.epsilon = 0.0
+        return True
+
+    plain, watched = (make_pair_learner("dqn") for _ in range(2))
+    assert torch.equal(weights(plain.learn(80)), weights(watched.learn(80, callback=greedy)))
+
+
 def test_as_many_updates_as_steps() -> None:
     model = make_pair_learner("dqn", train_freq=(4, "step"), gradient_steps=-1).learn(80)
     before = model._n_updates

@@ -8,10 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 import toys
+from gymnasium.envs.classic_control import CartPoleEnv
 from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
 
 import animarl_algos.offline
@@ -109,6 +111,20 @@ def test_a_refused_environment_leaves_the_learner_as_it_was(tmp_path: Path) -> N
     assert loaded.n_envs == before
     loaded.set_env(toys.Pair(2))
     assert loaded.learn(20).num_timesteps == 20
+
+
+def test_an_environment_that_names_no_limit_is_taken_where_there_is_a_memory() -> None:
+    model = DQN("MlpPolicy", gym.make("CartPole-v1"), **SETTINGS)
+    model.set_env(CartPoleEnv())
+    assert model.learn(20).num_timesteps == 20
+
+
+def test_saved_settings_are_taken_as_they_were(tmp_path: Path) -> None:
+    """What a new learner is refused for did nothing, and does nothing."""
+    model = make_pair_learner("dqn").learn(40)
+    model.gradient_steps = 8
+    model.save(tmp_path / "model")
+    assert DQN.load(tmp_path / "model", env=toys.Pair(2), device="cpu").learn(20).gradient_steps
 
 
 # -- the offline phase ----------------------------------------------------------------------------

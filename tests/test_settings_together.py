@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium as gym
 import pytest
 import toys
 from pair_learners import SETTINGS, demonstrations, make_pair_learner, weights
 
+import animarl_envs
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.bc import BC
+from animarl_algos.dqdil import DQDIL
 from animarl_algos.dqn import DQN
 from animarl_algos.qrdqn import QRDQN
+from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.errors import InputError
+from animarl_envs.wrappers import DTWReward
+
+assert animarl_envs  # registers the ids
 
 
 def refused(kind: type[SequenceQLearning], policy: str, **more: Any) -> str:
@@ -92,6 +99,13 @@ def test_cloning_takes_the_epochs_of_the_paper_unless_told() -> None:
     model = BC("GruPolicy", toys.Pair(2), **SETTINGS)
     assert model.offline_epochs == 30
     assert "give offline_epochs" in refused(BC, "GruPolicy", offline_epochs=0)
+
+
+def test_named_demonstrations_serve_an_environment_without_names() -> None:
+    single = DTWReward(gym.make("AnimaRL/Agent-v0", focal="prey"))
+    shown = SlotVecEnv("agent", 1, focal="prey").offline_data()
+    model = DQDIL("GruPolicy", single, demonstrations=shown, offline_epochs=1, device="cpu")
+    assert model.pretrain().done
 
 
 def test_pretraining_again_changes_nothing() -> None:

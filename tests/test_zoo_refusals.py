@@ -129,3 +129,19 @@ def test_a_damaged_or_foreign_zip_is_refused(
         assert done.returncode == 2 and word in done.stderr
         assert "Traceback" not in done.stderr
     assert not (tmp_path / "logs").exists()
+
+
+def test_training_that_diverged_leaves_its_settings_to_look_at(
+    zoo: Callable[..., Done], tmp_path: Path
+) -> None:
+    done = zoo(
+        *("train", "--algo", "bc", "--env", "AnimaRL/Silkmoth-v0", "-n", "20"),
+        *(
+            "-params",
+            "offline_epochs:1",
+            "offline_learning_rate:1e30",
+            "offline_max_grad_norm:null",
+        ),
+    )
+    assert done.returncode == 2 and "offline training diverged" in done.stderr
+    assert list(tmp_path.glob("logs/bc/*/*/config.yml"))

@@ -121,6 +121,9 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         self._new_folders = [folder for folder in (run, *run.parents) if not folder.exists()]
         try:
             result: tuple[BaseAlgorithm, dict[str, Any]] | None = super().setup_experiment()
+            if result is not None:
+                assert isinstance(result[0], SequenceQLearning)
+                result[0].refuse_what_does_not_suit()
         except InputError:
             self._leave_no_folder()
             raise
@@ -187,19 +190,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             return super()._load_pretrained_agent(hyperparams, env)
 
     def learn(self, model: BaseAlgorithm) -> None:
-        """Train, with learning curves as CSV and TensorBoard in the folder of the run.
-
-        An environment or demonstrations that are refused before the first update leave no folder.
-        """
-        assert isinstance(model, SequenceQLearning)
-        try:
-            self._learn_and_log(model)
-        except InputError:
-            if model.num_timesteps == 0 and not model.offline_progress.history:
-                self._leave_no_folder()
-            raise
-
-    def _learn_and_log(self, model: BaseAlgorithm) -> None:
+        """Train, with learning curves as CSV and TensorBoard in the folder of the run."""
         if self.tensorboard_log is not None:  # stable-baselines3 writes there by itself
             super().learn(model)
             return
