@@ -211,9 +211,10 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         random.setstate((version, tuple(words), gauss))
     except InputError:
         raise
-    except (OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError) as error:
-        raise _damaged(path, error) from error
-    except (zipfile.BadZipFile, AttributeError, OverflowError) as error:
+    except (
+        OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile,
+        AttributeError, OverflowError,
+    ) as error:  # fmt: skip
         raise _damaged(path, error) from error
 
 

@@ -84,7 +84,8 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         condition_flag=None,
         **asked.env_kwargs,
     )
-    for algo in {settings.algo, BEHAVIOUR_CLONING} if settings.baselines else {settings.algo}:
+    compared = [BEHAVIOUR_CLONING] if settings.baselines else []
+    for algo in dict.fromkeys([settings.algo, *compared]):
         arguments = constructed(settings.learner(algo).arguments)
         learner = named_recipe(algo).algorithm(
             env=env, seed=settings.seed, device="cpu", **arguments

@@ -112,7 +112,8 @@ def known_settings(algo: str) -> dict[str, Any]:
     """Keys that a file may hold for ``algo``, each with its default (for its kind)."""
     parameters = inspect.signature(named_recipe(algo).algorithm.__init__).parameters
     arguments = {k: p.default for k, p in parameters.items() if k not in NOT_FOR_FILES}
-    return arguments | {"offline_epochs": 0} | SURROUNDINGS
+    whole = {"offline_epochs": 0}  # its own default depends on the recipe
+    return arguments | whole | SURROUNDINGS
 
 
 def pipeline_settings(env_id: str, preset: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from animarl_algos.bc import BC
 from animarl_algos.dqdil import DQDIL
 from animarl_algos.dqn import DQN
 from animarl_algos.qrdqn import QRDQN
+from animarl_algos.recurrent.policies import GruPolicy
 from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs.errors import InputError
 from animarl_envs.wrappers import DTWReward
@@ -68,6 +69,13 @@ def test_unknown_settings_of_either_policy_are_refused(policy: str) -> None:
 def test_temperatures_are_one_or_one_for_each_individual() -> None:
     said = refused(DQN, "GruPolicy", policy_kwargs={"temperature": [1.0, 2.0, 3.0]})
     assert said.startswith("temperature has 3 numbers for 2 individuals")
+
+
+@pytest.mark.parametrize("epsilon", [-0.1, 2.0])
+def test_a_policy_by_itself_refuses_what_is_no_probability(epsilon: float) -> None:
+    env = toys.Pair(2)
+    with pytest.raises(InputError, match=f"epsilon is {epsilon}"):
+        GruPolicy(env.observation_space, env.action_space, lambda _: 1e-3, epsilon=epsilon)
 
 
 def test_only_a_policy_with_a_memory_sees_its_previous_action_unless_asked() -> None:

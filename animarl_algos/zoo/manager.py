@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.base import SequenceQLearning
 from animarl_algos.presets import LearnerPreset, learner_preset, merged
 from animarl_algos.progress import ProgressBar
-from animarl_algos.ranges import COUNT
+from animarl_algos.ranges import COUNT, COUNT_OR_NONE
 from animarl_algos.recipes import named_recipe
 from animarl_algos.zoo.environments import (
     slot_environment,
@@ -112,8 +112,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             COUNT.check("--n-timesteps", self.n_timesteps)
         COUNT.check("--eval-episodes", self.n_eval_episodes)
         COUNT.check("--n-eval-envs", self.n_eval_envs)
-        if self.n_evaluations is not None:
-            COUNT.check("--n-evaluations", self.n_evaluations)
+        COUNT_OR_NONE.check("--n-evaluations", self.n_evaluations)
 
     def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
         """rl_zoo3's; a refused one leaves no folder for ``enjoy`` to find as the latest."""
