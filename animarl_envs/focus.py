@@ -12,8 +12,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.demonstrations import Demonstrations
-
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
 
@@ -50,9 +48,15 @@ def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> N
     return out
 
 
-def demonstration_focus(demos: Demonstrations) -> NDArray[np.float64]:
-    """Focus directions at all frames of the demonstrations, ``(frames, individuals, 2)``."""
-    return focus_directions(demos.positions, demos.roles)
+def distances_to_target(
+    positions: NDArray[np.float64], roles: Sequence[str]
+) -> NDArray[np.float64]:
+    """``(frames, pursuers)`` to the target, or of a searcher to the source at the origin."""
+    if "target" in roles:
+        return np.asarray(np.linalg.norm(positions[:, :-1] - positions[:, -1:], axis=2))
+    if "searcher" in roles:
+        return np.asarray(np.linalg.norm(positions, axis=2))
+    return np.full((len(positions), 1), np.inf)
 
 
 def _towards_nearest(

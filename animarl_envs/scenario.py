@@ -176,7 +176,7 @@ def make_scenario(
     ----------
     species
         A spec or its name; ``"custom"``: made from the demonstrations, by
-        :func:`animarl_envs.species.custom.species_of`.
+        :func:`animarl_envs.fitting.custom_species.species_of`.
     demos
         ``"packaged"``, a file, a :class:`Demonstrations` or ``None``.
     split
@@ -204,7 +204,7 @@ def make_scenario(
         loaded = first_pursuers(loaded, options.pop("num_pursuers"))
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
-        from animarl_envs.species.custom import species_of
+        from animarl_envs.fitting.custom_species import species_of
 
         if loaded is None:
             raise InputError(
@@ -312,6 +312,6 @@ def _load_demos(demos: Demos, species: Species | None) -> Demonstrations | None:
         raise InputError(
             f"demos is {demos!r}: give 'packaged', a file, a Demonstrations object or None"
         )
-    from animarl_envs.demos.readers import read
+    from animarl_envs.importing.readers import read
 
     return read(demos)

@@ -20,19 +20,19 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3.common.logger import Logger
 
-from animarl_algos.commands.run import parse_settings
+from animarl_algos.cli.run import parse_settings
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.distances import kde_distance
 from animarl_algos.evaluation.metrics import measure, measure_recordings
-from animarl_algos.presets import learner_preset
-from animarl_algos.recipes import named_recipe
-from animarl_algos.settings import constructed
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.learner.settings import constructed
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.presets import learner_preset
 from animarl_envs import environment_id
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.demos.readers import read
+from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.importing.readers import read
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species.custom import species_of
 from animarl_envs.worlds import make_world
 
 

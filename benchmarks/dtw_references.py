@@ -22,11 +22,11 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, interval
 from animarl_algos.evaluation.metrics import dtw_distances, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.wording import number, with_interval
+from animarl_algos.report.sentences import number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.readers import read
 from animarl_envs.fitting import fit_locomotion
 from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST, NUM_ACTIONS
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import get_species

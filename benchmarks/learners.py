@@ -43,16 +43,16 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.dqn import DQN
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
-from animarl_algos.offline import train_epoch, validation_figures
-from animarl_algos.presets import learner_preset
-from animarl_algos.recipes import named_recipe
-from animarl_algos.settings import constructed
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.offline import train_epoch, validation_figures
+from animarl_algos.learner.settings import constructed
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.presets import learner_preset
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world

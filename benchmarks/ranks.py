@@ -27,20 +27,20 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3.common.logger import Logger
 
-from animarl_algos.commands.run import parse_settings
-from animarl_algos.offline import Figures
-from animarl_algos.presets import LearnerPreset, learner_preset
-from animarl_algos.recipes import named_recipe
-from animarl_algos.settings import constructed
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.cli.run import parse_settings
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.offline import Figures
+from animarl_algos.learner.settings import constructed
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.presets import LearnerPreset, learner_preset
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.readers import read
+from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.species import Species
-from animarl_envs.species.custom import species_of
 
 LEARNERS = ("bc", "dqaas", "dqdil-pt", "qr-bc", "qr-dqaas", "qr-dqdil-pt")
 TOP = 3

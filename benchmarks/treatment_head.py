@@ -35,20 +35,20 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import LinearSchedule
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.commands.run import parse_settings
-from animarl_algos.dqcil import DQCIL
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.offline import OfflineDataset
-from animarl_algos.presets import learner_preset
-from animarl_algos.recipes import named_recipe
-from animarl_algos.settings import constructed
-from animarl_algos.updates import evaluate
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.cli.run import parse_settings
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.gradient_step import evaluate
+from animarl_algos.learner.offline import OfflineDataset
+from animarl_algos.learner.settings import constructed
+from animarl_algos.recipes.dqcil import DQCIL
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.presets import learner_preset
 from animarl_envs import environment_id
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.demos.readers import read
+from animarl_envs.importing.readers import read
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

@@ -9,11 +9,11 @@ import numpy as np
 from custom_species import HERDING
 
 import animarl_envs
-from animarl_algos.commands.watch import idle_actor, prepare
+from animarl_algos.cli.watch import idle_actor, prepare
+from animarl_envs.drawing.render import Renderer
+from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.files import write_then_rename
-from animarl_envs.render import Renderer
 from animarl_envs.scenario import make_scenario
-from animarl_envs.scene import SceneRecorder
 from animarl_envs.species import SPECIES, Species
 from animarl_envs.worlds import make_world
 

@@ -17,13 +17,13 @@ import numpy as np
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from animarl_envs.demos.cleaning import runs
-from animarl_envs.demos.courtship_published import BEHAVIOURS
-from animarl_envs.demos.courtship_shapes import MOVING_SHARE, is_moving, recorded_tracks
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.drawing.palette import PURSUERS, RECORDED, SIMULATED, TARGET, TOUCH, to_hex
 from animarl_envs.files import write_then_rename
-from animarl_envs.palette import PURSUERS, RECORDED, SIMULATED, TARGET, TOUCH, to_hex
+from animarl_envs.importing.cleaning import runs
+from tools.packaged_data.courtship_published import BEHAVIOURS
+from tools.packaged_data.courtship_shapes import MOVING_SHARE, is_moving, recorded_tracks
 
 IMAGES = Path(__file__).parent / "images"
 RECORDED_ANIMALS = {"fly": "groups of flies, recorded", "newt": "termite pairs, recorded"}

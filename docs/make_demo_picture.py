@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from animarl_algos.evaluation.figures import trajectory_pair
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.run_folder import RunFolder
+from animarl_algos.report.figures import trajectory_pair
+from animarl_algos.runs.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 PERCENTILES = (10, 30, 50, 70, 90)  # of the duration: chosen by rank, not by eye

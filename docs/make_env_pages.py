@@ -24,9 +24,9 @@ import animarl_envs
 from animarl_envs.arena import Arena
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.drawing.markdown import markdown_table
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, COAST
-from animarl_envs.markdown import markdown_table
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, ChaseSpecies, SearchSpecies, Species
 from animarl_envs.worlds import make_world

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.cutting import Cutting
-from animarl_envs.demos.following import demonstrations_from_tracks
-from animarl_envs.demos.readers import default_recipe, follow, get_reader, read, read_tracks
-from animarl_envs.demos.recipe import Recipe
-from animarl_envs.demos.tracks import merge
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.importing.build import demonstrations_from_tracks
+from animarl_envs.importing.cutting import Cutting
+from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.readers import default_recipe, follow, get_reader, read, read_tracks
+from animarl_envs.importing.tracks import merge
 
 DISH = 145.0  # diameter of the termites' dish [mm]
 PAIR_RATE = 30.0  # of the fly pair: assumed, its source gives none [Hz]

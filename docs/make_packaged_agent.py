@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from animarl_algos.evaluation import style
-from animarl_algos.evaluation.figures import draw_paths
+from animarl_algos.report import style
+from animarl_algos.report.figures import draw_paths
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.palette import PURSUERS, to_hex
+from animarl_envs.drawing.palette import PURSUERS, to_hex
 from animarl_envs.species import AGENT
 
 IMAGE = Path(__file__).parent / "images" / "packaged_agent.png"

@@ -18,11 +18,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.moth_statistics import of_demonstrations, recorded_statistics
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.palette import PURSUERS, RECORDED, SIMULATED, to_hex
+from animarl_envs.drawing.palette import PURSUERS, RECORDED, SIMULATED, to_hex
 from animarl_envs.species import SILKMOTH
-from animarl_envs.worlds.plume import ModelPlume
+from animarl_envs.worlds.plume.plume import ModelPlume
+from tools.packaged_data.moth_statistics import of_demonstrations, recorded_statistics
 
 PATTERN = 0  # whose searches are drawn
 COLOURS = {"recorded": to_hex(RECORDED), "full": to_hex(SIMULATED), "reduced": to_hex(PURSUERS[1])}

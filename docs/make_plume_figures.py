@@ -15,11 +15,11 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from animarl_envs.palette import RECORDED, SIMULATED, to_hex
-from animarl_envs.worlds.filaments import FilamentModel
-from animarl_envs.worlds.plume import ModelPlume
-from animarl_envs.worlds.plume_fit import compare, expected_map
-from animarl_envs.worlds.plume_probe import ENOUGH, CellMap, Probe
+from animarl_envs.drawing.palette import RECORDED, SIMULATED, to_hex
+from animarl_envs.worlds.plume.filaments import FilamentModel
+from animarl_envs.worlds.plume.plume import ModelPlume
+from tools.packaged_data.plume_fit import compare, expected_map
+from tools.packaged_data.plume_probe import ENOUGH, CellMap, Probe
 
 IMAGES = Path(__file__).parent / "images"
 COLOURS = {"recorded": to_hex(RECORDED), "model": to_hex(SIMULATED)}

@@ -10,8 +10,8 @@ import torch
 import toys
 from stable_baselines3.common.utils import LinearSchedule
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.losses import mean_recall, treatment_counts, treatment_cross_entropy
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.losses.losses import mean_recall, treatment_counts, treatment_cross_entropy
 
 SETTINGS: dict[str, Any] = {
     "learning_rate": 3e-3,

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import torch
 
-from animarl_algos.values import take_action
+from animarl_algos.losses.values import take_action
 
 
 @dataclass(frozen=True)
 class GivenValues:
-    """See :class:`animarl_algos.terms.ActionValues`; ``values`` (K, T + 1, B, A, Q)."""
+    """See :class:`animarl_algos.losses.terms.ActionValues`; ``values`` (K, T + 1, B, A, Q)."""
 
     values: torch.Tensor
 

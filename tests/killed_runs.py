@@ -14,10 +14,10 @@ import torch
 from pair_learners import make_pair_learner
 from stable_baselines3.common.utils import LinearSchedule
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
-from animarl_algos.pipeline import open_run, train
-from animarl_algos.run_settings import RunSettings
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.runs.pipeline import open_run, train
+from animarl_algos.runs.run_settings import RunSettings
 
 ALGO = "qr-dqcil-pt"
 EPOCHS = 4
@@ -63,8 +63,8 @@ class Announcing(CheckpointCallback):
 
 
 if __name__ == "__main__":
-    import animarl_algos.pipeline
+    import animarl_algos.runs.pipeline
 
     torch.set_num_threads(1)
-    CheckpointCallback = animarl_algos.pipeline.CheckpointCallback = Announcing  # type: ignore
+    CheckpointCallback = animarl_algos.runs.pipeline.CheckpointCallback = Announcing  # type: ignore
     RUNS[sys.argv[1]](Path(sys.argv[2]))

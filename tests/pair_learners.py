@@ -9,12 +9,12 @@ import numpy as np
 import torch
 import toys
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.offline_data import OfflineDataset
-from animarl_algos.recipes import named_recipe
-from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.terms import Evaluation
-from animarl_algos.updates import evaluate
+from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.gradient_step import evaluate
+from animarl_algos.losses.terms import Evaluation
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.replay.batch import SequenceBatch
 
 SETTINGS: dict[str, Any] = {
     "learning_rate": 1e-3,

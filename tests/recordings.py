@@ -14,7 +14,7 @@ from animarl_envs.demos.demonstrations import TIME_OUT, UNFINISHED, Demonstratio
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES, ChaseSpecies
-from animarl_envs.worlds.chase import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld
 
 CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
 SPLITS = ("train", "train", "train", "train", "val", "test")

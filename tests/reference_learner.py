@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from reference_network import Weights, run_network, td_loss, treatment_loss
 from scripted_pair import Step
 
-from animarl_algos.base import SequenceQLearning
+from animarl_algos.learner.algorithm import SequenceQLearning
 
 ALPHA, BETA, FLOOR = 0.6, (0.4, 1.0), 1e-6  # of prioritised replay
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8  # of Adam

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch.nn import functional
 
-from animarl_algos.recurrent.networks import StackedQNetwork
+from animarl_algos.networks.networks import StackedQNetwork
 
 Weights = dict[str, torch.Tensor]
 

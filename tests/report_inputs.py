@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import ReportInputs, Rollouts, evaluate
-from animarl_algos.evaluation.report import render_report
+from animarl_algos.report.report import render_report
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting import IndividualFit, LocomotionFit

@@ -12,8 +12,8 @@ import numpy as np
 import toys
 from numpy.typing import NDArray
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.recurrent.batch import SequenceBatch
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.replay.batch import SequenceBatch
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from recordings import recordings_of
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH
-from animarl_envs.worlds.search import SearchWorld
+from animarl_envs.worlds.search.world import SearchWorld
 
 ODOUR, FLOW, WIND = slice(3, 5), 5, slice(6, 10)
 STRAIGHT_UPWIND, DOWNWIND = 0, 6

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 
 NUM_ACTIONS = 5
 STATE = 2

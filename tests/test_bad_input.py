@@ -16,7 +16,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.worlds.plume import Plume
+from animarl_envs.worlds.plume.plume import Plume
 
 MAKE: dict[str, Callable[..., Any]] = {
     "single": lambda name, **given: gym.make(animarl_envs.environment_id(name), **given),

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.readers import read
+from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST, Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY
-from animarl_envs.worlds.chase import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld
 from animarl_envs.worlds.rules import LOOKAHEAD, WALL_MARGIN
 
 Array = NDArray[Any]

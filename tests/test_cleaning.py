@@ -10,14 +10,14 @@ import pytest
 from numpy.typing import NDArray
 
 from animarl_envs.demos import assign_splits
-from animarl_envs.demos.cleaning import Cleaning, clean, fill_gaps, find_jumps, resample, smooth
-from animarl_envs.demos.cutting import Cutting, cut_episodes, most_approached
-from animarl_envs.demos.following import demonstrations_from_tracks
-from animarl_envs.demos.recipe import Recipe
-from animarl_envs.demos.scaling import Scale, Scaling, scale_of
 from animarl_envs.demos.splits import Splitting
-from animarl_envs.demos.tracks import Tracks, merge
 from animarl_envs.errors import InputError
+from animarl_envs.importing.build import demonstrations_from_tracks
+from animarl_envs.importing.cleaning import Cleaning, clean, fill_gaps, find_jumps, resample, smooth
+from animarl_envs.importing.cutting import Cutting, cut_episodes, most_approached
+from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.scaling import Scale, Scaling, scale_of
+from animarl_envs.importing.tracks import Tracks, merge
 
 CHASE = ("pursuer", "target")
 

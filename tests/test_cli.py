@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from commands import Done
 
-from animarl_algos.cli import main
-from animarl_algos.commands.watch import prepare
+from animarl_algos.cli.main import main
+from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.run_folder import RunFolder
+from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
@@ -148,7 +148,7 @@ def test_a_command_that_is_stopped_says_how_to_go_on(
     command = ("train", str(small), "--algo", "dqn", *TINY[:4], "--out", "run")
     before = signal.getsignal(signal.SIGTERM)
     with monkeypatch.context() as patched:
-        patched.setattr("animarl_algos.pipeline.train", interrupted)
+        patched.setattr("animarl_algos.runs.pipeline.train", interrupted)
         done = animarl(*command)
     assert signal.getsignal(signal.SIGTERM) == before
     assert done.returncode == code and "the same command takes up" in done.stderr

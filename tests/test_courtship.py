@@ -11,21 +11,21 @@ import pytest
 from typer.testing import CliRunner
 
 import animarl_envs
-from animarl_algos.cli import app
-from animarl_envs.demos import courtship
-from animarl_envs.demos.courtship_behaviour import simulate
-from animarl_envs.demos.courtship_episodes import durations, outcomes
-from animarl_envs.demos.courtship_published import BEHAVIOURS, PUBLISHED, SHAPES
-from animarl_envs.demos.courtship_shapes import LEVELS, fit, is_moving, measure, quantile
-from animarl_envs.demos.courtship_statistics import BINS, speed_histogram, table
-from animarl_envs.demos.cutting import distances_to_target
+from animarl_algos.cli.main import app
 from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import demonstrated_actions, fit_locomotion
+from animarl_envs.focus import distances_to_target
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import get_species
-from animarl_envs.worlds.chase import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld
+from tools.packaged_data import courtship
+from tools.packaged_data.courtship_behaviour import simulate
+from tools.packaged_data.courtship_episodes import durations, outcomes
+from tools.packaged_data.courtship_published import BEHAVIOURS, PUBLISHED, SHAPES
+from tools.packaged_data.courtship_shapes import LEVELS, fit, is_moving, measure, quantile
+from tools.packaged_data.courtship_statistics import BINS, speed_histogram, table
 
 NAMES = sorted(PUBLISHED)
 DOCS = Path(__file__).parents[1] / "docs"

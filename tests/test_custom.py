@@ -18,14 +18,14 @@ from recordings import CHASER, PREY, dogs, search
 import animarl_envs
 from animarl_envs import fitting
 from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
-from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import contact_radius_of, species_of
+from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH, ChaseSpecies, SearchSpecies
-from animarl_envs.species.custom import contact_radius_of, species_of
 from animarl_envs.views import AnimalVectorEnv
-from animarl_envs.worlds.chase import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld
 
 pytestmark = [
     pytest.mark.filterwarnings("error"),

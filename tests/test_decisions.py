@@ -11,7 +11,7 @@ import pytest
 from report_inputs import make_demos, report_inputs
 
 from animarl_algos.evaluation.decisions import Decisions, decide_along
-from animarl_algos.evaluation.report import render_report
+from animarl_algos.report.report import render_report
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES
 

@@ -10,8 +10,9 @@ import pytest
 from report_inputs import make_demos, make_rollouts, report_inputs, report_page
 from rich.console import Console
 
-from animarl_algos.evaluation import Evaluation, evaluate, evaluation_table, measure, panels
-from animarl_algos.evaluation.report import render_report
+from animarl_algos.evaluation import Evaluation, evaluate, evaluation_table, measure
+from animarl_algos.report import panels
+from animarl_algos.report.report import render_report
 from animarl_envs.errors import InputError
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from animarl_algos.recurrent import feed_forward
-from animarl_algos.recurrent.gru import Packing
-from animarl_algos.recurrent.networks import StackedQNetwork
+from animarl_algos.networks.gru import Packing
+from animarl_algos.networks.kernels import feed_forward
+from animarl_algos.networks.networks import StackedQNetwork
 
 NAMES = ("predator_0", "predator_1", "prey")
 T, B, N, A = 3, 5, 4, 6

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations, assign_splits
-from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import (
     LocomotionFit,
@@ -23,7 +22,8 @@ from animarl_envs.fitting import (
 )
 from animarl_envs.fitting.joint import bootstrap_joint
 from animarl_envs.fitting.onset import bootstrap_onset, onset_data
-from animarl_envs.focus import demonstration_focus, focus_directions
+from animarl_envs.focus import focus_directions
+from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST, Locomotion, apply_actions
 
 TRUTH = (Locomotion(0.3, 2.0), Locomotion(0.15, 1.2), Locomotion(0.25, 3.0))
@@ -259,4 +259,4 @@ def test_actions_of_the_agents_are_those_recorded(agents: Demonstrations) -> Non
     accelerating = (recorded != COAST) & (recorded >= 0)
     assert np.mean(inferred[accelerating] == recorded[accelerating]) == 1.0
     assert np.mean(inferred == recorded) == 1.0
-    assert np.isfinite(demonstration_focus(agents)).all()
+    assert np.isfinite(agents.focus()).all()

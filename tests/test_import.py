@@ -12,14 +12,14 @@ import typer
 from tracker_files import write_agents, write_long, write_native, write_slp, write_trex
 from typer.testing import CliRunner
 
-from animarl_algos.commands import data
-from animarl_algos.commands.fit import fit_command
-from animarl_algos.commands.importing import import_command
+from animarl_algos.cli import data
+from animarl_algos.cli.fit import fit_command
+from animarl_algos.cli.importing import import_command
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.readers import default_recipe, follow, get_reader, read
-from animarl_envs.demos.recipe import Recipe
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
+from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.readers import default_recipe, follow, get_reader, read
 
 APP = typer.Typer()
 APP.command("import")(import_command)

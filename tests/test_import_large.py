@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ANIMARL = [sys.executable, "-c", "from animarl_algos.cli import main; main()"]
+ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
 ROWS_IN_A_GIGABYTE = 28_800_000
 GIGABYTE = 10**9
 
@@ -66,7 +66,7 @@ def test_imports_read_a_large_table_in_pieces(tmp_path: Path) -> None:
         "import resource, sys\n"
         "from pathlib import Path\n"
         "import pandas, scipy.signal\n"
-        "from animarl_envs.demos.readers import default_recipe, follow, get_reader\n"
+        "from animarl_envs.importing.readers import default_recipe, follow, get_reader\n"
         "peak = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024\n"
         "before, told = peak(), []\n"
         "recipe = default_recipe(get_reader('long-table'), frame_rate=100.0, decision_rate=10.0)\n"

@@ -14,7 +14,7 @@ import pytest
 from test_import import animarl
 from tracker_files import KINDS, POSE, write_slp
 
-from animarl_envs.demos.readers import registry
+from animarl_envs.importing.readers import registry
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = DOCS / "data"

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.moth_comparison import RECORDED_FIT
-from animarl_envs.demos.readers import default_recipe, follow, get_reader
-from animarl_envs.demos.recipe import Recipe
 from animarl_envs.fitting import fit_locomotion
+from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.readers import default_recipe, follow, get_reader
+from tools.packaged_data.moth_comparison import RECORDED_FIT
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_import_of_termite_pairs_cut_from_three_to_one_body_length(
 
 @pytest.mark.realdata
 def test_import_of_the_sleap_clip_agrees_with_its_plain_array(data_dir: Path) -> None:
-    from animarl_envs.demos.readers import read_tracks
+    from animarl_envs.importing.readers import read_tracks
 
     folder = data_dir / "fly_courtship_sleapclip"
     (tracks,) = read_tracks(folder / "clip.2node.slp")

@@ -92,8 +92,8 @@ from animarl_envs.errors import MissingExtraError
 """
 NEEDS = {
     "render": "e = gym.make('AnimaRL/Agent-v0', render_mode='rgb_array'); e.reset(); e.render()",
-    "data": "from animarl_envs.demos.readers import read; read(sys.argv[1], source='sleap')",
-    "data ": "from animarl_envs.demos.readers import read; read(sys.argv[1])",
+    "data": "from animarl_envs.importing.readers import read; read(sys.argv[1], source='sleap')",
+    "data ": "from animarl_envs.importing.readers import read; read(sys.argv[1])",
 }
 
 
@@ -111,7 +111,7 @@ def test_a_missing_extra_is_named_in_a_sentence(need: str, tmp_path: Path) -> No
 
 def test_the_command_line_without_its_extra_says_so() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", f"{WITHOUT}\nfrom animarl_algos.cli import main; main()"],
+        [sys.executable, "-c", f"{WITHOUT}\nfrom animarl_algos.cli.main import main; main()"],
         capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 2

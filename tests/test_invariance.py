@@ -22,8 +22,8 @@ from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.plume import Plume
-from animarl_envs.worlds.search import SearchWorld
+from animarl_envs.worlds.plume.plume import Plume
+from animarl_envs.worlds.search.world import SearchWorld
 
 Array = NDArray[Any]
 STEPS = 25

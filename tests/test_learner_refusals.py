@@ -21,19 +21,19 @@ from pair_learners import (
 )
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
-import animarl_algos.offline
+import animarl_algos.learner.offline
 import animarl_envs
-from animarl_algos.bc import BC
-from animarl_algos.dqaas import DQAAS
-from animarl_algos.dqcil import DQCIL
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.dqn import DQN
-from animarl_algos.offline import train_epoch
-from animarl_algos.offline_data import OfflineDataset
-from animarl_algos.qrdqn import QRDQN
-from animarl_algos.recipes import named_recipe
-from animarl_algos.run_settings import RunSettings, asked_species, checked_species
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.offline import train_epoch
+from animarl_algos.recipes.bc import BC
+from animarl_algos.recipes.dqaas import DQAAS
+from animarl_algos.recipes.dqcil import DQCIL
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.qrdqn import QRDQN
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.run_settings import RunSettings, asked_species, checked_species
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.wrappers import DTWReward
@@ -259,7 +259,7 @@ def test_an_epoch_without_finite_values_is_never_the_best(monkeypatch: pytest.Mo
             )
         return row
 
-    monkeypatch.setattr(animarl_algos.offline, "train_epoch", broken_in_the_second)
+    monkeypatch.setattr(animarl_algos.learner.offline, "train_epoch", broken_in_the_second)
     model = make_pair_learner("dqdil-pt", offline_epochs=3)
     with pytest.raises(InputError, match=r"diverged in epoch 2 .* lower offline_learning_rate"):
         model.pretrain()

@@ -11,8 +11,8 @@ from given_values import GivenValues
 from sb3_contrib.common.utils import quantile_huber_loss
 from torch import nn
 
-from animarl_algos.gradient_reversal import reverse_gradient
-from animarl_algos.losses import (
+from animarl_algos.losses.gradient_reversal import reverse_gradient
+from animarl_algos.losses.losses import (
     action_cross_entropy,
     clip_grad_norm_per_individual,
     masked_mean,
@@ -21,9 +21,9 @@ from animarl_algos.losses import (
     treatment_counts,
     treatment_cross_entropy,
 )
-from animarl_algos.quantile_huber import quantile_huber, quantile_huber_definition
-from animarl_algos.terms import Evaluation, Phase
-from animarl_algos.values import (
+from animarl_algos.losses.quantile_huber import quantile_huber, quantile_huber_definition
+from animarl_algos.losses.terms import Evaluation, Phase
+from animarl_algos.losses.values import (
     ErrorLoss,
     ExpectedValue,
     Quantiles,

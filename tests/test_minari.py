@@ -11,9 +11,9 @@ import pytest
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.minari_io import export_minari, import_minari
-from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
+from animarl_envs.importing.minari_io import export_minari, import_minari
+from animarl_envs.importing.readers import read
 
 pytest.importorskip("minari")
 

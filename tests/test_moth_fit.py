@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animarl_envs.demos import moth_fit
-from animarl_envs.demos.moth_searches import search
-from animarl_envs.demos.moth_statistics import of_demonstrations, of_searches, recorded_moths
-from animarl_envs.demos.programmed_moth import MothProgramme
 from animarl_envs.species import SILKMOTH
+from animarl_envs.worlds.search.programmed_moth import MothProgramme
+from tools.packaged_data import moth_fit
+from tools.packaged_data.moth_searches import search
+from tools.packaged_data.moth_statistics import of_demonstrations, of_searches, recorded_moths
 
 
 def numbers(programme: MothProgramme) -> list[float]:

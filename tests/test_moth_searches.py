@@ -11,24 +11,24 @@ import pytest
 from typer.testing import CliRunner
 
 import animarl_envs  # noqa: F401  (registers the ids)
-from animarl_algos.cli import app
+from animarl_algos.cli.main import app
 from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
-from animarl_envs.demos.moth_comparison import comparison, rates
-from animarl_envs.demos.moth_published import PUBLISHED
-from animarl_envs.demos.moth_searches import SPLIT_OF_PATTERN, generate, search
-from animarl_envs.demos.moth_statistics import (
+from animarl_envs.demos.packaged import FOLDER, load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import infer_actions
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import SILKMOTH
+from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
+from tools.packaged_data.moth_comparison import comparison, rates
+from tools.packaged_data.moth_published import PUBLISHED
+from tools.packaged_data.moth_searches import SPLIT_OF_PATTERN, generate, search
+from tools.packaged_data.moth_statistics import (
     describe,
     of_demonstrations,
     of_searches,
     recorded_moths,
     wasserstein,
 )
-from animarl_envs.demos.packaged import FOLDER, load_packaged
-from animarl_envs.errors import InputError
-from animarl_envs.locomotion import infer_actions
-from animarl_envs.scenario import make_scenario
-from animarl_envs.species import SILKMOTH
-from animarl_envs.worlds.search import SearchWorld, demonstration_observations
 
 UPWIND = np.array([-1.0, 0.0])
 

@@ -9,11 +9,11 @@ import torch
 from sequences import LENGTHS, A, B, H, K, N, T, batch, torch_gru, valid_steps
 from torch import nn
 
-from animarl_algos.losses import clip_grad_norm_per_individual, masked_mean, squared_l2
-from animarl_algos.recurrent.gru import Packing
-from animarl_algos.recurrent.networks import StackedQNetwork
-from animarl_algos.recurrent.output import QOutput
-from animarl_algos.values import take_action
+from animarl_algos.losses.losses import clip_grad_norm_per_individual, masked_mean, squared_l2
+from animarl_algos.losses.values import take_action
+from animarl_algos.networks.gru import Packing
+from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.output import QOutput
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")

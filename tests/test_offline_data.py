@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from animarl_algos.offline_data import OfflineDataset, dynamics_scored_penalties
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.data.dataset import OfflineDataset, dynamics_scored_penalties
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.readers import read
 from animarl_envs.errors import InputError
-from animarl_envs.focus import demonstration_focus
+from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import (
     COAST,
     NUM_ACTIONS,
@@ -249,7 +248,7 @@ def test_recorded_actions_have_the_smallest_penalty(data_dir: Path) -> None:
     demos = read(data_dir / "agents_collab_hunting" / "episodes_c2ae_share_slow2.4.npz")
     demos = demos.select(episodes=np.arange(60))
     fitted = [Locomotion(0.25, u) for u in (2.4, 2.4, 3.0)]
-    focus = demonstration_focus(demos)
+    focus = demos.focus()
     penalties = dynamics_scored_penalties(demos, demos.velocities(), fitted, focus, demos.dt)
     recorded = demos.signals["actions"]
     taken = recorded >= 0

@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 import animarl_envs  # noqa: F401  registers the environments
-from animarl_envs.clips import write_clip
+from animarl_envs.drawing.clips import write_clip
 from animarl_envs.errors import InputError
-from animarl_envs.worlds.filaments import FilamentModel
-from animarl_envs.worlds.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
-from animarl_envs.worlds.plume_fit import compare, distance
-from animarl_envs.worlds.plume_probe import Probe, summarise, whiffs_and_blanks
+from animarl_envs.worlds.plume.filaments import FilamentModel
+from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
+from tools.packaged_data.plume_fit import compare, distance
+from tools.packaged_data.plume_probe import Probe, summarise, whiffs_and_blanks
 
 SMALL = replace(FilamentModel.fitted(), period=6.0)
 MOVIE = {"mm_per_pixel": 1.0, "source_pixel": (10, 0), "frame_rate": 30.0}

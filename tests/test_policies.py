@@ -10,7 +10,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.utils import ConstantSchedule
 
-from animarl_algos.recurrent.policies import GruPolicy, MlpPolicy, boltzmann
+from animarl_algos.networks.policies import GruPolicy, MlpPolicy, boltzmann
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")

@@ -9,16 +9,16 @@ from typing import Any
 import pytest
 import yaml
 
-from animarl_algos.presets import (
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.settings import constructed
+from animarl_algos.recipes.registry import RECIPES, named_recipe
+from animarl_algos.runs.presets import (
     CONFIGS,
     PRESETS,
     known_settings,
     learner_preset,
     pipeline_settings,
 )
-from animarl_algos.recipes import RECIPES, named_recipe
-from animarl_algos.settings import constructed
-from animarl_algos.vec_env import SlotVecEnv
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 
@@ -275,7 +275,7 @@ def test_a_file_that_is_its_own_base_is_refused(
 ) -> None:
     (tmp_path / "dqn.yml").write_text("base: dqdil")
     (tmp_path / "dqdil.yml").write_text("base: dqn")
-    monkeypatch.setattr("animarl_algos.presets.CONFIGS", tmp_path)
+    monkeypatch.setattr("animarl_algos.runs.presets.CONFIGS", tmp_path)
     with pytest.raises(InputError, match="dqn: it is its own base"):
         learner_preset("dqn", AGENT)
 

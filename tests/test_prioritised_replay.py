@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy import stats
 from step_streams import Stream, fill, make_buffer
 
-from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.recurrent.sum_tree import SumTrees
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.sum_tree import SumTrees
 
 
 @pytest.mark.parametrize("stratified", [True, False])

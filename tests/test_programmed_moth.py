@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animarl_envs.demos.moth_comparison import RECORDED_FIT
-from animarl_envs.demos.moth_statistics import search_statistics
-from animarl_envs.demos.programmed_moth import MothProgramme, ProgrammedMoth
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import ACTION_VECTORS, COAST, Locomotion
 from animarl_envs.species import SILKMOTH
+from animarl_envs.worlds.search.programmed_moth import MothProgramme, ProgrammedMoth
+from tools.packaged_data.moth_comparison import RECORDED_FIT
+from tools.packaged_data.moth_statistics import search_statistics
 
 QUIET = MothProgramme(motor_noise=0.0, pace_spread=0.0, pause_rate=0.0, surge_speed=0.021)
 

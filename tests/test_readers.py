@@ -29,8 +29,8 @@ from tracker_files import (
     write_trex,
 )
 
-from animarl_envs.demos.readers import available_readers, find_reader, follow, read, read_tracks
 from animarl_envs.errors import InputError
+from animarl_envs.importing.readers import available_readers, find_reader, follow, read, read_tracks
 
 HOLDING = {holds: [k for k in KINDS if KINDS[k].holds == holds] for holds in ("bodies", "poses")}
 FOUND = [kind for kind in KINDS if kind != "movement"]  # which is only used when it is named
@@ -94,7 +94,7 @@ def test_movement_loads_what_this_project_has_no_reader_for(tmp_path: Path) -> N
 
 
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
-    from animarl_envs.demos.recipe import Recipe
+    from animarl_envs.importing.import_recipe import Recipe
 
     write_trex(tmp_path)
     files = sorted(tmp_path.glob("video_fish*.npz"))
@@ -258,7 +258,7 @@ def test_parquet_columns_of_every_kind_give_the_same_numbers(tmp_path: Path) -> 
 def test_matlab_reader_agrees_with_scipy(packed: bool, tmp_path: Path) -> None:
     from scipy.io import loadmat, savemat
 
-    from animarl_envs.demos.readers.matlab import read_mat5
+    from animarl_envs.importing.readers.matlab import read_mat5
 
     numbers = {
         "paths": BODIES, "pixels": np.arange(300, dtype=np.uint8).reshape(3, 50, 2), "one": 3.5,

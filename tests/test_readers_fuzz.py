@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 from tracker_files import KINDS, Kind
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.readers import get_reader, read, read_tracks
-from animarl_envs.demos.readers.guards import ALLOWANCE, EXPANSION
-from animarl_envs.demos.tracks import Tracks
 from animarl_envs.errors import InputError
+from animarl_envs.importing.readers import get_reader, read, read_tracks
+from animarl_envs.importing.readers.guards import ALLOWANCE, EXPANSION
+from animarl_envs.importing.tracks import Tracks
 
 FEW, MANY = 8, 80  # damaged files of each kind in the normal and in the slow run
 PACKED = 3  # numbers that share a byte, where a table stores places in a list of values

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from tracker_files import agents_arrays, write_native, write_npy
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.readers import read, read_tracks
-from animarl_envs.demos.readers.unpickle import load_object_npy, load_plain
 from animarl_envs.errors import InputError
+from animarl_envs.importing.readers import read, read_tracks
+from animarl_envs.importing.readers.unpickle import load_object_npy, load_plain
 
 
 def _spoilt(tmp_path: Path, **changes: Any) -> Path:

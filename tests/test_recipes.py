@@ -15,8 +15,8 @@ from pair_learners import SETTINGS, make_pair_learner, weights
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger, configure
 
-from animarl_algos.dqn import DQN
-from animarl_algos.recipes import RECIPES
+from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import RECIPES
 
 
 @pytest.mark.parametrize("name", RECIPES)

@@ -9,17 +9,17 @@ import toys
 from given_values import GivenValues
 from pair_learners import SETTINGS, evaluated, make_pair_learner
 
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.exploration import LinearDecay, boltzmann_nll, fit_boltzmann_temperature
-from animarl_algos.offline import demonstrated_rank
-from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.terms import (
+from animarl_algos.learner.exploration import LinearDecay, boltzmann_nll, fit_boltzmann_temperature
+from animarl_algos.learner.gradient_step import sequence_priorities
+from animarl_algos.learner.offline import demonstrated_rank
+from animarl_algos.losses.terms import (
     Evaluation,
     ScoredActionsTemporalDifference,
     TemporalDifference,
     TreatmentAdversary,
 )
-from animarl_algos.updates import sequence_priorities
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.replay.batch import SequenceBatch
 
 
 def three_steps() -> SequenceBatch:

@@ -10,7 +10,7 @@ import torch
 from reference_learner import ALPHA, ReferenceLearner
 from scripted_pair import ScriptedPair, log_draws
 
-from animarl_algos.recipes import named_recipe
+from animarl_algos.recipes.registry import named_recipe
 
 STEPS = 120
 TOLERANCE = 1e-4

@@ -9,10 +9,10 @@ import torch
 import toys
 from pair_learners import SETTINGS, demonstrations, evaluated, make_pair_learner
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.recipes import named_recipe
-from animarl_algos.updates import update
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.gradient_step import update
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.registry import named_recipe
 
 
 def assert_weights_of_one(

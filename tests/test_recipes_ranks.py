@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from animarl_algos.presets import learner_preset
-from animarl_algos.recipes import named_recipe
-from animarl_algos.settings import constructed
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.settings import constructed
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.presets import learner_preset
 
 CHANCE = 3 / 13
 

@@ -12,12 +12,12 @@ from pair_learners import demonstrations, evaluated, make_pair_learner
 from scripted_pair import ScriptedPair
 from stable_baselines3.common.callbacks import BaseCallback
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.dqaas import DQAAS
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.dqn import DQN
-from animarl_algos.recurrent.batch import SequenceBatch
-from animarl_algos.terms import ActionSupervision
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.losses.terms import ActionSupervision
+from animarl_algos.recipes.dqaas import DQAAS
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.dqn import DQN
+from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.wrappers import DTWReward
 
 NEVER = 10**9

@@ -13,9 +13,9 @@ import pytest
 from report_inputs import HOSTILE, make_demos, make_rollouts, report_inputs, report_page
 
 from animarl_algos.evaluation import ReportInputs, evaluate, write_report
-from animarl_algos.evaluation.report import render_report
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.wording import with_interval
+from animarl_algos.report.report import render_report
+from animarl_algos.report.sentences import with_interval
 from animarl_envs.errors import InputError
 
 

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.wording import cautions, headline, number, with_interval
+from animarl_algos.report.sentences import cautions, headline, number, with_interval
 
 
 def comparison(mean: float, low: float, high: float) -> pd.DataFrame:

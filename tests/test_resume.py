@@ -16,8 +16,8 @@ import torch
 import toys
 from pair_learners import SETTINGS, demonstrations, weights
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.checkpoint import (
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import (
     CheckpointCallback,
     in_short,
     latest_checkpoint,
@@ -25,11 +25,11 @@ from animarl_algos.checkpoint import (
     save_checkpoint,
     serialised,
 )
-from animarl_algos.dqaas import DQAAS
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.dqn import DQN
-from animarl_algos.qrdqn import QRDQN
-from animarl_algos.run_folder import RunFolder
+from animarl_algos.recipes.dqaas import DQAAS
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.qrdqn import QRDQN
+from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.errors import InputError
 
 STEPS = 400
@@ -147,7 +147,7 @@ FULL = """
 import resource, signal, sys
 sys.path.insert(0, sys.argv[2])
 from pathlib import Path
-from animarl_algos.run_folder import RunFolder
+from animarl_algos.runs.run_folder import RunFolder
 from test_resume import make, InputError, load_checkpoint, save_checkpoint, weights
 folder = Path(sys.argv[1]) / "checkpoints"
 run = RunFolder(folder.parent)

@@ -13,7 +13,7 @@ import pytest
 import torch
 from pair_learners import weights
 
-from animarl_algos.checkpoint import latest_checkpoint, steps_done
+from animarl_algos.learner.checkpoint import latest_checkpoint, steps_done
 
 
 def kill(run: str, folder: Path, boundaries: int, delay: float) -> None:

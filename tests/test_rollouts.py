@@ -17,7 +17,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import TARGET_OUT, TIME_OUT, Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
-from animarl_envs.worlds.chase import ChaseWorld
+from animarl_envs.worlds.chase.world import ChaseWorld
 
 STARTS = [
     [(-0.5, 0.0), (0.5, 0.0), (0.0, 0.5)],

@@ -16,9 +16,9 @@ import toys
 from gymnasium.envs.classic_control import CartPoleEnv
 from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
 
-import animarl_algos.offline
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.dqn import DQN
+import animarl_algos.learner.offline
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.dqn import DQN
 from animarl_envs.errors import InputError
 
 
@@ -148,7 +148,7 @@ def test_a_learner_saved_in_mid_pretraining_keeps_its_best_epoch(
         return {f"val/{model.recipe.selection}": next(figures)}
 
     loaded = None
-    monkeypatch.setattr(animarl_algos.offline, "validation_figures", scored)
+    monkeypatch.setattr(animarl_algos.learner.offline, "validation_figures", scored)
     with pytest.raises(Stop):
         model.pretrain()
     best = model.best_weights

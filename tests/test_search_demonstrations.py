@@ -14,7 +14,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH
-from animarl_envs.worlds.search import SearchWorld, demonstration_observations
+from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
 
 
 def test_training_and_held_out_episodes_have_their_own_plumes() -> None:

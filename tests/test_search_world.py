@@ -14,8 +14,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
-from animarl_envs.worlds.plume import ModelPlume, hit_table
-from animarl_envs.worlds.search import SearchWorld, antennae_at
+from animarl_envs.worlds.plume.plume import ModelPlume, hit_table
+from animarl_envs.worlds.search.world import SearchWorld, antennae_at
 
 
 def reference(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from step_streams import Stream, fill, make_buffer
 
-from animarl_algos.recurrent import memory_limit
-from animarl_algos.recurrent.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay import memory_limit
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
 

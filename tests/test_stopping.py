@@ -14,10 +14,10 @@ import toys
 from pair_learners import make_pair_learner, weights
 from stable_baselines3.common.callbacks import BaseCallback
 
-import animarl_algos.offline
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
-from animarl_algos.offline import train_epoch
+import animarl_algos.learner.offline
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.learner.offline import train_epoch
 
 STEPS = 240
 
@@ -108,7 +108,7 @@ def test_ctrl_c_in_the_last_epoch_is_raised(
             interrupt()
         return train_epoch(model, data, epoch)
 
-    monkeypatch.setattr(animarl_algos.offline, "train_epoch", last_is_interrupted)
+    monkeypatch.setattr(animarl_algos.learner.offline, "train_epoch", last_is_interrupted)
     with pytest.raises(KeyboardInterrupt):
         make_pair_learner("bc").learn(100, callback=CheckpointCallback(tmp_path, every=10_000))
     resumed = make_pair_learner("bc")

@@ -11,13 +11,13 @@ import toys
 from pair_learners import Split
 from treatment_probe import probe_balanced_accuracy
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.bc import BC
-from animarl_algos.dqaas import DQAAS
-from animarl_algos.dqcil import DQCIL
-from animarl_algos.dqdil import DQDIL
-from animarl_algos.dqn import DQN
-from animarl_algos.offline_data import OfflineDataset
+from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.recipes.bc import BC
+from animarl_algos.recipes.dqaas import DQAAS
+from animarl_algos.recipes.dqcil import DQCIL
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.dqn import DQN
 
 LEARN: dict[str, Any] = {
     "learning_rate": 3e-3,

@@ -14,17 +14,23 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from animarl_algos.trained_chase import training as training_module
-from animarl_algos.trained_chase.__main__ import app, main
-from animarl_algos.trained_chase.chases import EPSILON, Chases, chase, generate
-from animarl_algos.trained_chase.comparison import (
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import FOLDER, load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.species import AGENT
+from tools.packaged_data.trained_chase import training as training_module
+from tools.packaged_data.trained_chase.__main__ import app, main
+from tools.packaged_data.trained_chase.chases import EPSILON, Chases, chase, generate
+from tools.packaged_data.trained_chase.comparison import (
     difference_interval,
     encirclement,
     mean_interval,
     measure,
     statistics_table,
 )
-from animarl_algos.trained_chase.training import (
+from tools.packaged_data.trained_chase.training import (
     PACKAGED_WEIGHTS,
     ChaseTraining,
     load_weights,
@@ -33,12 +39,6 @@ from animarl_algos.trained_chase.training import (
     train,
     weights_file,
 )
-from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.packaged import FOLDER, load_packaged
-from animarl_envs.errors import InputError
-from animarl_envs.fitting import fit_locomotion
-from animarl_envs.fitting.transitions import demonstrated_actions
-from animarl_envs.species import AGENT
 
 TINY = ChaseTraining(steps=1500, copies=16, buffer_size=10_000, checkpoint_every=500)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import animarl_envs
-from animarl_algos.demonstration_data import demonstration_rewards
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.data.species_data import demonstration_rewards
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario

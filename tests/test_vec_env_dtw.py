@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from textbook_dtw import textbook
 
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.fitting.transitions import demonstrated_actions
 
 

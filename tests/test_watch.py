@@ -12,11 +12,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from animarl_algos.commands.watch import Rule, play, prepare, trained_actor, watch_command
+from animarl_algos.cli.watch import Rule, play, prepare, trained_actor, watch_command
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.drawing.render import Renderer
 from animarl_envs.errors import InputError
-from animarl_envs.render import Renderer
 
 NEWT, MOTH = "AnimaRL/Newt-v0", "AnimaRL/Silkmoth-v0"
 
@@ -115,8 +115,8 @@ class Pusher:
 
 
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
-    from animarl_algos.run_folder import RunFolder
-    from animarl_algos.run_settings import RunSettings
+    from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
     from animarl_envs.fitting import fit_locomotion
 

@@ -18,8 +18,8 @@ from commands import Done
 from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
-from animarl_algos.presets import known_settings, learner_preset
-from animarl_algos.recipes import RECIPES
+from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.runs.presets import known_settings, learner_preset
 from animarl_algos.zoo import enjoy, manager, samplers
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment

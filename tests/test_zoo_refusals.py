@@ -14,7 +14,7 @@ from gymnasium.envs.classic_control import CartPoleEnv
 from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
-from animarl_algos.recipes import RECIPES
+from animarl_algos.recipes.registry import RECIPES
 
 DQN = ["train", "--algo", "dqn", "--env", AGENT]
 

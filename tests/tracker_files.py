@@ -303,7 +303,7 @@ def write_npz(folder: Path) -> Path:
 
 
 def write_minari(folder: Path) -> Path:
-    from animarl_envs.demos.minari_io import export_minari
+    from animarl_envs.importing.minari_io import export_minari
 
     native = write_native(folder)
     demos = Demonstrations.load(native)

@@ -6,8 +6,8 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from animarl_algos.losses import mean_recall, treatment_counts
-from animarl_algos.recurrent.networks import TREATMENT_UNITS
+from animarl_algos.losses.losses import mean_recall, treatment_counts
+from animarl_algos.networks.networks import TREATMENT_UNITS
 
 SMALLEST_SCALE = 1e-3
 """Units that vary by less are not blown up to unit variance."""

@@ -17,7 +17,7 @@ from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.worlds import demonstration_observations
-from animarl_envs.worlds.chase import observe
+from animarl_envs.worlds.chase.world import observe
 
 Floats = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import rl_zoo3.train
 import torch
 import yaml
 
-from animarl_algos.presets import PRESETS
-from animarl_algos.recipes import RECIPES
-from animarl_algos.run_settings import check_device
+from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.runs.presets import PRESETS
+from animarl_algos.runs.run_settings import check_device
 from animarl_algos.zoo.enjoy import enjoy
 from animarl_algos.zoo.environments import species_of_id
 from animarl_algos.zoo.manager import EVAL_BY_LENGTH, AnimalExperimentManager

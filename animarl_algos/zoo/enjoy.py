@@ -13,15 +13,15 @@ from huggingface_sb3 import EnvironmentName
 from rl_zoo3.utils import get_model_path
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.commands.watch import play, trained_actor
-from animarl_algos.focal import FocalPolicy
-from animarl_algos.recipes import RECIPES
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.cli.watch import play, trained_actor
+from animarl_algos.data.focal import FocalPolicy
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.zoo.environments import slot_environment, species_of_id
 from animarl_algos.zoo.models import check_fit, load_model
+from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.errors import InputError
-from animarl_envs.render import CLIP_SUFFIXES, Renderer, write_clip
 
 
 def enjoy(arguments: list[str]) -> None:

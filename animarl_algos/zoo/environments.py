@@ -8,7 +8,7 @@ import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from animarl_algos.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.errors import InputError
 
 NOT_SLOTS = ("others", "render_mode")

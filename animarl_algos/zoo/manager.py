@@ -22,11 +22,11 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.presets import LearnerPreset, learner_preset, merged
-from animarl_algos.progress import ProgressBar
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.progress import ProgressBar
 from animarl_algos.ranges import COUNT, COUNT_OR_NONE
-from animarl_algos.recipes import named_recipe
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.presets import LearnerPreset, learner_preset, merged
 from animarl_algos.zoo.environments import (
     slot_environment,
     species_of_id,

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.base import SequenceQLearning
-from animarl_algos.recipes import named_recipe
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.recipes.registry import named_recipe
 from animarl_envs.errors import InputError
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import optuna
 
-from animarl_algos.recipes import named_recipe
+from animarl_algos.recipes.registry import named_recipe
 
 Params = dict[str, Any]
 Sampler = Callable[[optuna.Trial, int, int, Params], Params]

@@ -25,6 +25,7 @@ from animarl_envs.demos.episode import (
 )
 from animarl_envs.demos.validation import validate
 from animarl_envs.errors import InputError
+from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import velocities
 from animarl_envs.species.base import Species
 
@@ -201,6 +202,10 @@ class Demonstrations:
         out = velocities(self.positions, self.initial_velocity[0], self.dt)
         out[self.offsets[:-1]] = self.initial_velocity
         return out
+
+    def focus(self) -> NDArray[np.float64]:
+        """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
+        return focus_directions(self.positions, self.roles)
 
     # -- selection --------------------------------------------------------------------------------
 

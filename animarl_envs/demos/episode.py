@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 SPLITS = ("train", "val", "test")
 
+FILLED = "filled"
+"""Signal ``(frames, individuals)``: the position was not tracked but filled in."""
+
 # Outcome codes, one per episode. k > 0: contact by individual k - 1.
 TIME_OUT = 0
 TARGET_OUT = -1  # the target left the boundary

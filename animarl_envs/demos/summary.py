@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from animarl_envs.demos.cleaning import FILLED
-from animarl_envs.demos.cutting import distances_to_target
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.episode import FILLED, PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.focus import distances_to_target
 
 RESTING_SHARE = 0.05  # of the 99th percentile of speed: below it an individual counts as resting
 OUTCOME_NAMES = {TIME_OUT: "time-out", TARGET_OUT: "target left", PURSUER_OUT: "a pursuer left"}

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.focus import demonstration_focus
 from animarl_envs.locomotion import Locomotion, apply_actions, infer_actions
 
 
@@ -42,7 +41,7 @@ def transitions(demos: Demonstrations, individual: int) -> Transitions:
     return Transitions(
         velocity=velocity[steps],
         next_velocity=velocity[steps + 1],
-        focus=demonstration_focus(demos)[steps, individual],
+        focus=demos.focus()[steps, individual],
         episode=np.repeat(np.arange(demos.num_episodes), demos.lengths - 1),
         num_episodes=demos.num_episodes,
         dt=demos.dt,
@@ -77,7 +76,7 @@ def demonstrated_actions(
             f"{demos.name}: {len(locomotion)} sets of locomotion parameters for "
             f"{demos.num_individuals} individuals: give one each"
         )
-    steps, velocity, focus = step_frames(demos), demos.velocities(), demonstration_focus(demos)
+    steps, velocity, focus = step_frames(demos), demos.velocities(), demos.focus()
     actions = np.full(velocity.shape[:2], -1, dtype=np.int8)
     for i, own in enumerate(locomotion):
         actions[steps, i] = infer_actions(

@@ -10,7 +10,7 @@ from animarl_envs.species.silkmoth import SILKMOTH
 SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH)}
 
 CUSTOM = "custom"
-"""Name of a species made from demonstrations, by :mod:`animarl_envs.species.custom`."""
+"""Name of a species made from demonstrations, by :mod:`animarl_envs.fitting.custom_species`."""
 
 __all__ = [
     "AGENT", "CUSTOM", "FLY", "NEWT", "SILKMOTH", "SPECIES",

@@ -191,7 +191,9 @@ class SearchSpecies(Species):
                 )
             object.__setattr__(self, name, tuple(int(p) for p in chosen))
         if self.plume != "model":
-            from animarl_envs.worlds.plume import as_plume  # the model itself is made when needed
+            from animarl_envs.worlds.plume.plume import (
+                as_plume,  # the model itself is made when needed
+            )
 
             as_plume(self.plume)
 

@@ -11,11 +11,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import describe, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import action_space, chosen_demos, observation_space
-from animarl_envs.views.picture import RENDER_MODES, Picture
 from animarl_envs.worlds import make_world
 
 Observations = dict[str, NDArray[np.float32]]

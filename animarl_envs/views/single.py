@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import describe
 from animarl_envs.species import Species
@@ -19,7 +20,6 @@ from animarl_envs.views.common import (
     focal_scenario,
     observation_space,
 )
-from animarl_envs.views.picture import RENDER_MODES, Picture
 from animarl_envs.worlds import make_world
 
 

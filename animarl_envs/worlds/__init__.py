@@ -20,10 +20,10 @@ __all__ = ["demonstration_observations", "make_world"]
 def make_world(scenario: Scenario, num_copies: int = 1) -> World:
     """The world of the scenario's species, with so many copies."""
     if isinstance(scenario.species, SearchSpecies):
-        from animarl_envs.worlds.search import SearchWorld
+        from animarl_envs.worlds.search.world import SearchWorld
 
         return SearchWorld(scenario, num_copies)
-    from animarl_envs.worlds.chase import ChaseWorld
+    from animarl_envs.worlds.chase.world import ChaseWorld
 
     return ChaseWorld(scenario, num_copies)
 
@@ -31,10 +31,10 @@ def make_world(scenario: Scenario, num_copies: int = 1) -> World:
 def demonstration_observations(species: Species, demos: Demonstrations) -> NDArray[np.float32]:
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
     if isinstance(species, SearchSpecies):
-        from animarl_envs.worlds import search
+        from animarl_envs.worlds.search.world import demonstration_observations as observe_search
 
-        return search.demonstration_observations(species, demos)
-    from animarl_envs.worlds.chase import observe
+        return observe_search(species, demos)
+    from animarl_envs.worlds.chase.world import observe
 
     assert isinstance(species, ChaseSpecies)
     return observe(species, demos.positions, demos.velocities())[0]

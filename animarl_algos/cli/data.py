@@ -1,0 +1,245 @@
+"""``animarl data``: look at demonstrations, check, split, convert and plot them."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from animarl_algos.cli.describing import Row, describe, hints
+from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.demos.splits import Splitting, deal
+from animarl_envs.demos.summary import episode_table, summarise
+from animarl_envs.drawing.summary_figure import plot_summary
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.minari_io import export_minari
+from animarl_envs.importing.readers import available_readers, read
+
+app = typer.Typer(
+    help="Look at, check, split, convert and plot demonstrations.",
+    epilog="For example: animarl data show agent. COMMAND --help gives more.",
+)
+DemosArgument = Annotated[
+    str, typer.Argument(help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).")
+]
+SHOWN_WARNINGS = 20
+OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
+
+
+@app.command("sources")
+def sources_command() -> None:
+    """List the readers and their options.
+
+    Example:
+
+      animarl data sources
+    """
+    table = Table("source", "reads", "options (--option name=value)")
+    for reader in available_readers():
+        table.add_row(reader.name, reader.description, ", ".join(reader.options))
+    wide_console().print(table)
+
+
+@app.command("show")
+def show_command(file: DemosArgument) -> None:
+    """Say what a file holds: individuals, episodes, durations, speeds, outcomes, provenance.
+
+    Examples:
+
+      animarl data show demos.npz
+
+      animarl data show agent
+    """
+    show(load(file))
+
+
+@app.command("check")
+def check_command(
+    file: DemosArgument,
+    out: Annotated[Path | None, typer.Option(help="Table per episode (.csv).")] = None,
+) -> None:
+    """Validate a file, name suspicious episodes, and write the table per episode.
+
+    Example:
+
+      animarl data check demos.npz --out episodes.csv
+    """
+    demos = load(file)
+    rows = episode_table(demos)
+    console = wide_console()
+    warnings = suspicions(demos, rows)
+    for warning in warnings[:SHOWN_WARNINGS]:
+        console.print(f"check: {warning}", highlight=False, soft_wrap=True)
+    if len(warnings) > SHOWN_WARNINGS:
+        console.print(f"check: and {len(warnings) - SHOWN_WARNINGS} more of this kind")
+    if out is not None:
+        with write_then_rename(out) as part, part.open("w", newline="") as target:
+            writer = csv.DictWriter(target, fieldnames=list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+    console.print(f"{file}: {len(rows)} episodes, all valid.", highlight=False, soft_wrap=True)
+
+
+@app.command("split")
+def split_command(
+    file: DemosArgument,
+    out: OutOption,
+    by: Annotated[str, typer.Option(help="recording, episode or group.")] = "recording",
+    pattern: Annotated[str | None, typer.Option(help="group: regular expression.")] = None,
+    fractions: Annotated[str, typer.Option(help="Of train, val, test.")] = "0.8,0.1,0.1",
+    seed: Annotated[int, typer.Option(help="Of the dealing.")] = 0,
+) -> None:
+    """Deal episodes to train, val and test again; recordings are not torn apart by default.
+
+    Examples:
+
+      animarl data split demos.npz --seed 1 --out dealt.npz
+
+      animarl data split demos.npz --by episode --fractions 0.6,0.2,0.2 --out dealt.npz
+    """
+    try:
+        shares = tuple(float(share) for share in fractions.split(","))
+    except ValueError:
+        raise InputError(
+            f"fractions are {fractions!r}: give three numbers, as 0.8,0.1,0.1"
+        ) from None
+    settings = Splitting(by=by, pattern=pattern, fractions=shares, seed=seed)  # type: ignore[arg-type]
+    demos = load(file)
+    report(deal(demos, settings), out, None)
+
+
+@app.command("convert")
+def convert_command(
+    file: DemosArgument,
+    out: OutOption,
+    source: Annotated[str | None, typer.Option(help="Reader of the file.")] = None,
+) -> None:
+    """Convert to .npz, .csv (long table), or a Minari dataset (a folder, no suffix).
+
+    Examples:
+
+      animarl data convert demos.npz --out demos.csv
+
+      animarl data convert demos.npz --out courtship-v0
+    """
+    demos = load(file, source)
+    if out.suffix == ".npz":
+        demos.save(out)
+    elif out.suffix == ".csv":
+        write_long_table(demos, out)
+    elif out.suffix == "":
+        export_minari(demos, out)
+    else:
+        raise InputError(f"{out}: the suffix says the format: .npz, .csv, or none for Minari")
+    wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
+
+
+@app.command("plot")
+def plot_command(file: DemosArgument, out: OutOption) -> None:
+    """Draw tracks, durations, path lengths, speeds and distances (.png, .svg, .pdf).
+
+    Example:
+
+      animarl data plot demos.npz --out demos.png
+    """
+    if out.suffix not in {".png", ".svg", ".pdf"}:
+        raise InputError(f"{out}: a figure ends in .png, .svg or .pdf: rename it")
+    plot_summary(load(file), out)
+    wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
+
+
+def load(file: str, source: str | None = None) -> Demonstrations:
+    """A packaged set by name, or a file."""
+    if file in packaged_names() and not Path(file).exists():
+        return load_packaged(file)
+    if not Path(file).exists():
+        raise InputError(
+            f"{file}: there is no such file, and packaged are {', '.join(packaged_names())}: check "
+            "the path"
+        )
+    return read(file, source)
+
+
+def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
+    """What a careful eye would look at again, in sentences."""
+    found = []
+    for name in demos.individuals:
+        top = np.array([row[f"top_speed_{name}"] for row in rows])
+        usual = float(np.median(top))
+        for row in rows:
+            if row[f"top_speed_{name}"] > 5 * usual > 0:
+                found.append(
+                    f"episode {row['episode']} ({row['recording']}): {name} reaches "
+                    f"{row[f'top_speed_{name}']:.3g}, five times the usual {usual:.3g}: a jump?"
+                )
+            if row[f"path_length_{name}"] == 0:
+                found.append(f"episode {row['episode']} ({row['recording']}): {name} never moves")
+    for split, count in summarise(demos)["splits"].items():
+        if count == 0:
+            found.append(f"split {split} is empty: deal again with 'animarl data split'")
+    torn = [
+        name
+        for name in np.unique(demos.recording)
+        if len(np.unique(demos.split[demos.recording == name])) > 1
+    ]
+    if torn:
+        found.append(
+            f"{len(torn)} of {len(np.unique(demos.recording))} recordings lie in several splits, "
+            f"{torn[0]} first"
+        )
+    return hints(demos) + found
+
+
+def write_long_table(demos: Demonstrations, out: Path) -> None:
+    """A row per frame and individual, as the long-table reader takes it."""
+    with write_then_rename(out) as part, part.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["recording", "frame", "id", "x", "y"])
+        for one in demos:
+            name = f"{one.recording}/{one.index}"
+            for frame, bodies in enumerate(one.positions.tolist()):
+                for who, (x, y) in zip(demos.individuals, bodies, strict=True):
+                    writer.writerow([name, frame, who, x, y])
+
+
+def report(demos: Demonstrations, out: Path | None, plan: Recipe | None) -> None:
+    """Show the demonstrations; write them, and the recipe that made them, if ``out`` is given."""
+    show(demos)
+    if out is None:
+        return
+    demos.save(out)
+    console = wide_console()
+    console.print(f"Wrote {out}", highlight=False, soft_wrap=True)
+    if plan is not None:
+        recipe_file = plan.save(out.with_suffix(".recipe.yaml"))
+        console.print(f"Wrote {recipe_file}, which repeats it", highlight=False, soft_wrap=True)
+
+
+def show(demos: Demonstrations) -> None:
+    """Print what demonstrations hold."""
+    show_rows(demos.name, describe(demos))
+
+
+def show_rows(title: str, rows: list[Row]) -> None:
+    """Print a table of names and words."""
+    table = Table(title=title, show_header=False, box=SIMPLE_HEAD, title_justify="left")
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, words in rows:
+        table.add_row(name, words)
+    wide_console().print(table, highlight=False)
+
+
+def wide_console() -> Console:
+    console = Console()
+    console.width = max(console.width, 100)
+    return console

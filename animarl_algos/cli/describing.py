@@ -1,0 +1,185 @@
+"""Demonstrations and recipes in words, with units: what the command line says about them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.splits import FEWEST_RECORDINGS
+from animarl_envs.demos.summary import TRACKING, episode_table, summarise
+from animarl_envs.importing.import_recipe import Recipe
+
+Row = tuple[str, str]
+_SPLITS = {
+    "auto": f"recording (by episode with fewer than {FEWEST_RECORDINGS})",
+    "group": "groups of recordings",
+}
+
+
+def describe(demos: Demonstrations) -> list[Row]:
+    """What a set of demonstrations holds, line by line."""
+    found = summarise(demos)
+    shortest, median, longest = (
+        found["duration"][key] for key in ("shortest", "median", "longest")
+    )
+    rows = [
+        ("species", demos.species),
+        ("individuals", ", ".join(f"{n} ({r})" for n, r in found["individuals"].items())),
+        ("kind", "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals"),
+        ("source", found["source"]),
+        ("licence", found["licence"]),
+        ("episodes", f"{demos.num_episodes} from {_count(found['recordings'], 'recording')}"),
+        ("splits", ", ".join(f"{count} {name}" for name, count in found["splits"].items())),
+        ("time step", f"{demos.dt:.4g} s ({1 / demos.dt:.4g} Hz), {found['frames']} frames"),
+        ("duration", f"{shortest:.3g} to {longest:.4g} s, median {median:.3g} s"),
+        ("in total", f"{found['total_duration']:.1f} s ({found['total_duration'] / 60:.1f} min)"),
+        ("arena", _arena(demos)),
+    ]
+    if "command" in demos.provenance:
+        rows.insert(4, ("made by", str(demos.provenance["command"])))
+    keypoints = demos.provenance.get("keypoints", [])
+    if len(keypoints) > 1:
+        used = {one.get("keypoint") for one in demos.provenance.get("cleaning", {}).values()}
+        rows.append(("keypoints", f"{', '.join(keypoints)}; used: {', '.join(map(str, used))}"))
+    for name in demos.individuals:
+        speed = found[f"speed of {name}"]
+        rows.append(
+            (
+                f"speed of {name}",
+                f"median {speed['median']:.3g}, 99th percentile {speed['99 %']:.3g} units/s, "
+                f"at rest {speed['resting']:.0%} of the time",
+            )
+        )
+    if "target" in demos.roles or "searcher" in demos.roles:
+        to = "target" if "target" in demos.roles else "source"
+        table = episode_table(demos)
+        first = float(np.median([row["first_distance"] for row in table]))
+        least = float(np.median([row["least_distance"] for row in table]))
+        rows.append(
+            (f"distance to the {to}", f"first {first:.3g}, least {least:.3g} units (medians)")
+        )
+    for condition in np.unique(demos.condition):
+        outcomes = found[f"outcomes, condition {condition}"]
+        rows.append(
+            (
+                f"outcomes, condition {condition}",
+                ", ".join(f"{name}: {count}" for name, count in outcomes.items()),
+            )
+        )
+    if demos.signals:
+        rows.append(("signals", ", ".join(found["signals"])))
+    tracking = [f"{found[f'frames: {key}']} {key}" for key in TRACKING if f"frames: {key}" in found]
+    if tracking:
+        rows.append(("frames flagged", ", ".join(tracking)))
+    return [*rows, ("fingerprint", found["fingerprint"])]
+
+
+def understood(recipe: Recipe, source: str, files: Sequence[Path]) -> list[Row]:
+    """What an import is going to do, line by line."""
+    clean, scale, cut, split = recipe.cleaning, recipe.scaling, recipe.cutting, recipe.splitting
+    cleaning = [f"keypoint {clean.keypoint}"]
+    if clean.min_confidence is not None:
+        cleaning.append(f"confidence of at least {clean.min_confidence:g}")
+    cleaning.append(
+        f"gaps of up to {clean.max_gap:g} s filled" if clean.max_gap else "gaps not filled"
+    )
+    cleaning.append("jumps taken out" if clean.drop_jumps else "jumps flagged")
+    cutoff = clean.smoothing_cutoff
+    cleaning.append(f"smoothed at {cutoff:g} Hz" if cutoff else "not smoothed")
+    if scale.shape == "open":
+        scaling = f"open field, {scale.units_per_arena_unit:g} of the file's units to an arena unit"
+    else:
+        size = "each recording's extent" if scale.width is None else f"{scale.width:g} units wide"
+        scaling = f"{scale.shape}, {size}"
+    if cut.mode == "approach":
+        cutting = f"from farther than {cut.farther_than:g} to closer than {cut.closer_than:g}"
+    elif cut.mode == "events":
+        cutting = f"by the table {cut.events}"
+    else:
+        cutting = "whole stretches without gaps"
+        if cut.piece is None:
+            cutting += ", a lone recording in pieces"
+        elif cut.piece < math.inf:
+            cutting += f" in pieces of {cut.piece:g} s"
+    rate = "the file's" if recipe.frame_rate is None else f"{recipe.frame_rate:g} Hz"
+    decisions = "every frame" if recipe.decision_rate is None else f"{recipe.decision_rate:g} Hz"
+    return [
+        ("read as", f"{source}, {_count(len(files), 'file')}"),
+        ("frame rate", f"{rate}; decisions at {decisions}"),
+        ("target", _target(recipe)),
+        ("cleaning", ", ".join(cleaning)),
+        ("scaling", scaling),
+        ("episodes", cutting),
+        ("splits", f"by {_SPLITS.get(split.by, split.by)}, seed {split.seed}"),
+    ]
+
+
+def hints(demos: Demonstrations) -> list[str]:
+    """What somebody who looks at the result may have missed."""
+    found = []
+    if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
+        found.append(
+            "nobody is the target: name who is pursued by --target NAME, or --target auto for the "
+            "one whom the others approach"
+        )
+    unfilled = sum(
+        one.get("untracked", 0) - one.get("filled", 0)
+        for one in demos.provenance.get("cleaning", {}).values()
+    )
+    if unfilled:
+        found.append(
+            f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
+            "--max-gap SECONDS"
+        )
+    return found + _flags(demos.provenance.get("cleaning", {}))
+
+
+def _flags(cleaning: Mapping[str, Any]) -> list[str]:
+    """Jumps and swaps in words, with the first of them, unless jumps were taken out."""
+    jumps = sum(one.get("jumps", 0) for one in cleaning.values())
+    swaps = sum(one.get("identity_swaps", 0) for one in cleaning.values())
+    if not jumps + swaps or any(one.get("jumps_dropped") for one in cleaning.values()):
+        return []
+    recording, first = next(
+        (recording, flag)
+        for recording, one in cleaning.items()
+        for flag in [*one.get("first_jumps", []), *one.get("first_swaps", [])]
+    )
+    return [
+        f"{_count(jumps, 'jump')} and {_count(swaps, 'swap')} of identities flagged in "
+        f"{_count(sum(bool(one.get('jumps')) for one in cleaning.values()), 'recording')}, first "
+        f"{' and '.join(first['individuals'])} at {first['time']:g} s of {recording}: look there, "
+        "or take jumps out by --drop-jumps"
+    ]
+
+
+def _target(recipe: Recipe) -> str:
+    if recipe.searcher:
+        return "the source at the origin"
+    if recipe.target is None:
+        return "none named"
+    return "who is approached" if recipe.target == "auto" else recipe.target
+
+
+def _arena(demos: Demonstrations) -> str:
+    arena = demos.arena
+    words = {"square": "square, half side 1", "disc": "disc, radius 1", "open": "open field"}
+    said = words[arena.shape]
+    if math.isfinite(arena.boundary):
+        said += f", boundary {arena.boundary:g}"
+    scales: Mapping[str, Any] = demos.provenance.get("scales", {})
+    units = sorted(float(scale["unit"]) for scale in scales.values())
+    if units:
+        low, high = f"{units[0]:.4g}", f"{units[-1]:.4g}"
+        span = low if low == high else f"{low} to {high}"
+        said += f"; an arena unit is {span} {demos.provenance.get('unit', 'units of the file')}"
+    return said
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"

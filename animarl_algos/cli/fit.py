@@ -1,0 +1,165 @@
+"""``animarl fit``: locomotion parameters of recorded individuals, as in the paper's Table 1."""
+
+from __future__ import annotations
+
+import csv
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from animarl_algos.cli.data import load
+from animarl_envs.demos import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.species import get_species
+
+TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
+
+
+class MethodChoice(StrEnum):
+    """What ``--method`` takes."""
+
+    joint = "joint"
+    onset = "onset"
+    both = "both"
+
+
+def fit_command(
+    file: Annotated[
+        str, typer.Argument(help="Demonstrations, a file that a reader knows, or a packaged set.")
+    ],
+    source: Annotated[
+        str | None, typer.Option(help="Reader; by default found by a look at the file.")
+    ] = None,
+    species: Annotated[
+        str | None, typer.Option(help="Take the onset threshold of this species.")
+    ] = None,
+    method: Annotated[
+        MethodChoice, typer.Option(help="joint (default), the paper's onset rule, or both.")
+    ] = MethodChoice.joint,
+    onset_threshold: Annotated[
+        float | None, typer.Option(help="th_acc of the onset rule, in arena unit / s^2.")
+    ] = None,
+    split: Annotated[
+        str, typer.Option(help="Episodes the parameters come from: train, val, test or all.")
+    ] = "train",
+    bootstrap: Annotated[int, typer.Option(help="Resamples of episodes for the intervals.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of the resampling.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Save the table: .csv, or .json to use it again.")
+    ] = None,
+) -> None:
+    """Fit damping d and thrust u of v' = (1 - d) v + u a dt to recorded episodes.
+
+    Examples:
+
+      animarl fit demos.npz
+
+      animarl fit episodes_share.npz --method both --split all --out fit.csv
+    """
+    if out is not None and out.suffix not in {".csv", ".json"}:
+        raise InputError(f"{out}: the suffix says how to save: use .csv or .json")
+    demos = load(file, source)
+    if species is not None and onset_threshold is None:
+        onset_threshold = get_species(species).recording.onset_threshold
+    console = Console()
+    console.width = max(console.width, TABLE_WIDTH)
+    fits: list[LocomotionFit] = []
+    methods = ("joint", "onset") if method is MethodChoice.both else (method.value,)
+    for name in methods:
+        try:
+            fit = fit_locomotion(
+                demos,
+                "onset" if name == "onset" else "joint",
+                onset_threshold=onset_threshold,
+                split=None if split == "all" else split,
+                bootstrap=bootstrap,
+                seed=seed,
+            )
+        except InputError as error:
+            if method is not MethodChoice.both or not fits:
+                raise
+            console.print(f"{name}: {error}", highlight=False, soft_wrap=True)
+            continue
+        fits.append(fit)
+        console.print(format_fit_table(fit, demos))
+    if out is not None:
+        save_fits(fits, out)
+        console.print(f"Saved {out}", highlight=False, soft_wrap=True)
+
+
+def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) -> Table:
+    """The paper's Table 1: one row per individual, parameters with their 95 % intervals.
+
+    The terminal speed u dt / d is beside the recorded top speed, as a check: the onset rule makes
+    them equal, the joint fit leaves them free.
+    """
+    kind = "" if demos is None else (" synthetic" if demos.synthetic else " recorded")
+    caption = (
+        f"v' = (1 - d) v + u a dt, dt = {fit.dt:g} s; {fit.individuals[0].steps} steps of "
+        f"{fit.episodes}{kind} episodes ({fit.fitted_on}); velocity RMSE on "
+        f"{fit.validation_episodes} ({fit.validated_on}); 95 % intervals over {fit.bootstrap} "
+        "resamples of episodes. Lengths in arena units."
+    )
+    title = f"Locomotion of {fit.species}, {fit.method} fit"
+    if fit.onset_threshold is not None:
+        title += f" (th_acc = {fit.onset_threshold:.3g})"
+    table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("individual", no_wrap=True)
+    last = ["terminal\nspeed"] if fit.method == "joint" else ["onsets"]
+    for heading in (
+        "d (95 % CI)", "u (95 % CI)", "velocity\nRMSE", "braking\ntime, s", "top\nspeed", *last
+    ):  # fmt: skip
+        table.add_column(heading, justify="right", no_wrap=True)
+    for one in fit.individuals:
+        table.add_row(
+            one.name,
+            _with_interval(one.damping, one.damping_interval),
+            _with_interval(one.thrust, one.thrust_interval),
+            f"{one.velocity_rmse:.2g}",
+            f"{one.braking_time:.3g}",
+            f"{one.top_speed:.3g}",
+            f"{one.terminal_speed:.3g}" if fit.method == "joint" else str(one.onsets),
+        )
+    return table
+
+
+def save_fits(fits: list[LocomotionFit], out: Path) -> None:
+    """Write ``.json`` (one fit, as ``LocomotionFit.load`` reads it) or ``.csv`` (all rows)."""
+    if out.suffix == ".json":
+        if len(fits) != 1:
+            raise InputError(f"{out}: a .json holds one fit: choose one --method, or save a .csv")
+        fits[0].save(out)
+        return
+    columns = [
+        "method", "individual", "d", "d_low", "d_high", "u", "u_low", "u_high", "velocity_rmse",
+        "top_speed", "terminal_speed", "braking_time", "steps", "onsets",
+    ]  # fmt: skip
+    with write_then_rename(out) as part, part.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for fit in fits:
+            writer.writerows(_csv_row(fit.method, one) for one in fit.individuals)
+
+
+def _csv_row(method: str, one: IndividualFit) -> list[object]:
+    d_low, d_high = one.damping_interval or ("", "")
+    u_low, u_high = one.thrust_interval or ("", "")
+    return [
+        method, one.name, one.damping, d_low, d_high, one.thrust, u_low, u_high, one.velocity_rmse,
+        one.top_speed, one.terminal_speed, one.braking_time, one.steps,
+        "" if one.onsets is None else one.onsets,
+    ]  # fmt: skip
+
+
+def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
+    digits = 3 if abs(value) >= 0.1 else 4
+    if interval is None:
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits}f} ({interval[0]:.{digits}f}, {interval[1]:.{digits}f})"

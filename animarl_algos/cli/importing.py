@@ -1,0 +1,174 @@
+"""``animarl import``: anyone's tracks in, demonstrations out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+from rich.console import Console
+from rich.progress import Progress
+
+from animarl_algos.cli.data import report, show_rows, wide_console
+from animarl_algos.cli.describing import hints, understood
+from animarl_envs.errors import InputError
+from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.readers import default_recipe, find_reader, follow, read
+
+
+def import_command(
+    files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
+    source: Annotated[
+        str | None, typer.Option(help="Reader; see 'animarl data sources'. Default: by a look.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Demonstrations to write (.npz).")] = None,
+    recipe: Annotated[Path | None, typer.Option(help="Repeat this saved recipe (.yaml).")] = None,
+    dry_run: Annotated[bool, typer.Option(help="Only say what is understood.")] = False,
+    fps: Annotated[float | None, typer.Option(help="Frames a second of the recording.")] = None,
+    decision_rate: Annotated[
+        float | None, typer.Option(help="Samples a second of the demonstrations.")
+    ] = None,
+    individuals: Annotated[
+        str | None, typer.Option(help="Which, in order: a,b,c; rename by a=male,b=female.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Name of the pursued individual, or auto: who is approached.")
+    ] = None,
+    keypoint: Annotated[str | None, typer.Option(help="Body part, or centroid.")] = None,
+    drop_jumps: Annotated[
+        bool | None,
+        typer.Option("--drop-jumps/--keep-jumps", help="Make gaps of jumps, or only flag them."),
+    ] = None,
+    min_confidence: Annotated[float | None, typer.Option(help="Below it: not tracked.")] = None,
+    max_gap: Annotated[float | None, typer.Option(help="Fill gaps up to so many seconds.")] = None,
+    smoothing: Annotated[
+        float | None, typer.Option(help="Low-pass cutoff in Hz (Butterworth, zero phase); 0: none.")
+    ] = None,
+    arena: Annotated[str | None, typer.Option(help="square, disc or open.")] = None,
+    arena_width: Annotated[
+        float | None, typer.Option(help="Side or diameter in the file's unit; default: extent.")
+    ] = None,
+    boundary: Annotated[
+        float | None, typer.Option(help="Beyond it an individual is out, in arena units.")
+    ] = None,
+    units: Annotated[
+        float | None, typer.Option(help="Open arena: the file's units per arena unit.")
+    ] = None,
+    cut: Annotated[str | None, typer.Option(help="whole, approach or events.")] = None,
+    farther_than: Annotated[float | None, typer.Option(help="An approach starts here.")] = None,
+    closer_than: Annotated[float | None, typer.Option(help="An approach ends here.")] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            help="An approach starts at the separation, or at the approach: the last time."
+        ),
+    ] = None,
+    contact: Annotated[float | None, typer.Option(help="whole: ends within this.")] = None,
+    piece: Annotated[float | None, typer.Option(help="whole: cut into pieces, s.")] = None,
+    longest: Annotated[float | None, typer.Option(help="Leave longer episodes out, s.")] = None,
+    keep_last: Annotated[float | None, typer.Option(help="Keep the last seconds.")] = None,
+    shortest: Annotated[float | None, typer.Option(help="Leave shorter ones out, s.")] = None,
+    events: Annotated[Path | None, typer.Option(help="Table: recording, start, end [s].")] = None,
+    species: Annotated[str | None, typer.Option(help="Species they belong to.")] = None,
+    condition: Annotated[int | None, typer.Option(help="0 or 1, of all episodes.")] = None,
+    licence: Annotated[str | None, typer.Option(help="Of the recordings.")] = None,
+    split_by: Annotated[str | None, typer.Option(help="auto, recording, episode or group.")] = None,
+    split_pattern: Annotated[
+        str | None, typer.Option(help="group: regular expression with a (group).")
+    ] = None,
+    split_seed: Annotated[int | None, typer.Option(help="Of the splits.")] = None,
+    option: Annotated[
+        list[str] | None, typer.Option(help="Of the reader: name=value, value as YAML.")
+    ] = None,
+) -> None:
+    """Turn tracker files into demonstrations; the recipe is saved beside them.
+
+    Examples:
+
+      animarl import clip.slp --source sleap --fps 25 --target female --dry-run
+
+      animarl import pairs.csv --fps 30 --target auto --decision-rate 10 --out demos.npz
+
+      animarl import more.csv --recipe demos.recipe.yaml --out more.npz
+    """
+    if out is not None and out.suffix != ".npz":
+        raise InputError(f"{out}: demonstrations end in .npz: rename it")
+    if out is None and not dry_run:
+        raise InputError("nothing would be written: name --out, or ask for a --dry-run")
+    reader = find_reader(files[0], source)
+    if reader.read_demonstrations is not None:
+        if len(files) > 1:
+            raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
+        finished = read(files[0], reader.name, **_options(option))
+        report(finished, out, None)
+        return
+    given: dict[str, Any] = {
+        "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
+        "condition": condition, "licence": licence, "options": _options(option) or None,
+        "cleaning": {
+            "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,
+            "smoothing_cutoff": smoothing, "drop_jumps": drop_jumps,
+        },
+        "scaling": {"shape": arena, "width": arena_width, "units_per_arena_unit": units,
+            "boundary": boundary,
+        },
+        "cutting": {
+            "mode": cut or ("approach" if farther_than else "events" if events else None),
+            "farther_than": farther_than, "closer_than": closer_than,
+            "start": start, "contact": contact, "piece": piece,
+            "longest": longest, "keep_last": keep_last, "shortest": shortest,
+            "events": str(events) if events else None,
+        },
+        "splitting": {
+            "by": split_by or ("group" if split_pattern else None), "pattern": split_pattern,
+            "seed": split_seed,
+        },
+    }  # fmt: skip
+    if individuals is not None:
+        pairs = [entry.strip().partition("=") for entry in individuals.split(",")]
+        given["individuals"] = [name for name, _, _ in pairs]
+        given["rename"] = {name: new for name, _, new in pairs if new} or None
+    base = Recipe.load(recipe) if recipe is not None else default_recipe(reader)
+    plan = Recipe.from_dict(_merged(base.to_dict(), given), "the options given")
+    with Progress(transient=True, console=Console(stderr=True)) as bar:
+        task = bar.add_task(f"Reading {len(files)} file(s)", total=1.0)
+
+        def told(share: float) -> None:
+            doing = "Cleaning and cutting" if share >= 1 else f"Reading {len(files)} file(s)"
+            bar.update(task, completed=share, description=doing)
+
+        demos = follow(plan, files, told)
+    if dry_run:
+        show_rows("What is understood", understood(plan, reader.name, files))
+    report(demos, None if dry_run else out, plan)
+    console = wide_console()
+    for hint in hints(demos):
+        console.print(f"hint: {hint}", highlight=False, soft_wrap=True)
+    if dry_run:
+        console.print("Dry run: nothing was written.")
+
+
+def _options(given: list[str] | None) -> dict[str, Any]:
+    found = {}
+    for entry in given or []:
+        name, equals, value = entry.partition("=")
+        if not equals:
+            raise InputError(f"option {entry!r} has no '=': write name=value")
+        try:
+            found[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise InputError(f"option {entry!r} has a value that is no YAML: quote it") from None
+    return found
+
+
+def _merged(base: dict[str, Any], given: dict[str, Any]) -> dict[str, Any]:
+    """``base`` with every entry of ``given`` that is not None, nested ones included."""
+    merged = json.loads(json.dumps(base))
+    for key, value in given.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict) and key != "rename":
+            merged[key] = _merged(merged[key], value)
+        elif value is not None:
+            merged[key] = value
+    return dict(merged)

@@ -1,0 +1,79 @@
+"""The command line, ``animarl``. Bad input is one sentence and exit code 2, never a traceback."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import unreadable_or_unwritable
+
+try:
+    import typer
+
+    from animarl_algos.cli import data
+    from animarl_algos.cli.fit import fit_command
+    from animarl_algos.cli.importing import import_command
+    from animarl_algos.cli.run import (
+        evaluate_command,
+        report_command,
+        run_command,
+        train_command,
+    )
+    from animarl_algos.cli.watch import watch_command
+    from animarl_algos.learner.checkpoint import TERMINATED
+except ModuleNotFoundError as error:
+    if (error.name or "").startswith("animarl"):
+        raise
+    print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
+    sys.exit(2)
+
+INTERRUPTED = (130, TERMINATED)  # Ctrl-C, which typer gives without a word, and SIGTERM
+
+app = typer.Typer(
+    name="animarl",
+    help="Recorded animals become a simulator: fit, train, evaluate, report.",
+    epilog="First steps: animarl run packaged --steps 20000 --out runs/first, then "
+    "animarl watch AnimaRL/Agent-v0 --model runs/first. COMMAND --help gives examples.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+)
+app.command("import")(import_command)
+app.add_typer(data.app, name="data")
+app.command("fit")(fit_command)
+app.command("run")(run_command)
+app.command("train")(train_command)
+app.command("evaluate")(evaluate_command)
+app.command("report")(report_command)
+app.command("watch")(watch_command)
+
+
+def main() -> None:
+    """Entry point of the ``animarl`` script."""
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    try:
+        app()
+    except (InputError, MissingExtraError) as error:
+        print(f"animarl: {error}", file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        print(
+            f"animarl: {unreadable_or_unwritable(error)}; finished stages and checkpoints are kept",
+            file=sys.stderr,
+        )
+        sys.exit(2)
+    except SystemExit as ended:
+        if ended.code in INTERRUPTED:
+            print(
+                "\nanimarl: interrupted; given again, the same command takes up a run where its "
+                "last checkpoint or finished stage left it",
+                file=sys.stderr,
+            )
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""``animarl run``, ``train``, ``evaluate`` and ``report``: from recordings to a page."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+from rich.console import Console
+
+from animarl_algos.cli.fit import format_fit_table
+from animarl_algos.cli.run_options import with_run_options
+from animarl_algos.evaluation.tables import Evaluation
+from animarl_algos.report.terminal import evaluation_table
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.presets import pipeline_settings
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_settings import RunSettings, asked_species
+from animarl_envs import environment_id
+from animarl_envs.errors import InputError
+from animarl_envs.species import CUSTOM, SPECIES
+
+
+@with_run_options(before="settings")
+def run_command(
+    context: typer.Context,
+    repetitions: Annotated[int, typer.Option(help="Rollouts per test demonstration.")] = 5,
+    baselines: Annotated[
+        bool, typer.Option(help="Also train BC and evaluate an untrained network and chance.")
+    ] = True,
+) -> None:
+    """Fit, pretrain, adapt, evaluate and report: recordings in, simulator and page out.
+
+    A run that was killed goes on when the same command is given again.
+
+    Examples:
+
+      animarl run packaged --steps 20000 --out runs/first
+
+      animarl run --env AnimaRL/Agent-v0 --algo dqdil --preset paper --out runs/paper
+
+      animarl run episodes_share.npz --algo dqdil-pt --seed 0 --out runs/agents
+
+      animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
+    """
+    console = _console()
+    run = _open(context.params)
+    _say(console, "1/4", "fitting locomotion")
+    console.print(format_fit_table(pipeline.fit(run), run.demos))
+    _say(console, "2/4", f"training {run.settings.algo.upper()}")
+    pipeline.train(run, run.settings.algo)
+    _say(console, "3/4", "evaluating on the test split")
+    evaluation = pipeline.evaluate_run(run)
+    console.print(evaluation_table(evaluation))
+    _say(console, "4/4", "writing the report")
+    page = pipeline.report(run)
+    console.print(f"\nOpen [bold]{page}[/bold]", soft_wrap=True, highlight=False)
+
+
+@with_run_options(before="source")
+def train_command(
+    context: typer.Context,
+    resume: Annotated[
+        Path | None, typer.Option(help="Continue this run folder, up to --steps.")
+    ] = None,
+) -> None:
+    """Train only: fit the locomotion and learn. A run that was killed is resumed exactly.
+
+    Examples:
+
+      animarl train packaged --algo dqdil --steps 20000 --seed 1 --out runs/second
+
+      animarl train --resume runs/second --steps 40000
+
+      animarl train --algo qr-dqcil-pt --env AnimaRL/Agent-v0 --preset paper --steps 20000
+
+      animarl train --env AnimaRL/Agent-v0 --algo dqn --focal prey --policy MlpPolicy
+    """
+    console = _console()
+    if resume is not None:
+        _refuse_beside_resume(context)
+        run = RunFolder(resume)
+        run.extend(context.params["steps"], context.params["device"])
+    else:
+        run = _open(context.params)
+    pipeline.train(run, run.settings.algo)
+    console.print(f"Trained: {run.path}", soft_wrap=True, highlight=False)
+
+
+def evaluate_command(
+    run: Annotated[Path, typer.Argument(help="A run folder that was trained.")],
+) -> None:
+    """Roll out on the test split and compare with the recordings.
+
+    Example:
+
+      animarl evaluate runs/agents
+    """
+    _console().print(evaluation_table(pipeline.evaluate_run(RunFolder(run))))
+
+
+def report_command(
+    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
+) -> None:
+    """Write the report of a run again.
+
+    Example:
+
+      animarl report runs/agents
+    """
+    folder = RunFolder(run)
+    Evaluation.load(folder.path / "evaluation")
+    _console().print(f"Open {pipeline.report(folder)}", soft_wrap=True, highlight=False)
+
+
+def parse_settings(given: list[str] | None) -> dict[str, Any]:
+    """``KEY=VALUE`` pairs; values are read as YAML data.
+
+    Raises
+    ------
+    InputError
+        If there is no ``=`` or the value is not valid YAML.
+    """
+    settings: dict[str, Any] = {}
+    for pair in given or []:
+        key, equals, value = pair.partition("=")
+        if not equals or not key:
+            raise InputError(f"--set {pair}: write KEY=VALUE")
+        try:
+            settings[key] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise InputError(f"--set {pair}: the value is not valid ({error})") from error
+    return settings
+
+
+def _open(given: dict[str, Any]) -> RunFolder:
+    """The run folder that a command's parameters ask for; refused before it is made."""
+    file, source = given["file"], given["source"]
+    species = asked_species(given["env"], given["species"])
+    demos = pipeline.load_demonstrations(file, source, species)
+    if species is None:
+        species = demos.species if demos.species in SPECIES else CUSTOM
+    overrides = parse_settings(given["settings"])
+    if given["policy"] is not None:
+        overrides["policy"] = given["policy"]
+    asked = RunSettings(
+        file=file,
+        source=source,
+        species=species,
+        algo=given["algo"],
+        preset=given["preset"],
+        config=None if given["config"] is None else str(given["config"]),
+        steps=1 if given["steps"] is None else given["steps"],
+        seed=given["seed"],
+        copies=1 if given["copies"] is None else given["copies"],
+        focal=given["focal"],
+        device=given["device"] or "cpu",
+        overrides=overrides,
+        repetitions=given.get("repetitions", 5),
+        baselines=given.get("baselines", True),
+    )
+    learner = asked.learner()
+    around = pipeline_settings(environment_id(species), asked.preset)
+    if given["fit_method"] is not None:
+        around["fit_method"] = given["fit_method"]
+    asked = replace(
+        asked,
+        steps=learner.n_timesteps if given["steps"] is None else asked.steps,
+        copies=learner.n_envs if given["copies"] is None else asked.copies,
+        **around,
+    )
+    return pipeline.open_run(asked, given["out"], shlex.join(["animarl", *sys.argv[1:]]), demos)
+
+
+def _refuse_beside_resume(context: typer.Context) -> None:
+    """A resumed run has its settings: only ``--steps`` and ``--device`` go with ``--resume``."""
+    for name in context.params:
+        source = context.get_parameter_source(name)
+        set_here = source is not None and source.name == "COMMANDLINE"
+        if set_here and name not in ("resume", "steps", "device"):
+            written = {"file": "FILE", "settings": "--set", "fit_method": "--fit-method"}
+            option = written.get(name, f"--{name}")
+            raise InputError(
+                f"{option} does not go with --resume, which keeps the settings of the run: "
+                "give --steps only"
+            )
+
+
+def _console() -> Console:
+    console = Console()
+    console.width = max(console.width, 128)
+    return console
+
+
+def _say(console: Console, number: str, what: str) -> None:
+    console.print(f"\n[bold]{number}[/bold] {what}")

@@ -1,0 +1,309 @@
+"""``animarl watch``: see an environment move, in a window or as a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium as gym
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+
+import animarl_envs
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
+from animarl_envs.drawing.scene import SceneRecorder
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import Scenario, make_scenario
+from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.base import World
+
+HOLD = 1.0  # the last picture of an episode stays for this time [s]
+Actor = Callable[[World, bool], NDArray[np.integer]]
+"""From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
+
+
+class Rule(StrEnum):
+    """What ``--by`` takes."""
+
+    demonstration = "demonstration"
+    script = "script"
+
+
+class ConditionChoice(StrEnum):
+    """What ``--condition`` takes."""
+
+    zero = "0"
+    one = "1"
+    demo = "demo"
+
+
+def watch_command(
+    env: Annotated[str, typer.Argument(help="Environment id, such as AnimaRL/Newt-v0.")],
+    model: Annotated[
+        Path | None, typer.Option(help="Run folder whose trained policy acts.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Clip to write, .gif or .mp4; without it, a window opens.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the episodes and the policies.")] = 0,
+    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes.")] = 1,
+    steps: Annotated[
+        int | None, typer.Option(min=1, help="Most steps of an episode; by default to its end.")
+    ] = None,
+    focal: Annotated[
+        str | None,
+        typer.Option(help="The model drives this individual only: by default all that it learned."),
+    ] = None,
+    by: Annotated[
+        Rule | None,
+        typer.Option(
+            help="What moves those without a model: their demonstration (default, where there is "
+            "one) or their script."
+        ),
+    ] = None,
+    condition: Annotated[
+        ConditionChoice, typer.Option(help="0, 1, or that of the demonstration.")
+    ] = ConditionChoice.demo,
+    demos: Annotated[
+        str, typer.Option(help="Demonstrations: packaged, none, or a file.")
+    ] = "packaged",
+    split: Annotated[
+        str, typer.Option(help="Episodes to start from: train, val, test or all.")
+    ] = "train",
+    fps: Annotated[float, typer.Option(help="Steps shown per second.")] = 10.0,
+    size: Annotated[int, typer.Option(help="Width of the picture in pixels.")] = 600,
+) -> None:
+    """Watch animals move: recorded, scripted or driven by a trained model.
+
+    Without --model everybody follows the paired demonstration, or the script of the species:
+    chasers and an evader, a programmed moth.
+
+    Examples:
+
+      animarl watch AnimaRL/Silkmoth-v0 --seed 3 --out out/moth.gif
+
+      animarl watch AnimaRL/Agent-v0 --by script --episodes 3
+
+      animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --out clip.mp4
+    """
+    if out is not None and out.suffix.lower() not in CLIP_SUFFIXES:
+        raise InputError(f"{out}: a clip cannot be written as {out.suffix!r}: use .gif or .mp4")
+    if focal is not None and model is None:
+        raise InputError("--focal names whom the model drives, but there is no model: give --model")
+    options = {
+        "demos": None if demos == "none" else demos,
+        "split": None if split == "all" else split,
+        "condition": "demo" if condition is ConditionChoice.demo else int(condition.value),
+    }
+    world, actor = prepare(env, model=model, focal=focal, by=by, seed=seed, **options)
+    renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
+    world.seed([seed])
+    console = Console()
+    endings: list[str] = []
+    with Progress(console=console, transient=True) as progress:
+        total = episodes * min(steps or world.scenario.species.time_limit, 10**6)
+        task = progress.add_task("step", total=total)
+        pictures = play(
+            world, actor, renderer, episodes=episodes, steps=steps, endings=endings,
+            on_step=lambda: progress.advance(task),
+        )  # fmt: skip
+        try:
+            if out is None:
+                for _ in pictures:
+                    pass
+            else:
+                write_clip(pictures, out, fps)
+        finally:
+            renderer.close()
+    pace = fps * world.scenario.species.dt
+    for number, ending in enumerate(endings):
+        console.print(f"episode {number}: {ending}", highlight=False)
+    if out is not None:
+        console.print(f"Wrote {out} ({pace:g} x real time)", highlight=False, soft_wrap=True)
+
+
+def prepare(
+    env: str,
+    *,
+    model: Path | None = None,
+    focal: str | None = None,
+    by: Rule | None = None,
+    seed: int = 0,
+    **options: Any,
+) -> tuple[World, Actor]:
+    """The world of an environment id with one copy, and who acts in it.
+
+    Parameters
+    ----------
+    env
+        Id of an environment made of a species.
+    model, focal, by, seed
+        As for :func:`watch_command`.
+    options
+        Of :func:`animarl_envs.scenario.make_scenario`; they win over those of the id.
+
+    Raises
+    ------
+    InputError
+        If the id is unknown or none of this suite, or an option is not valid.
+    """
+    try:
+        kwargs = dict(gym.spec(env).kwargs)
+    except gym.error.Error as error:
+        known = ", ".join(sorted(i for i in gym.registry if i.startswith("AnimaRL/")))
+        raise InputError(f"environment {env!r} is unknown: choose one of {known}") from error
+    if "species" not in kwargs:
+        raise InputError(
+            f"environment {env!r} has no species, so it cannot be watched: use AnimaRL"
+        )
+    for key in ("focal", "others", "render_mode"):
+        kwargs.pop(key, None)
+    species = kwargs.pop("species")
+    options = kwargs | options
+    policy = None
+    if model is not None:
+        name = species if isinstance(species, str) else species.name
+        policy, species, recorded, learned = load_trained(model, name, seed)
+        if learned is not None and focal not in (None, learned):
+            raise InputError(
+                f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
+            )
+        focal = focal or learned
+        if options.get("demos", "packaged") == "packaged":
+            options["demos"] = recorded
+    plain = make_scenario(species, **options)
+    names = plain.names
+    if focal is not None and focal not in names:
+        raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
+    driven = set() if policy is None else {focal} if focal is not None else set(names)
+    rule = by or (Rule.demonstration if plain.paired else Rule.script)
+    programmed = rule is Rule.script and isinstance(plain.species, SearchSpecies)
+    driver = {Rule.demonstration: "replay", Rule.script: "action" if programmed else "scripted"}
+    drivers = {name: "action" if name in driven else driver[rule] for name in names}
+    world = make_world(make_scenario(species, drivers=drivers, **options), 1)
+    if policy is not None:
+        return world, trained_actor(policy)
+    if programmed:
+        return world, programmed_actor(world.scenario, seed)
+    return world, idle_actor
+
+
+def load_trained(
+    folder: Path, species: str, seed: int
+) -> tuple[Any, Species, Demonstrations, str | None]:
+    """The trained policy of a run, as it acts in tests, its fitted species, and its demonstrations.
+
+    Last comes whom it drives, if a single individual learned; its actions for the others are idle.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no trained policy, or one of another species.
+    """
+    from animarl_algos.data.focal import FocalPolicy
+    from animarl_algos.runs.run_folder import RunFolder
+
+    run = RunFolder(folder)
+    settings, recorded = run.settings, run.demos
+    if settings.species != species:
+        raise InputError(
+            f"{folder}: it was trained as {settings.species}, not as {species}: watch "
+            f"{animarl_envs.environment_id(settings.species)}"
+        )
+    if not run.has_policy(settings.algo):
+        raise InputError(f"{folder}: there is no trained policy yet: let 'animarl train' finish")
+    fitted = run.species(recorded, run.fit)
+    learner = run.learner(settings.algo, run.environment(fitted, recorded))
+    run.load_policy(settings.algo, learner)
+    learner.policy.epsilon = settings.test_epsilon
+    learner.policy.seed(seed)
+    if settings.focal is None:
+        return learner, fitted, recorded, None
+    policy = FocalPolicy(learner, fitted.individuals, settings.focal)
+    return policy, fitted, recorded, settings.focal
+
+
+def idle_actor(world: World, start: bool) -> NDArray[np.integer]:
+    """No decisions: the world replays or follows its script."""
+    return np.zeros((1, world.num_individuals), dtype=np.int64)
+
+
+def programmed_actor(scenario: Scenario, seed: int) -> Actor:
+    """The programmed moth: surge, zigzag, loop."""
+    from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
+
+    species = scenario.species
+    assert isinstance(species, SearchSpecies)
+    moth = ProgrammedMoth(1, np.random.default_rng(seed), species)
+
+    def act(world: World, start: bool) -> NDArray[np.integer]:
+        if start:
+            moth.reset()
+        return moth.act(world.observation)
+
+    return act
+
+
+def trained_actor(policy: Any) -> Actor:
+    """A policy of ``predict``; one that was trained with the condition's flag is told it."""
+    state: Any = None
+
+    def act(world: World, start: bool) -> NDArray[np.integer]:
+        nonlocal state
+        num = world.num_individuals
+        observation = world.observation[0]
+        if policy.observation_space.shape[-1] == observation.shape[-1] + 1:
+            flag = np.full((num, 1), world.condition[0], dtype=observation.dtype)
+            observation = np.concatenate([observation, flag], axis=1)
+        starts = np.full(num, start)
+        actions, state = policy.predict(observation, state=state, episode_start=starts)
+        return np.asarray(actions).reshape(1, num)
+
+    return act
+
+
+def play(
+    world: World,
+    actor: Actor,
+    renderer: Renderer,
+    *,
+    episodes: int = 1,
+    steps: int | None = None,
+    endings: list[str] | None = None,
+    on_step: Callable[[], None] = lambda: None,
+) -> Iterator[NDArray[np.uint8]]:
+    """Run episodes and draw every step; yields the pictures, or nothing for a window.
+
+    ``endings`` collects one sentence per episode; ``on_step`` is called after every step.
+    """
+    recorder = SceneRecorder(world)
+    for _ in range(episodes):
+        world.reset()
+        recorder.start()
+        scene, start = recorder.scene(), True
+        while True:
+            picture = renderer.draw(scene)
+            if renderer.closed:
+                return
+            if picture is not None:
+                yield picture
+            over = bool(world.terminated[0] or world.truncated[0])
+            if over or (steps is not None and world.step_count[0] >= steps):
+                break
+            world.step(actor(world, start))
+            recorder.follow()
+            on_step()
+            scene, start = recorder.scene(), False
+        if endings is not None:
+            endings.append(f"{scene.note or 'stopped'} after {scene.time:.1f} s")
+        for _ in range(round(HOLD * renderer.fps)):
+            picture = renderer.draw(scene)
+            if picture is not None:
+                yield picture

@@ -1,1 +1,0 @@
-"""Commands of ``animarl``, one module each."""

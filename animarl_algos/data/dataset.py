@@ -1,0 +1,300 @@
+"""Demonstrations as training sequences, and the penalty of every action in a recorded state."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import DTypeLike, NDArray
+
+from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.gather import BatchBuffers
+from animarl_algos.replay.rings import Frames, Sequences
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import NUM_ACTIONS, Locomotion, apply_actions
+
+
+class OfflineDataset:
+    """Recorded episodes of K individuals, handed out as minibatches of whole episodes.
+
+    Per-frame arrays lay the episodes end to end, as :class:`Demonstrations` does. An episode of T
+    steps has T + 1 frames; what belongs to a step stands at the frame it starts from, and the
+    entries of the last frame are not read.
+
+    Parameters
+    ----------
+    observations
+        ``(frames, K, n)``.
+    actions
+        ``(frames, K)`` integer, the demonstrated actions; -1 at each last frame.
+    lengths
+        ``(episodes,)``, frames per episode.
+    num_actions
+        Number of actions.
+    rewards, penalties
+        ``(frames, K)``; ``None``: zeros. ``penalties`` default to those of the demonstrated action
+        if ``action_penalties`` are given.
+    action_penalties
+        ``(frames, K, num_actions)``, what each action would have been penalised with.
+    terminated
+        ``(episodes,)`` bool, the last step terminated the episode; ``None``: none did, so that the
+        last step of each bootstraps.
+    condition
+        ``(episodes,)``; ``None``: 0.
+    warmup
+        ``(frames,)`` bool, steps that enter no loss; ``None``: none.
+    names
+        Names of the individuals; they enter the shuffling. Default ``individual_0`` and so on.
+    device
+        Where batches go.
+    source
+        For messages: where the demonstrations come from.
+
+    Attributes
+    ----------
+    individuals
+        The ``names`` that were given, ``None`` if none were: whose demonstrations they are.
+
+    Raises
+    ------
+    InputError
+        If shapes disagree, an action is missing within an episode, or a value is not finite.
+    """
+
+    def __init__(
+        self,
+        observations: NDArray[np.floating],
+        actions: NDArray[np.integer],
+        lengths: NDArray[np.integer],
+        num_actions: int,
+        *,
+        rewards: NDArray[np.floating] | None = None,
+        penalties: NDArray[np.floating] | None = None,
+        action_penalties: NDArray[np.floating] | None = None,
+        terminated: NDArray[np.bool_] | None = None,
+        condition: NDArray[Any] | None = None,
+        warmup: NDArray[np.bool_] | None = None,
+        names: Sequence[str] | None = None,
+        device: torch.device | str = "cpu",
+        source: str = "demonstrations",
+    ) -> None:
+        self.source = source
+        if np.ndim(observations) != 3:
+            raise InputError(
+                f"{source}: observations have shape {np.shape(observations)}: give one vector per "
+                "frame and individual, (frames, individuals, components)"
+            )
+        frames, k, dim = observations.shape
+        self.individuals = tuple(names) if names else None
+        self.names = tuple(names or (f"individual_{i}" for i in range(k)))
+        if len(set(self.names)) != k:
+            raise InputError(f"{source}: names {self.names} do not name {k} individuals")
+        self.device = torch.device(device)
+        size: NDArray[np.int64] = np.array(lengths, dtype=np.int64)
+        if size.size == 0 or size.min() < 2 or size.sum() != frames:
+            raise InputError(
+                f"{source}: {size.size} episodes of {size.sum()} frames in all do not fit "
+                f"{frames} observations: give at least two frames per episode, end to end"
+            )
+        first = np.cumsum(size) - size
+        labels = self._array("actions", actions, np.int16, (frames, k))
+        self._refuse_missing_actions(labels, first, size, num_actions)
+        each, flat = (len(size),), (frames, k)
+        scored = self._array(
+            "action_penalties",
+            action_penalties,
+            np.float32,
+            (frames, k, 0 if action_penalties is None else num_actions),
+        )
+        if penalties is None and action_penalties is not None:
+            taken = np.maximum(labels, 0).astype(np.int64)[..., None]
+            penalties = np.take_along_axis(scored, taken, axis=2)[..., 0]
+        self._action_penalties = scored
+        self._frames = Frames(
+            observations=self._array("observations", observations, np.float32, (*flat, dim)),
+            actions=labels,
+            rewards=self._array("rewards", rewards, np.float32, flat),
+            penalties=self._array("penalties", penalties, np.float32, flat),
+            labels=labels,
+            warmup=self._array("warmup", warmup, np.bool_, (frames,)),
+        )
+        self._sequences = Sequences(
+            first=first,
+            prefix=np.zeros(each, dtype=np.int64),
+            trained=size - 1,
+            at_start=np.ones(each, dtype=np.bool_),
+            terminated=self._array("terminated", terminated, np.bool_, each),
+            condition=self._array("condition", condition, np.float32, each),
+            frames=size,
+            initial_state=np.zeros((len(size), k, 0), dtype=np.float32),
+        )
+        self._episodes = self._trainable_episodes(first, size)
+        self._batch = BatchBuffers(
+            k, dim, num_actions, 0, scored.shape[2], pinned=self.device.type == "cuda"
+        )
+
+    @property
+    def num_individuals(self) -> int:
+        return len(self.names)
+
+    @property
+    def num_episodes(self) -> int:
+        """Episodes with at least one step that enters a loss."""
+        return len(self._episodes)
+
+    @property
+    def num_steps(self) -> int:
+        """Steps of all episodes, warm-up included."""
+        return int(self._sequences.trained[self._episodes].sum())
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the frames and of the minibatch."""
+        arrays: list[NDArray[Any]] = [*self._frames, *self._sequences, self._action_penalties]
+        return sum(array.nbytes for array in arrays) + self._batch.nbytes
+
+    def batches(
+        self, batch_size: int, generator: np.random.Generator | None = None
+    ) -> Iterator[SequenceBatch]:
+        """All episodes once, in minibatches; each batch is overwritten by the next one.
+
+        ``SequenceBatch.indices`` are episode numbers.
+
+        Parameters
+        ----------
+        generator
+            Shuffles. One number is drawn from it; with that and its name each individual gets an
+            order of its own, so that individuals trained together see what each would see alone.
+            ``None``: longest first, the same episodes for every individual; for validation.
+        """
+        order = np.empty((self.num_individuals, self.num_episodes), dtype=np.int64)
+        if generator is None:
+            steps = self._sequences.trained[self._episodes]
+            order[:] = self._episodes[np.argsort(-steps, kind="stable")]
+        else:
+            seed = int(generator.integers(2**63))
+            for k, name in enumerate(self.names):
+                own = np.random.default_rng([seed, zlib.crc32(name.encode())])
+                order[k] = own.permutation(self._episodes)
+        return self._batches(order, batch_size)
+
+    def _batches(self, order: NDArray[np.int64], batch_size: int) -> Iterator[SequenceBatch]:
+        for begin in range(0, order.shape[1], batch_size):
+            chosen = order[:, begin : begin + batch_size]
+            by_length = np.argsort(-self._sequences.trained[chosen], axis=1, kind="stable")
+            chosen = np.take_along_axis(chosen, by_length, axis=1)
+            batch = self._batch.fill(
+                self._frames,
+                self._action_penalties,
+                self._sequences,
+                chosen,
+                chosen,
+                np.ones(chosen.shape, dtype=np.float32),
+            )
+            yield batch if self.device.type == "cpu" else batch.to(self.device)
+
+    def _array(
+        self, name: str, value: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
+    ) -> NDArray[Any]:
+        """``value`` as the kernels want it, zeros if it is not given; finite and of this shape."""
+        if value is None:
+            return np.zeros(shape, dtype=dtype)
+        array = np.ascontiguousarray(value, dtype=dtype)
+        if array.shape != shape:
+            raise InputError(
+                f"{self.source}: {name} have shape {array.shape}, not {shape}: "
+                "make them from the same episodes"
+            )
+        if not np.isfinite(array).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise InputError(
+                f"{self.source}: {name} at {place} is not a finite number: "
+                "look for a gap in the recording there"
+            )
+        return array if array.flags.writeable else array.copy()
+
+    def _refuse_missing_actions(
+        self,
+        actions: NDArray[np.int16],
+        first: NDArray[np.int64],
+        lengths: NDArray[np.int64],
+        num_actions: int,
+    ) -> None:
+        bad = (actions < 0) | (actions >= num_actions)
+        bad[first + lengths - 1] = False
+        if bad.any():
+            frame, k = (int(i) for i in np.argwhere(bad)[0])
+            episode = int(np.searchsorted(first, frame, side="right") - 1)
+            raise InputError(
+                f"{self.source}: episode {episode}, frame {frame - first[episode]}, "
+                f"{self.names[k]}: action {actions[frame, k]} is not one of 0 .. "
+                f"{num_actions - 1}: infer the actions of the recording first"
+            )
+
+    def _trainable_episodes(
+        self, first: NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        masked = self._frames.warmup
+        kept = [not masked[f : f + n - 1].all() for f, n in zip(first, lengths, strict=True)]
+        if not any(kept):
+            raise InputError(
+                f"{self.source}: all episodes end within the warm-up: shorten the warm-up"
+            )
+        return np.flatnonzero(kept)
+
+
+def dynamics_scored_penalties(
+    demos: Demonstrations,
+    velocities: NDArray[np.floating],
+    locomotion: Sequence[Locomotion],
+    focus: NDArray[np.floating],
+    dt: float,
+) -> NDArray[np.float32]:
+    """How far each action would have led from where the animal went next.
+
+    The fitted dynamics predicts the next position for all 13 actions from each demonstrated state,
+    ``p + v' dt`` with ``v' = (1 - d) v + u a dt``; the penalty is the Euclidean distance to the
+    next demonstrated position. The smallest is that of the action that inverse dynamics infers,
+    for both compare the same vectors, here times dt^2.
+
+    Parameters
+    ----------
+    demos
+        The demonstrations.
+    velocities
+        ``(frames, K, 2)``, arena frame [arena unit / s].
+    locomotion
+        Parameters of each of the K individuals.
+    focus
+        ``(frames, K, 2)``, unit vectors towards the focus at each frame, arena frame.
+    dt
+        Time between frames [s].
+
+    Returns
+    -------
+    ``(frames, K, 13)`` float32 [arena unit]; zero at each episode's last frame.
+    """
+    positions = demos.positions
+    if not velocities.shape == focus.shape == positions.shape or len(locomotion) != len(
+        demos.individuals
+    ):
+        raise InputError(
+            f"{demos.name}: positions {positions.shape}, velocities {velocities.shape}, focus "
+            f"{focus.shape} and {len(locomotion)} locomotion models do not belong together: "
+            "make them from the same demonstrations"
+        )
+    following = np.concatenate([positions[1:], positions[-1:]])
+    penalties = np.empty((*positions.shape[:2], NUM_ACTIONS), dtype=np.float32)
+    for k, fitted in enumerate(locomotion):
+        for action in range(NUM_ACTIONS):
+            velocity = apply_actions(
+                velocities[:, k], np.full(len(positions), action), focus[:, k], fitted, dt
+            )
+            error = positions[:, k] + velocity * dt - following[:, k]
+            penalties[:, k, action] = np.hypot(error[:, 0], error[:, 1])
+    penalties[demos.offsets[1:] - 1] = 0.0
+    return penalties

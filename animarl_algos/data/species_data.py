@@ -1,0 +1,107 @@
+"""Demonstrations as a learner sees them: observations, actions, rewards, scored actions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.data.dataset import OfflineDataset, dynamics_scored_penalties
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.species import Species
+from animarl_envs.worlds import demonstration_observations
+
+
+@dataclass(frozen=True, eq=False)
+class SpeciesDemonstrations:
+    """The two splits that training may see, in the terms of a species.
+
+    Parameters
+    ----------
+    species
+        Its locomotion parameters infer the actions and score all 13.
+    demos
+        With their splits.
+    learners
+        Names of the individuals to learn, by default all.
+    condition_flag
+        Whether the condition is the last observation component.
+    """
+
+    species: Species
+    demos: Demonstrations
+    learners: tuple[str, ...]
+    condition_flag: bool = False
+
+    @cached_property
+    def train(self) -> OfflineDataset:
+        return self._dataset("train")
+
+    @cached_property
+    def val(self) -> OfflineDataset:
+        return self._dataset("val")
+
+    def _dataset(self, split: str) -> OfflineDataset:
+        demos, species = self.demos.select(split=split), self.species
+        chosen = [demos.individuals.index(name) for name in self.learners]
+        observations = demonstration_observations(species, demos)
+        if self.condition_flag:
+            flag = np.repeat(demos.condition, demos.lengths).astype(np.float32)
+            column = np.broadcast_to(flag[:, None, None], (*observations.shape[:2], 1))
+            observations = np.concatenate([observations, column], axis=2)
+        penalties = dynamics_scored_penalties(
+            demos,
+            demos.velocities(),
+            species.locomotion,
+            demos.focus(),
+            demos.dt,
+        )
+        since_start = np.arange(len(demos.positions)) - np.repeat(demos.offsets[:-1], demos.lengths)
+        return OfflineDataset(
+            np.ascontiguousarray(observations[:, chosen]),
+            demonstrated_actions(demos, species.locomotion)[:, chosen],
+            demos.lengths,
+            NUM_ACTIONS,
+            rewards=demonstration_rewards(species, demos)[:, chosen],
+            action_penalties=penalties[:, chosen],
+            terminated=(demos.outcome != TIME_OUT) & (demos.outcome != UNFINISHED),
+            condition=demos.condition,
+            warmup=since_start < species.warmup,
+            names=self.learners,
+            source=f"{demos.name} ({split})",
+        )
+
+
+def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np.float32]:
+    """Task rewards of the recorded steps ``(frames, K)``; the step leaves its frame, last ones 0.
+
+    As in the world, but the end is the recorded outcome: recordings are cut at a finer rate than
+    they are stepped.
+    """
+    rewards = np.zeros(demos.positions.shape[:2], dtype=np.float32)
+    last = demos.offsets[1:] - 2  # the frame that the last step leaves
+    pursuers = [i for i, role in enumerate(demos.roles) if role != "target"]
+    if "target" in demos.roles:
+        rewards[:, -1] = demos.dt
+        rewards[last[(demos.outcome > TIME_OUT) | (demos.outcome == TARGET_OUT)], -1] = 0.0
+        rewards[last[demos.outcome == TARGET_OUT], -1] += species.boundary_penalty
+    rewards[demos.offsets[1:] - 1] = 0.0
+    for e, outcome in enumerate(demos.outcome):
+        end = demos.positions[demos.offsets[e + 1] - 1]
+        if outcome > TIME_OUT:
+            rewards[last[e], outcome - 1] = 1.0
+            for i in pursuers:
+                near = np.linalg.norm(end[i] - end[-1]) < species.contact_radius
+                shared = demos.condition[e] == 1 and getattr(species, "shared_reward", False)
+                if i != len(end) - 1 and (near or shared):
+                    rewards[last[e], i] = 1.0
+        elif outcome == PURSUER_OUT:
+            for i in pursuers:
+                if not replace(species.arena, rebound=False).contains(end[i]):
+                    rewards[last[e], i] += species.boundary_penalty
+    return rewards

@@ -1,0 +1,260 @@
+"""A world as a stable-baselines3 VecEnv: every individual of every copy is one slot.
+
+Slot ``s`` is individual ``s % K`` of copy ``s // K``. All slots of a copy end together and are
+reset within the same step, as SB3 expects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from animarl_algos.data.species_data import SpeciesDemonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.dtw import DTWTracker
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.scenario import Demos, make_scenario
+from animarl_envs.species import Species
+from animarl_envs.views.common import observation_space
+from animarl_envs.worlds import make_world
+from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
+
+
+class SlotVecEnv(VecEnv):
+    """Copies of a world in which all individuals learn, each in its own slots.
+
+    Parameters
+    ----------
+    species
+        A species or its name.
+    num_copies
+        Copies of the world, ``n``; there are ``n K`` slots.
+    demos, split
+        Demonstrations with their splits, and the split that episodes start from. Training is
+        refused the test split.
+    focal
+        Only this individual learns; the others replay their demonstration. By default all learn.
+    condition_flag, cue
+        Whether the condition is the last observation component (``None``: if the species has
+        conditions and the demonstrations hold both), and what is told of it.
+    dtw
+        ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``,
+        and with it the demonstrated action aligned with each state, as ``aligned_action``. The
+        reward itself stays the task's; weighting is the recipe's business.
+    options
+        Of :func:`animarl_envs.scenario.make_scenario`.
+
+    Attributes
+    ----------
+    extras
+        Arrays ``(slots,)`` that came with the last step: ``task_reward``, ``warmup``, ``demo``,
+        ``condition``, and with ``dtw`` also ``dtw_penalty`` and ``aligned_action``.
+    """
+
+    render_mode = None
+
+    def __init__(
+        self,
+        species: Species | str,
+        num_copies: int = 16,
+        *,
+        demos: Demos = "packaged",
+        split: str = "train",
+        focal: str | None = None,
+        condition_flag: bool | None = False,
+        cue: Cue = "actual",
+        dtw: str | None = "increment",
+        **options: Any,
+    ) -> None:
+        if split == "test":
+            raise InputError("split is 'test': learners are never given the test split")
+        full = make_scenario(species, demos=demos, split=None, **options)
+        everyone = full.names
+        if focal is not None and focal not in everyone:
+            raise InputError(f"focal is {focal!r}: choose one of {', '.join(everyone)}")
+        self.individuals = everyone if focal is None else (focal,)
+        self._learners = np.array([everyone.index(name) for name in self.individuals])
+        drivers = {} if focal is None else {name: "replay" for name in everyone if name != focal}
+        self.all_demos: Demonstrations | None = full.demos
+        self.scenario = make_scenario(
+            full.species,
+            demos=full.demos,
+            split=split if full.demos is not None else None,
+            drivers=drivers,
+            **{k: v for k, v in options.items() if k in _SCENARIO_OPTIONS},
+        )
+        if condition_flag is None:
+            condition_flag = has_both_conditions(full.species, full.demos)
+        if condition_flag:
+            check_cue(cue, full.species.conditions, full.species.name)
+        self.world = make_world(self.scenario, num_copies)
+        self.num_copies = num_copies
+        self.condition_flag, self.cue = condition_flag, cue
+        self.max_episode_steps = full.species.time_limit
+        space = observation_space(self.world)
+        super().__init__(
+            num_copies * len(self.individuals),
+            with_flag(space) if condition_flag else space,
+            gym.spaces.Discrete(self.world.num_actions),
+        )
+        self._tracker: DTWTracker | None = None
+        if dtw is not None and self.scenario.paired and self.scenario.demos is not None:
+            self._tracker = DTWTracker(self.scenario.demos, num_copies, self._learners, dtw)
+            self.world.trackers.append(self._tracker)
+            acted = demonstrated_actions(self.scenario.demos, full.species.locomotion)
+            self._demonstrated = acted[:, self._learners].astype(np.int64)
+            self._first_frame = self.scenario.demos.offsets[:-1]
+        self.extras: dict[str, NDArray[Any]] = {}
+        self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
+        self._return = np.zeros((num_copies, len(self.individuals)))
+        self._pending: NDArray[np.int64] | None = None
+        self._offline_data: SpeciesDemonstrations | None = None
+
+    # -- stepping ---------------------------------------------------------------------------------
+
+    def reset(self) -> NDArray[np.float32]:
+        """New episodes in all copies; observations ``(slots, n)``."""
+        seed = self._seeds[0]
+        if seed is not None:
+            self.world.seed(np.arange(self.num_copies, dtype=np.uint64) + np.uint64(seed))
+        self._reset_seeds()
+        self._reset_options()
+        self.world.reset()
+        self._return[:] = 0.0
+        return self._observation()
+
+    def step_async(self, actions: NDArray[np.integer]) -> None:
+        self._pending = np.asarray(actions, dtype=np.int64)
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        assert self._pending is not None
+        world, K = self.world, len(self.individuals)
+        self._all_actions[:, self._learners] = self._pending.reshape(self.num_copies, K)
+        extras = {
+            "warmup": np.repeat(world.warming, K),
+            "demo": np.repeat(world.demo, K),
+            "condition": np.repeat(world.condition, K),
+        }
+        if self._tracker is not None:
+            extras["aligned_action"] = self._aligned_actions().ravel()
+        world.step(self._all_actions)
+        reward = world.reward[:, self._learners]
+        extras["task_reward"] = reward.astype(np.float32).ravel()
+        if self._tracker is not None:
+            extras["dtw_penalty"] = self._tracker.penalty.astype(np.float32).ravel()
+        self.extras = extras
+        self._return += reward
+        ended = world.terminated | world.truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if ended.any():
+            self._finish(ended, infos)
+            world.reset(ended)
+            self._return[ended] = 0.0
+        return self._observation(), extras["task_reward"].copy(), np.repeat(ended, K), infos
+
+    def _finish(self, ended: NDArray[np.bool_], infos: list[dict[str, Any]]) -> None:
+        """What SB3 wants to know of ended episodes, slot by slot."""
+        world, K = self.world, len(self.individuals)
+        last = self._observation().reshape(self.num_copies, K, -1)
+        for b in np.flatnonzero(ended):
+            timeout = bool(world.truncated[b] and not world.terminated[b])
+            for k in range(K):
+                infos[b * K + k] = {
+                    "terminal_observation": last[b, k],
+                    "TimeLimit.truncated": timeout,
+                    "outcome": int(world.outcome[b]),
+                    "demo": int(world.demo[b]),
+                }
+            # one episode of the world: its return is the mean over the pursuers that learn
+            pursuers = self._learners < max(1, len(world.scenario.names) - 1)
+            mean = self._return[b, pursuers if pursuers.any() else slice(None)].mean()
+            infos[b * K]["episode"] = {"r": float(mean), "l": int(world.step_count[b]), "t": 0.0}
+
+    def _aligned_actions(self) -> NDArray[np.int64]:
+        """The demonstrated action at the step that each present state is aligned with, (n, K)."""
+        assert self._tracker is not None
+        frame = self._first_frame[self.world.demo][:, None] + self._tracker.aligned
+        aligned: NDArray[np.int64] = self._demonstrated[frame, np.arange(len(self._learners))]
+        return aligned
+
+    def _observation(self) -> NDArray[np.float32]:
+        observation = np.array(self.world.observation[:, self._learners], order="C")
+        rows = observation.reshape(self.num_envs, -1)
+        if not self.condition_flag:
+            return rows
+        flag = np.repeat(cue_of(self.world.condition, self.cue), len(self.individuals))
+        return np.concatenate([rows, flag[:, None].astype(np.float32)], axis=1)
+
+    # -- what learners ask ------------------------------------------------------------------------
+
+    @property
+    def feedback(self) -> tuple[str, ...]:
+        """What comes with a step beside the reward; see :func:`.slots.provided`."""
+        if self._tracker is None:
+            return ("task_reward",)
+        return ("task_reward", "dtw_penalty", "aligned_action")
+
+    def offline_data(self) -> SpeciesDemonstrations:
+        """The train and val splits of the demonstrations, for the offline phase."""
+        if self.all_demos is None:
+            raise InputError("the environment has no demonstrations: give demos=")
+        if self._offline_data is None:  # its splits are made when first looked at
+            self._offline_data = SpeciesDemonstrations(
+                self.scenario.species, self.all_demos, self.individuals, self.condition_flag
+            )
+        return self._offline_data
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """All that decides the future, for exact resume."""
+        return self.world.get_state() | {"return": self._return.copy()}
+
+    def set_state(self, state: dict[str, NDArray[Any]]) -> None:
+        """Continue from what :meth:`get_state` gave."""
+        self.world.set_state(state)
+        self._return[...] = state["return"]
+
+    # -- the rest of the interface ----------------------------------------------------------------
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        value = getattr(self, attr_name)
+        return [value] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise InputError("slots share one world: make a new SlotVecEnv with other options")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
+        raise InputError("slots share one world and have no methods of their own")
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        return [False] * len(list(self._get_indices(indices)))
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        return [None] * self.num_envs
+
+    def _get_indices(self, indices: Any) -> Iterable[int]:
+        if indices is None:
+            return range(self.num_envs)
+        return [indices] if isinstance(indices, int) else indices
+
+
+def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
+    """Whether a learner can be told the condition: the species has it, the recordings vary it."""
+    return bool(species.conditions) and demos is not None and len(set(demos.condition)) == 2
+
+
+_SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")

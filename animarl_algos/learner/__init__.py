@@ -1,0 +1,1 @@
+"""The learner: one stable-baselines3 algorithm, and the parts that it holds."""

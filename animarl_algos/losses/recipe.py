@@ -1,0 +1,44 @@
+"""What a recipe is: the terms of its loss in each phase, and what it asks of its environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from animarl_algos.losses.terms import LossTerm
+
+
+class Selection(StrEnum):
+    """Validation figure (the lower the better) by which the best offline epoch is kept."""
+
+    CROSS_ENTROPY = "cross_entropy"  # of the demonstrated action, values as logits [nat]
+    MEAN_RANK = "mean_rank"  # of the demonstrated action's value among all actions, best 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """The loss terms of a learner (paper, "Baseline methods").
+
+    Attributes
+    ----------
+    name
+        As on the command line, without the prefix ``qr-``.
+    online, offline
+        Terms of the two phases; empty where a recipe has no such phase.
+    selection
+        How its best offline epoch is chosen.
+    needs_distance
+        Whether the environment must hand out ``dtw_penalty``.
+    needs_alignment
+        Whether it must hand out ``aligned_action``.
+    needs_condition
+        Whether the last observation component must be the condition flag (treatment head).
+    """
+
+    name: str
+    online: tuple[LossTerm, ...]
+    offline: tuple[LossTerm, ...] = ()
+    selection: Selection = Selection.MEAN_RANK
+    needs_distance: bool = False
+    needs_alignment: bool = False
+    needs_condition: bool = False

@@ -1,0 +1,300 @@
+"""The loss terms that recipes are made of (paper, "Offline and online policy learning").
+
+A term looks at an :class:`Evaluation`, the networks' view of one minibatch of sequences, and
+returns one number per individual, averaged over that individual's valid steps. A recipe's loss is
+the sum of its terms, each with its weight of the phase (offline or online).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import torch
+from torch.nn import functional
+
+from animarl_algos.losses.losses import (
+    action_cross_entropy,
+    masked_mean,
+    squared_l2,
+    treatment_cross_entropy,
+)
+from animarl_algos.losses.values import ValueDistribution, one_step_target
+from animarl_algos.ranges import NOT_NEGATIVE, POSITIVE_OR_NONE, PROBABILITY
+from animarl_algos.replay.batch import SequenceBatch
+from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The numbers of one phase of training.
+
+    Attributes
+    ----------
+    name
+        ``"offline"`` or ``"online"``, for messages and logs.
+    gamma
+        Discount per step.
+    alpha
+        Weight of the distance penalty in the reward, ``R - alpha * penalty``.
+    lambda1, lambda2, lambda3
+        Weights of squared l2 norm, treatment cross-entropy and action supervision.
+    max_grad_norm
+        Largest gradient norm of one individual; ``None`` does not clip.
+    scaled_penalties
+        Whether penalties of all actions are taken in units of their mean over actions and steps
+        (per individual and batch) instead of arena units. That mean is about ``u dt^2``, how far
+        one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
+    """
+
+    name: str
+    gamma: float
+    alpha: float
+    lambda1: float
+    lambda2: float
+    lambda3: float
+    max_grad_norm: float | None
+    scaled_penalties: bool = False
+
+    def __post_init__(self) -> None:
+        prefix = "" if self.name == "online" else f"{self.name}_"
+        PROBABILITY.check(prefix + "gamma", self.gamma)
+        for key in ("alpha", "lambda1", "lambda2", "lambda3"):
+            NOT_NEGATIVE.check(prefix + key, getattr(self, key))
+        POSITIVE_OR_NONE.check(prefix + "max_grad_norm", self.max_grad_norm)
+
+
+class ActionValues(Protocol):
+    """What a network says about the T + 1 states of T steps; see
+    :class:`animarl_algos.networks.output.QOutput`."""
+
+    @property
+    def values(self) -> torch.Tensor:
+        """``(K, T + 1, B, A, Q)``."""
+        ...
+
+    @property
+    def q_values(self) -> torch.Tensor:
+        """``(K, T + 1, B, A)``, their mean over the quantiles."""
+        ...
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """``(K, T + 1, B, Q)``, the values of the actions ``(K, T + 1, B)``."""
+        ...
+
+
+@dataclass
+class Evaluation:
+    """What the networks say about a batch, from its first trained step on.
+
+    Axes (individual K, time T, batch B, action A, quantile Q).
+
+    Attributes
+    ----------
+    batch
+        Its leading ``burn_in`` steps already cut off.
+    valid
+        ``(K, T, B)`` bool, the steps that enter a loss.
+    online, target
+        The two networks at all states, the last ones included; no ``target`` if no term asks for
+        it.
+    treatment_logits
+        ``(K, T, B)``, or ``None`` without a treatment head.
+    parameters
+        The online network's, each ``(K, ...)``.
+    errors
+        ``(K, T, B)``, set by the temporal-difference terms: absolute errors, for priorities.
+    """
+
+    batch: SequenceBatch
+    phase: Phase
+    distribution: ValueDistribution
+    valid: torch.Tensor
+    online: ActionValues
+    target: ActionValues | None
+    treatment_logits: torch.Tensor | None
+    parameters: Sequence[torch.Tensor]
+    errors: torch.Tensor | None = field(default=None)
+
+    @property
+    def values(self) -> torch.Tensor:
+        """``(K, T, B, A, Q)``, the online network before each step."""
+        return self.online.values[:, :-1]
+
+    @property
+    def q_values(self) -> torch.Tensor:
+        """``(K, T, B, A)``, expected values before each step."""
+        return self.online.q_values[:, :-1]
+
+    def taken_values(self) -> torch.Tensor:
+        """``(K, T, B, Q)``, the online network's values of the actions taken."""
+        with_last = functional.pad(self.batch.actions, (0, 0, 0, 1))  # none is taken there
+        return self.online.of_actions(with_last)[:, :-1]
+
+    def double_q_target(self, rewards: torch.Tensor) -> torch.Tensor:
+        """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``."""
+        assert self.target is not None
+        best = self.online.q_values.detach().argmax(-1)  # ties: the lowest index
+        bootstrap = self.target.of_actions(best)[:, 1:]
+        return one_step_target(rewards, self.batch.terminated > 0, bootstrap, self.phase.gamma)
+
+
+class LossTerm(Protocol):
+    """One summand of a recipe's loss."""
+
+    @property
+    def name(self) -> str:
+        """Under which it is logged."""
+        ...
+
+    @property
+    def needs_target(self) -> bool:
+        """Whether it bootstraps from the target network."""
+        ...
+
+    def weight(self, phase: Phase) -> float:
+        """Its factor in the sum."""
+        ...
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        """``(K,)``, one number per individual."""
+        ...
+
+
+@dataclass(frozen=True)
+class TemporalDifference:
+    """``J_DQ``: one-step double-Q loss of the action taken, with reward ``R - alpha * penalty``.
+
+    ``shaped=False`` leaves the distance penalty out (DQN, DQAAS).
+    """
+
+    shaped: bool = False
+    name: str = "td"
+    needs_target: bool = True
+
+    def weight(self, phase: Phase) -> float:
+        return 1.0
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        batch, rewards = evaluation.batch, evaluation.batch.rewards
+        if self.shaped:
+            rewards = rewards - evaluation.phase.alpha * batch.penalties
+        target = evaluation.double_q_target(rewards)
+        td = evaluation.distribution.td_loss(evaluation.taken_values(), target)
+        evaluation.errors = td.error
+        return masked_mean(td.loss, evaluation.valid, batch.weights)
+
+
+@dataclass(frozen=True)
+class ScoredActionsTemporalDifference:
+    """Offline ``J_DQ`` of DQDIL: all actions of a demonstrated state, each with its own penalty.
+
+    From state s_t the fitted dynamics predicts where each action would lead; its distance to the
+    next demonstrated position is that action's penalty p(t, a). Every action value is regressed
+    towards::
+
+        Q(s_t, a) -> R_t - alpha p(t, a) + gamma Q_target(s_{t+1}, argmax_a' Q(s_{t+1}, a'))
+
+    with s_{t+1} the demonstrated successor: the penalty says by how much an action misses it, and
+    after one step nothing else is known about where it would have led. The targets of a state then
+    differ by -alpha p(t, a) alone, so the values rank the actions as the distances do and the
+    demonstrated action, being closest, comes first. (Scoring the demonstrated action only would
+    lower it against the twelve others, which nothing else touches.)
+
+    With ``scaled_penalties`` of the phase, p is divided by its mean over actions and steps. In
+    arena units the differences between actions shrink with the animals' thrust, until the noise of
+    the common target drowns them; scaled, alpha weighs imitation alike for every species.
+    """
+
+    name: str = "td"
+    needs_target: bool = True
+
+    def weight(self, phase: Phase) -> float:
+        return 1.0
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        batch = evaluation.batch
+        if batch.action_penalties is None:
+            raise InputError(
+                "the demonstrations carry no penalties of all actions: "
+                "make the dataset with the fitted dynamics of their species"
+            )
+        penalty = evaluation.phase.alpha * batch.action_penalties
+        if evaluation.phase.scaled_penalties:
+            unit = masked_mean(batch.action_penalties.mean(-1), evaluation.valid)
+            penalty = penalty / unit.clamp(min=1e-12).view(-1, 1, 1, 1)
+        # Valid steps only: there are 13 values to each.
+        valid = evaluation.valid
+        target = evaluation.double_q_target(batch.rewards)[valid].unsqueeze(-2)
+        td = evaluation.distribution.td_loss(
+            evaluation.values[valid], target - penalty[valid].unsqueeze(-1)
+        )
+        evaluation.errors = _padded(td.error.mean(-1), valid)
+        return masked_mean(_padded(td.loss.mean(-1), valid), valid, batch.weights)
+
+
+def _padded(per_valid_step: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """(N,) values of the valid steps back in their places, (K, T, B), zero elsewhere."""
+    padded = per_valid_step.new_zeros(valid.shape)
+    return padded.masked_scatter(valid, per_valid_step)
+
+
+@dataclass(frozen=True)
+class ActionSupervision:
+    """``J_AS``: cross-entropy with the demonstrated action, action values as logits.
+
+    Online the label is the demonstrated action that dynamic time warping aligns with the rollout's
+    step (DQAAS); offline it is the demonstrated action of the step itself. ``weighted=False`` takes
+    it as it is (BC, whose only data term it is), otherwise times lambda3.
+    """
+
+    weighted: bool = True
+    name: str = "supervision"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return phase.lambda3 if self.weighted else 1.0
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        batch = evaluation.batch
+        return action_cross_entropy(
+            evaluation.q_values, batch.labels, evaluation.valid, batch.weights
+        )
+
+
+@dataclass(frozen=True)
+class TreatmentAdversary:
+    """``J_tr``: cross-entropy of the condition, predicted from h_t through gradient reversal."""
+
+    name: str = "treatment"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return phase.lambda2
+
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        assert evaluation.treatment_logits is not None
+        batch = evaluation.batch
+        return treatment_cross_entropy(
+            evaluation.treatment_logits, batch.condition, evaluation.valid, batch.weights
+        )
+
+
+@dataclass(frozen=True)
+class WeightDecay:
+    """``J_l2``: squared norm of all weights of the individual's network.
+
+    Its value carries no gradient: :func:`animarl_algos.learner.gradient_step.update` adds that in
+    closed form.
+    """
+
+    name: str = "l2"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return phase.lambda1
+
+    @torch.no_grad()
+    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+        return squared_l2(evaluation.parameters)

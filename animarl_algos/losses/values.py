@@ -1,0 +1,148 @@
+"""What is learned about an action: its expected return (DQN) or the return's quantiles (QR-DQN).
+
+This is the only difference between the two families of learners. Both use the one-step double-Q
+target (van Hasselt et al. 2016; the paper, equation "ddqn")::
+
+    a*     = argmax over a of Q(s', a; online)
+    target = R + gamma Q(s', a*; target network),      without the second term where s' is terminal
+
+A time-out is not terminal: it bootstraps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import torch
+from torch.nn import functional
+
+from animarl_algos.losses.quantile_huber import quantile_huber
+from animarl_algos.ranges import Range
+
+
+class ErrorLoss(Enum):
+    """How a temporal-difference error is scored by :class:`ExpectedValue`."""
+
+    SQUARED = "squared"
+    HUBER = "huber"
+
+
+@dataclass(frozen=True)
+class TDLoss:
+    """Per-step loss and size of the temporal-difference error, both (...,), the latter detached."""
+
+    loss: torch.Tensor
+    error: torch.Tensor
+
+
+class ValueDistribution(Protocol):
+    """What the learners ask of :class:`ExpectedValue` and :class:`Quantiles`."""
+
+    @property
+    def num_quantiles(self) -> int:
+        """Outputs of the network per action."""
+        ...
+
+    def q_values(self, values: torch.Tensor) -> torch.Tensor:
+        """Expected returns (..., actions) of network outputs (..., actions, quantiles)."""
+        ...
+
+    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Loss of the value of an action against its target.
+
+        Parameters
+        ----------
+        value : Tensor (..., quantiles)
+            Of the action taken; see :func:`take_action`.
+        target : Tensor (..., quantiles)
+            From :func:`one_step_target`. It gets no gradient.
+        """
+        ...
+
+
+def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    """Pick one action's outputs: (..., actions, quantiles) and (...) to (..., quantiles)."""
+    index = actions[..., None, None].expand(*actions.shape, 1, values.shape[-1])
+    return values.gather(-2, index).squeeze(-2)
+
+
+@torch.no_grad()
+def one_step_target(
+    rewards: torch.Tensor, terminated: torch.Tensor, bootstrap: torch.Tensor, gamma: float
+) -> torch.Tensor:
+    """``R + gamma bootstrap``, without the second term where the next state is terminal.
+
+    Parameters
+    ----------
+    rewards : Tensor (...)
+    terminated : Tensor (...) bool
+        True where the next state is terminal; never for a time-out.
+    bootstrap : Tensor (..., quantiles)
+        The target network's value of the next state's best action.
+    gamma
+        Discount per step.
+
+    Returns
+    -------
+    Tensor (..., quantiles)
+        Without gradient.
+    """
+    discount = gamma * (~terminated).to(rewards.dtype)
+    return rewards.unsqueeze(-1) + discount.unsqueeze(-1) * bootstrap
+
+
+@dataclass(frozen=True)
+class ExpectedValue:
+    """DQN: one number per action.
+
+    ``SQUARED`` is the paper's loss, ``HUBER`` (with threshold 1) that of stable-baselines3.
+    """
+
+    loss: ErrorLoss = ErrorLoss.SQUARED
+
+    @property
+    def num_quantiles(self) -> int:
+        """One output per action."""
+        return 1
+
+    def q_values(self, values: torch.Tensor) -> torch.Tensor:
+        """Expected returns (..., actions)."""
+        return values.squeeze(-1)
+
+    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Squared or Huber loss of target - Q."""
+        error = (target - value).squeeze(-1)
+        if self.loss is ErrorLoss.SQUARED:
+            loss = error.square()
+        else:
+            loss = functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
+        return TDLoss(loss, error.detach().abs())
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """QR-DQN: ``num_quantiles`` quantiles of the return per action (Dabney et al. 2018)."""
+
+    num_quantiles: int
+
+    def __post_init__(self) -> None:
+        whole = Range(least=2, whole=True).check("n_quantiles", self.num_quantiles)
+        object.__setattr__(self, "num_quantiles", whole)
+
+    def q_values(self, values: torch.Tensor) -> torch.Tensor:
+        """Expected returns (..., actions): the quantiles' mean."""
+        return values.mean(-1)
+
+    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
+        """Quantile Huber loss: summed over the quantiles, averaged over the target's."""
+        error = (target.mean(-1) - value.mean(-1)).detach().abs()
+        return TDLoss(quantile_huber(value, target), error)
+
+
+def value_distribution(
+    n_quantiles: int | None, loss: ErrorLoss = ErrorLoss.SQUARED
+) -> ExpectedValue | Quantiles:
+    """``ExpectedValue`` for None, else ``Quantiles(n_quantiles)``."""
+    return ExpectedValue(loss) if n_quantiles is None else Quantiles(n_quantiles)

@@ -1,0 +1,1 @@
+"""Q-networks, one per individual, and the policies that act with them."""

@@ -1,0 +1,1 @@
+"""Compiled forms of the networks: forward, backward and acting."""

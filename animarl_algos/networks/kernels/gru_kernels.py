@@ -1,0 +1,175 @@
+"""The GRU's recurrence as compiled loops, for float32 on the CPU.
+
+At 32 units an update through tensor operations spends most of its time starting them; these loops
+run the same equations (see :mod:`animarl_algos.networks.gru`) row by row, everything in cache.
+"""
+
+from __future__ import annotations
+
+import numba as nb
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+# tanh as a quotient of polynomials in x^2, the approximation of Eigen and XLA, within a few float32
+# roundings of the true value and free of branches, so that compilers vectorise it.
+_TANH_LIMIT = np.float32(7.90531110763549805)
+_P1 = np.float32(4.89352455891786e-03)
+_P3 = np.float32(6.37261928875436e-04)
+_P5 = np.float32(1.48572235717979e-05)
+_P7 = np.float32(5.12229709037114e-08)
+_P9 = np.float32(-8.60467152213735e-11)
+_P11 = np.float32(2.00018790482477e-13)
+_P13 = np.float32(-2.76076847742355e-16)
+_Q0 = np.float32(4.89352518554385e-03)
+_Q2 = np.float32(2.26843463243900e-03)
+_Q4 = np.float32(1.18534705686654e-04)
+_Q6 = np.float32(1.19825839466702e-06)
+_HALF = np.float32(0.5)
+_ONE = np.float32(1.0)
+_ZERO = np.float32(0.0)
+
+
+@nb.njit(inline="always", error_model="numpy")
+def tanh_float32(x):  # type: ignore[no-untyped-def]
+    """Hyperbolic tangent of a float32."""
+    x = min(max(x, -_TANH_LIMIT), _TANH_LIMIT)
+    s = x * x
+    p = x * (_P1 + s * (_P3 + s * (_P5 + s * (_P7 + s * (_P9 + s * (_P11 + s * _P13))))))
+    return p / (_Q0 + s * (_Q2 + s * (_Q4 + s * _Q6)))
+
+
+@nb.njit(inline="always", error_model="numpy")
+def sigmoid_float32(x):  # type: ignore[no-untyped-def]
+    """Logistic function of a float32, sigmoid(x) = (1 + tanh(x / 2)) / 2."""
+    return _HALF + _HALF * tanh_float32(_HALF * x)
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _forward(gates, hidden_n, hidden, state, weight, bias, active, scratch):  # type: ignore[no-untyped-def]
+    individuals, _, units = hidden.shape
+    for k in range(individuals):
+        start = 0
+        start_before = 0
+        for t in range(len(active)):
+            for b in range(active[t]):
+                before = state[k, b] if t == 0 else hidden[k, start_before + b]
+                gate = gates[k, start + b]
+                from_state = scratch
+                for j in range(3 * units):
+                    from_state[j] = bias[k, 0, j]
+                for i in range(units):
+                    h = before[i]
+                    for j in range(3 * units):
+                        from_state[j] += h * weight[k, i, j]
+                for j in range(2 * units):
+                    gate[j] = sigmoid_float32(gate[j] + from_state[j])
+                for j in range(units):
+                    h_n = from_state[2 * units + j]
+                    n = tanh_float32(gate[2 * units + j] + gate[j] * h_n)
+                    z = gate[units + j]
+                    gate[2 * units + j] = n
+                    hidden_n[k, start + b, j] = h_n
+                    hidden[k, start + b, j] = n + z * (before[j] - n)
+            start_before = start
+            start += active[t]
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _backward(  # type: ignore[no-untyped-def]
+    grad_hidden,
+    gates,
+    hidden_n,
+    hidden,
+    state,
+    weight_back,
+    active,
+    grad_gates,
+    grad_hidden_n,
+    carried,
+):
+    individuals, rows, units = hidden.shape
+    for k in range(individuals):
+        end = rows
+        for t in range(len(active) - 1, -1, -1):
+            start = end - active[t]
+            start_before = start - active[t - 1] if t > 0 else 0
+            for b in range(active[t]):
+                row = start + b
+                before = state[k, b] if t == 0 else hidden[k, start_before + b]
+                for j in range(units):
+                    r = gates[k, row, j]
+                    z = gates[k, row, units + j]
+                    n = gates[k, row, 2 * units + j]
+                    total = grad_hidden[k, row, j] + carried[k, b, j]
+                    d_n = total * (_ONE - z) * (_ONE - n * n)
+                    grad_gates[k, row, j] = d_n * hidden_n[k, row, j] * r * (_ONE - r)
+                    grad_gates[k, row, units + j] = total * (before[j] - n) * z * (_ONE - z)
+                    grad_gates[k, row, 2 * units + j] = d_n
+                    grad_hidden_n[k, row, j] = d_n * r
+                    carried[k, b, j] = total * z
+                for j in range(2 * units):
+                    d = grad_gates[k, row, j]
+                    for i in range(units):
+                        carried[k, b, i] += d * weight_back[k, j, i]
+                for j in range(units):
+                    d = grad_hidden_n[k, row, j]
+                    for i in range(units):
+                        carried[k, b, i] += d * weight_back[k, 2 * units + j, i]
+            end = start
+
+
+def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+    array: NDArray[np.float32] = tensor.detach().contiguous().numpy()
+    return array
+
+
+def forward(
+    gates: torch.Tensor,
+    hidden_n: torch.Tensor,
+    hidden: torch.Tensor,
+    state: torch.Tensor,
+    weight: torch.Tensor,
+    bias: torch.Tensor,
+    active: NDArray[np.int64],
+) -> None:
+    """Fill ``hidden_n`` and ``hidden`` (K, row, H), turn ``gates`` (K, row, 3H) into r, z, n."""
+    scratch = np.empty(gates.shape[-1], dtype=np.float32)
+    _forward(
+        _array(gates),
+        _array(hidden_n),
+        _array(hidden),
+        _array(state),
+        _array(weight),
+        _array(bias),
+        active,
+        scratch,
+    )
+
+
+def backward(
+    grad_hidden: torch.Tensor,
+    gates: torch.Tensor,
+    hidden_n: torch.Tensor,
+    hidden: torch.Tensor,
+    state: torch.Tensor,
+    weight: torch.Tensor,
+    active: NDArray[np.int64],
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Gradients of the input's gates (K, row, 3H), of ``hidden_n`` (K, row, H), of the state."""
+    grad_gates = torch.empty_like(gates)
+    grad_hidden_n = torch.empty_like(hidden_n)
+    carried = torch.zeros_like(state, memory_format=torch.contiguous_format)
+    _backward(
+        _array(grad_hidden),
+        _array(gates),
+        _array(hidden_n),
+        _array(hidden),
+        _array(state),
+        _array(weight.transpose(1, 2)),
+        active,
+        _array(grad_gates),
+        _array(grad_hidden_n),
+        _array(carried),
+    )
+    return grad_gates, grad_hidden_n, carried

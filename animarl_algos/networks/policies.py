@@ -1,0 +1,342 @@
+"""Stable-baselines3 policies around the stacked Q-networks: who acts how, and with which memory.
+
+A vectorised environment with S = copies * K slots has copy ``s // K`` and individual ``s % K`` in
+slot s; each slot is routed to the network of its individual. Between calls a slot's memory is its
+hidden state and its previous action.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
+
+from animarl_algos.losses.values import ExpectedValue, Quantiles, value_distribution
+from animarl_algos.networks.kernels.acting import CompiledActor
+from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.ranges import COUNT, NOT_NEGATIVE, POSITIVE, PROBABILITY
+from animarl_envs.errors import InputError
+
+State = tuple[NDArray[np.float32], NDArray[np.int64]]
+
+
+class GruPolicy(BasePolicy):  # type: ignore[misc]
+    """Recurrent dueling Q-networks, one per individual, with their target networks and optimiser.
+
+    Parameters
+    ----------
+    observation_space
+        Box; flattened to a vector.
+    action_space
+        Discrete, starting at 0.
+    lr_schedule
+        Learning rate from remaining progress, as in stable-baselines3.
+    individuals
+        Names of the K individuals in slot order.
+    condition_flag
+        Whether the last observation component is the treatment flag.
+    treatment_head
+        Whether to predict the treatment through gradient reversal (DQCIL).
+    reversal
+        Strength of that reversal.
+    n_quantiles
+        Quantiles per action (QR-DQN); None for expected values (DQN).
+    hidden
+        Units of every hidden layer.
+    previous_action
+        Whether the previous action is an input; by default it is one for a policy with a memory.
+    epsilon
+        Probability of a uniformly random action where ``temperature`` is None.
+    temperature
+        Boltzmann sampling over softmax(Q / temperature), a number or one per individual.
+    seed
+        Of the initial weights and of the acting draws.
+    optimizer_class, optimizer_kwargs
+        As in stable-baselines3.
+
+    Attributes
+    ----------
+    epsilon, temperature
+        May be set at any time; they hold from the next prediction on.
+    """
+
+    recurrent: ClassVar[bool] = True
+    q_net: StackedQNetwork
+    q_net_target: StackedQNetwork
+
+    def __init__(
+        self,
+        observation_space: spaces.Space[Any],
+        action_space: spaces.Space[Any],
+        lr_schedule: Schedule,
+        *,
+        individuals: tuple[str, ...] = ("agent",),
+        condition_flag: bool = False,
+        treatment_head: bool = False,
+        reversal: float = 1.0,
+        n_quantiles: int | None = None,
+        hidden: int = 32,
+        previous_action: bool | None = None,
+        epsilon: float = 0.0,
+        temperature: ArrayLike | None = None,
+        seed: int = 0,
+        optimizer_class: type[torch.optim.Optimizer] = torch.optim.Adam,
+        optimizer_kwargs: dict[str, Any] | None = None,
+    ) -> None:
+        if not isinstance(observation_space, spaces.Box):
+            raise InputError(
+                f"observation space {observation_space} is not a Box: flatten it to a vector first"
+            )
+        if not isinstance(action_space, spaces.Discrete) or action_space.start != 0:
+            raise InputError(
+                f"action space {action_space} is not Discrete starting at 0: these learners choose "
+                "among numbered actions"
+            )
+        hidden = COUNT.check("hidden", hidden)
+        PROBABILITY.check("epsilon", epsilon)
+        NOT_NEGATIVE.check("reversal", reversal)
+        if temperature is not None:
+            for each in np.atleast_1d(temperature):
+                POSITIVE.check("temperature", each)
+            if np.size(temperature) not in (1, len(individuals)):
+                raise InputError(
+                    f"temperature has {np.size(temperature)} numbers for {len(individuals)} "
+                    "individuals: give one, or one for each"
+                )
+        super().__init__(
+            observation_space,
+            action_space,
+            optimizer_class=optimizer_class,
+            optimizer_kwargs=optimizer_kwargs,
+        )
+        self.individuals = tuple(individuals)
+        self.num_actions = int(action_space.n)
+        self.distribution: ExpectedValue | Quantiles = value_distribution(n_quantiles)
+        self.epsilon = epsilon
+        self.temperature = temperature
+        self.network_arguments: dict[str, Any] = {
+            "individuals": self.individuals,
+            "condition_flag": condition_flag,
+            "treatment_head": treatment_head,
+            "reversal": reversal,
+            "hidden": hidden,
+            "previous_action": self.recurrent if previous_action is None else previous_action,
+            "seed": seed,
+        }
+        self.n_quantiles = n_quantiles
+        self._observation_size = int(np.prod(observation_space.shape))
+        self.seed(seed)
+        self._build(lr_schedule)
+
+    def _build(self, lr_schedule: Schedule) -> None:
+        self.q_net = self.make_q_net()
+        self.q_net_target = self.make_q_net()
+        self.q_net_target.load_state_dict(self.q_net.state_dict())
+        self.q_net_target.requires_grad_(False)
+        self._actor = CompiledActor(self.q_net)
+        try:
+            self.optimizer = self.optimizer_class(
+                self.q_net.parameters(),
+                lr=lr_schedule(1),  # type: ignore[call-arg]
+                **self.optimizer_kwargs,
+            )
+        except (TypeError, ValueError) as error:
+            raise InputError(f"optimizer_class and optimizer_kwargs do not fit: {error}") from error
+
+    def make_q_net(self) -> StackedQNetwork:
+        """A network as the constructor's arguments describe it, freshly initialised."""
+        arguments = dict(self.network_arguments)
+        return StackedQNetwork(
+            arguments.pop("individuals"),
+            self._observation_size,
+            self.num_actions,
+            num_quantiles=self.distribution.num_quantiles,
+            units=arguments.pop("hidden"),
+            recurrent=self.recurrent,
+            **arguments,
+        )
+
+    def seed(self, seed: int) -> None:
+        """Seed the generator of the acting draws."""
+        self.generator = np.random.default_rng(seed)
+
+    @property
+    def random_state(self) -> dict[str, Any]:
+        """State of the acting generator, to be stored with a checkpoint; assignable."""
+        return dict(self.generator.bit_generator.state)
+
+    @random_state.setter
+    def random_state(self, state: dict[str, Any]) -> None:
+        self.generator.bit_generator.state = state
+
+    def initial_state(self, slots: int) -> State:
+        """Memory of fresh episodes: zeros (S, H) and ``num_actions`` (S,), no previous action."""
+        return (
+            np.zeros((slots, self.q_net.units), dtype=np.float32),
+            np.full(slots, self.num_actions, dtype=np.int64),
+        )
+
+    def predict(
+        self,
+        observation: NDArray[Any] | dict[str, NDArray[Any]],
+        state: tuple[NDArray[Any], ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], tuple[NDArray[Any], ...]]:
+        """Choose an action per slot.
+
+        Parameters
+        ----------
+        observation : ndarray (S, *shape) or (*shape)
+            Of all slots, or of the only slot.
+        state : (hidden (S, H) float32, previous action (S,) int64), optional
+            As returned by the last call; not changed. A caller that executes other actions than the
+            returned ones puts those into it. None starts fresh episodes.
+        episode_start : ndarray (S,) bool, optional
+            Slots whose memory is forgotten first.
+        deterministic
+            True: the greedy action (ties: the lowest index) and no random draw. False:
+            epsilon-greedy, or Boltzmann where ``temperature`` is set, with one draw per slot.
+
+        Returns
+        -------
+        actions : ndarray (S,) int64, or () for the only slot
+        state : (hidden, previous action)
+        """
+        q_values, hidden, single = self.advance(observation, state, episode_start)
+        actions = self.choose(q_values, deterministic)
+        return (actions[0] if single else actions), (hidden, actions.copy())
+
+    def advance(
+        self,
+        observation: NDArray[Any] | dict[str, NDArray[Any]],
+        state: tuple[NDArray[Any], ...] | None,
+        episode_start: NDArray[Any] | None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], bool]:
+        """Q-values (S, actions), next hidden state (S, H), and whether there was one bare slot."""
+        shape = self.observation_space.shape
+        observation = np.asarray(observation)
+        single = observation.shape == shape
+        slots = 1 if single else len(observation)
+        if not single and observation.shape[1:] != shape:
+            raise InputError(
+                f"observation of shape {observation.shape} does not fit the observation space: "
+                f"give {shape}, or (slots, *{shape})"
+            )
+        if slots % len(self.individuals):
+            raise InputError(
+                f"{slots} slots cannot be dealt to the {len(self.individuals)} individuals "
+                f"{self.individuals}: give the observations of all of them, copy by copy"
+            )
+        flat = np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32)
+        hidden, previous = self._remembered(state, episode_start, slots)
+        if self.q_net.encoder_1.weight.is_cpu:  # self.device would walk all parameters
+            return self._actor.decide(flat, previous, hidden), hidden, single
+        return *self._advance_on_device(flat, previous, hidden), single
+
+    def _remembered(
+        self,
+        state: tuple[NDArray[Any], ...] | None,
+        episode_start: NDArray[Any] | None,
+        slots: int,
+    ) -> State:
+        """A copy of the memory, without that of slots whose episode begins."""
+        if state is None:
+            return self.initial_state(slots)
+        hidden = np.array(state[0], dtype=np.float32, order="C")
+        previous = np.array(state[1], dtype=np.int64, order="C")
+        if hidden.shape != (slots, self.q_net.units) or previous.shape != (slots,):
+            raise InputError(
+                f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
+                f"of {self.q_net.units} units: give the one that the last call returned"
+            )
+        if not 0 <= previous.min() <= previous.max() <= self.num_actions:
+            raise InputError(
+                f"previous actions run from {previous.min()} to {previous.max()}: they must lie in "
+                f"0 .. {self.num_actions - 1}, or be {self.num_actions} for none"
+            )
+        if episode_start is not None:
+            begins = np.asarray(episode_start, dtype=bool)
+            hidden[begins], previous[begins] = 0.0, self.num_actions
+        return hidden, previous
+
+    def _advance_on_device(
+        self,
+        observation: NDArray[np.float32],
+        previous: NDArray[np.int64],
+        hidden: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        individuals = len(self.individuals)
+
+        def stacked(array: NDArray[Any]) -> torch.Tensor:
+            shaped = array.reshape(-1, individuals, *array.shape[1:])
+            return torch.from_numpy(shaped).to(self.device).transpose(0, 1)
+
+        def slots(tensor: torch.Tensor) -> NDArray[Any]:
+            array: NDArray[Any] = tensor.transpose(0, 1).flatten(0, 1).cpu().numpy()
+            return array
+
+        q_values, state = self.q_net.step(stacked(observation), stacked(previous), stacked(hidden))
+        return slots(q_values), slots(state)
+
+    def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> NDArray[np.int64]:
+        """Actions (S,) for Q-values (S, actions): greedy, or by the acting rule, one draw each."""
+        greedy: NDArray[np.int64] = q_values.argmax(1)
+        if deterministic:
+            return greedy
+        draw = self.generator.random(len(q_values))
+        if self.temperature is None:
+            # A draw below epsilon is uniform there, so that it also says which random action.
+            if self.epsilon <= 0:
+                return greedy
+            random = np.minimum(draw / self.epsilon * self.num_actions, self.num_actions - 1)
+            return np.where(draw < self.epsilon, random.astype(np.int64), greedy)
+        per_individual = np.broadcast_to(self.temperature, len(self.individuals))
+        temperature = np.tile(per_individual, len(q_values) // len(self.individuals))
+        return boltzmann(q_values / temperature[:, None], draw)
+
+    def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
+        """Actions at the start of an episode, for observations (S, *shape)."""
+        if not isinstance(observation, torch.Tensor):
+            raise InputError("the observation is a dictionary: flatten it to a vector first")
+        q_values, _, _ = self.advance(observation.cpu().numpy(), None, None)
+        return torch.from_numpy(self.choose(q_values, deterministic))
+
+    def forward(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
+        """Actions at the start of an episode, for observations (S, *shape)."""
+        return self._predict(observation, deterministic)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {
+            "observation_space": self.observation_space,
+            "action_space": self.action_space,
+            "lr_schedule": self._dummy_schedule,
+            "n_quantiles": self.n_quantiles,
+            "epsilon": self.epsilon,
+            "temperature": self.temperature,
+            "optimizer_class": self.optimizer_class,
+            "optimizer_kwargs": self.optimizer_kwargs,
+            **self.network_arguments,
+        }
+
+
+class MlpPolicy(GruPolicy):
+    """The feed-forward twin of :class:`GruPolicy`: the same layers without the GRU.
+
+    It reacts to the present observation alone unless ``previous_action=True``.
+    """
+
+    recurrent: ClassVar[bool] = False
+
+
+def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Sample from softmax(scaled) (S, actions) with one uniform draw (S,) in [0, 1) per row."""
+    weight = np.exp(scaled - scaled.max(1, keepdims=True)).astype(np.float64)
+    cumulative = weight.cumsum(1)
+    chosen: NDArray[np.int64] = (cumulative <= draw[:, None] * cumulative[:, -1:]).sum(1)
+    return chosen

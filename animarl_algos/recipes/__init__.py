@@ -1,0 +1,1 @@
+"""What each learner minimises: one file per recipe, and their names."""

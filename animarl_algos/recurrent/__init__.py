@@ -1,1 +1,0 @@
-"""Recurrent dueling Q-networks, one per individual, and their memory."""

@@ -1,0 +1,362 @@
+"""Prioritised replay of whole episodes, or of pieces with a burn-in prefix, for K individuals.
+
+Schaul et al. 2016, "Prioritized experience replay"; burn-in and stored states after Kapturowski et
+al. 2019, "Recurrent experience replay in distributed reinforcement learning".
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_algos.ranges import COUNT_OR_NONE, NOT_NEGATIVE, PROBABILITY
+from animarl_algos.replay import sequence_kernels as kernels
+from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.gather import BatchBuffers
+from animarl_algos.replay.memory_limit import refuse_too_large
+from animarl_algos.replay.rings import (
+    EPISODES,
+    NEXT,
+    OLDEST,
+    ROWS_USED,
+    Frames,
+    Ring,
+    Sequences,
+    Staging,
+)
+from animarl_algos.replay.state_mode import StateMode, check_state_mode
+from animarl_algos.replay.step_arrays import NotGiven, Step, fit
+from animarl_algos.replay.sum_tree import SumTrees
+from animarl_envs.errors import InputError
+
+
+class SequenceReplayBuffer:
+    """A ring of episodes; an episode is K timelines that start and end together.
+
+    Steps of running episodes wait in a staging area, one per copy of the world; a finished episode
+    moves to the ring and evicts the oldest ones. Each individual draws its own batches by its own
+    priorities and its own random stream, which depends on the seed and its name only: K individuals
+    in one buffer draw exactly what they would draw from K buffers of their own.
+
+    Parameters
+    ----------
+    buffer_size
+        Rows of the ring: steps of the world, plus one per episode for its last observation.
+    observation_dim, num_individuals, num_actions
+        ``n``, ``K`` and the number of actions.
+    max_episode_steps
+        Longest episode.
+    sequence_length
+        ``None``: sequences are whole episodes. Else pieces of at most this many steps, burn-in
+        included: trained parts of ``sequence_length - burn_in`` steps lie end to end, so each step
+        of an episode is trained in exactly one piece, and up to ``burn_in`` steps precede each.
+    state_mode
+        See :class:`StateMode`.
+    state_size
+        Size H of the recurrent state; needed for ``"stored"`` only.
+    prioritized
+        ``False``: uniform draws, weights 1.
+    stratified
+        One draw from each of B equal parts of the priority mass instead of independent draws.
+    alpha
+        Exponent of the priorities.
+    beta_start, beta_end
+        Exponent of the importance weights at progress 0 and 1.
+    seed, names
+        Roots of the random streams; names default to ``individual_0`` and so on.
+    device
+        Where batches go.
+    max_episodes
+        Most episodes kept, however short; ``None``: as many as the rows hold.
+    num_copies
+        Copies of the world; ``None``: as many as the first ``add`` shows.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range, an episode cannot fit, or memory does not suffice.
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_dim: int,
+        num_individuals: int,
+        num_actions: int,
+        max_episode_steps: int,
+        *,
+        sequence_length: int | None = None,
+        burn_in: int = 0,
+        state_mode: StateMode | str = StateMode.RECOMPUTE,
+        state_size: int = 0,
+        prioritized: bool = True,
+        stratified: bool = True,
+        alpha: float = 0.6,
+        beta_start: float = 0.4,
+        beta_end: float = 1.0,
+        seed: int = 0,
+        names: Sequence[str] | None = None,
+        device: torch.device | str = "cpu",
+        max_episodes: int | None = None,
+        num_copies: int | None = None,
+    ) -> None:
+        self.names = tuple(names or (f"individual_{k}" for k in range(num_individuals)))
+        if len(set(self.names)) != num_individuals:
+            raise InputError(f"names {self.names} do not name {num_individuals} individuals")
+        if max_episode_steps < 1 or buffer_size < max_episode_steps + 1:
+            raise InputError(
+                f"buffer_size {buffer_size} cannot hold an episode of {max_episode_steps} steps "
+                f"and its last observation: set it to {max(max_episode_steps, 1) + 1} or more"
+            )
+        max_episodes = COUNT_OR_NONE.check("max_episodes", max_episodes)
+        NOT_NEGATIVE.check("alpha of the replay memory", alpha)
+        PROBABILITY.check("beta_start", beta_start)
+        PROBABILITY.check("beta_end", beta_end)
+        self.max_episodes = buffer_size if max_episodes is None else max_episodes
+        self.state_mode = check_state_mode(state_mode, sequence_length, burn_in, state_size)
+        self.stride = max_episode_steps if sequence_length is None else sequence_length - burn_in
+        self.buffer_size = buffer_size
+        self.observation_dim = observation_dim
+        self.num_individuals = num_individuals
+        self.num_actions = num_actions
+        self.max_episode_steps = max_episode_steps
+        self.burn_in = burn_in
+        self.state_size = state_size if self.state_mode is StateMode.STORED else 0
+        self.prioritized = prioritized
+        self.stratified = stratified
+        self.alpha = alpha
+        self.beta_start, self.beta_end = beta_start, beta_end
+        self.device = torch.device(device)
+
+        # An episode of T steps takes T + 1 rows and ceil(T / stride) slots.
+        self.num_slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
+        tree_nodes = SumTrees.num_nodes(self.num_slots) if prioritized else 0
+        refuse_too_large(
+            buffer_size * Frames.bytes_per_row(num_individuals, observation_dim)
+            + self.num_slots * Sequences.bytes_per_slot(num_individuals, self.state_size)
+            + 8 * num_individuals * tree_nodes,
+            f"buffer_size {buffer_size}",
+        )
+        self.trees = SumTrees(num_individuals, self.num_slots if prioritized else 0)
+        self.ring = Ring.allocate(
+            buffer_size,
+            self.num_slots,
+            num_individuals,
+            observation_dim,
+            self.state_size,
+            trees=self.trees.nodes,
+        )
+        self.streams = np.empty(num_individuals, dtype=np.uint64)
+        self.seed(seed)
+        self._batch = BatchBuffers(
+            num_individuals,
+            observation_dim,
+            num_actions,
+            self.state_size,
+            0,
+            pinned=self.device.type == "cuda",
+        )
+        self._unscored = np.zeros((0, num_individuals, 0), dtype=np.float32)
+        self.num_copies = 0
+        if num_copies is not None:
+            self.allocate_staging(num_copies)
+
+    def seed(self, seed: int) -> None:
+        """Start all random streams anew, from ``seed`` and each individual's name."""
+        for k, name in enumerate(self.names):
+            root = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
+            self.streams[k] = root.generate_state(1, np.uint64)[0]
+
+    # -- what is in it ----------------------------------------------------------------------------
+
+    @property
+    def num_sequences(self) -> int:
+        """Sequences that can be drawn."""
+        return int(self.ring.cursor[NEXT] - self.ring.cursor[OLDEST])
+
+    @property
+    def num_episodes(self) -> int:
+        """Finished episodes in the ring."""
+        return int(self.ring.cursor[EPISODES])
+
+    @property
+    def num_steps(self) -> int:
+        """Steps of the world in the ring."""
+        return int(self.ring.cursor[ROWS_USED]) - self.num_episodes
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes allocated: ring, sequences, priorities, staging area and minibatch."""
+        arrays: list[NDArray[Any]] = [
+            *self.ring.frames,
+            *self.ring.sequences,
+            self.ring.trees,
+        ]
+        if self.num_copies:
+            arrays += [*self.staging.frames, self.staging.state]
+        return sum(array.nbytes for array in arrays) + self._batch.nbytes
+
+    # -- adding -----------------------------------------------------------------------------------
+
+    def add(
+        self,
+        observations: NDArray[np.floating],
+        actions: NDArray[np.integer],
+        rewards: NDArray[np.floating],
+        next_observations: NDArray[np.floating],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+        *,
+        penalties: NDArray[np.floating] | None = None,
+        labels: NDArray[np.integer] | None = None,
+        warmup: NDArray[np.bool_] | None = None,
+        hidden: NDArray[np.floating] | None = None,
+        condition: NDArray[Any] | None = None,
+    ) -> None:
+        """Add one step of every copy.
+
+        Parameters
+        ----------
+        observations, next_observations
+            ``(copies, K, n)``; where a copy is done, ``next_observations`` is its terminal
+            observation, not the first one of the next episode. It is read only there.
+        actions, rewards
+            ``(copies, K)``.
+        terminated, truncated
+            ``(copies,)`` bool.
+        penalties
+            ``(copies, K)``, DTW penalties; ``None``: zeros.
+        labels
+            ``(copies, K)``, aligned demonstrated actions, -1 where there is none; ``None``: none.
+        warmup
+            ``(copies,)`` bool, steps that enter no loss; ``None``: no step.
+        hidden
+            ``(copies, K, H)``, the acting network's state before this step; read with
+            ``state_mode="stored"`` only.
+        condition
+            ``(copies,)``, the episode's condition, read at its last step; ``None``: 0.
+
+        Raises
+        ------
+        InputError
+            If a shape or an action does not fit, or an episode outgrows ``max_episode_steps``.
+        """
+        if self.num_copies == 0:
+            self.allocate_staging(len(observations))
+        each = (self.num_copies,)
+        pair = (*each, self.num_individuals)
+        observed = (*pair, self.observation_dim)
+        if self.state_size and hidden is None:
+            raise InputError("state_mode 'stored' needs the recurrent state: pass hidden to add")
+        none = self._none
+        hidden = none.hidden if hidden is None or not self.state_size else hidden
+        penalties = none.penalties if penalties is None else penalties
+        labels = none.labels if labels is None else labels
+        warmup = none.warmup if warmup is None else warmup
+        condition = none.condition if condition is None else condition
+        step = Step(
+            fit("observations", observations, np.float32, observed),
+            fit("actions", actions, np.int64, pair),
+            fit("rewards", rewards, np.float32, pair),
+            fit("next_observations", next_observations, np.float32, observed),
+            fit("terminated", terminated, np.bool_, each),
+            fit("truncated", truncated, np.bool_, each),
+            fit("penalties", penalties, np.float32, pair),
+            fit("labels", labels, np.int64, pair),
+            fit("warmup", warmup, np.bool_, each),
+            fit("hidden", hidden, np.float32, (*pair, self.state_size)),
+            fit("condition", condition, np.float32, each),
+        )
+        cut = (self.stride, self.burn_in)
+        ended = kernels.stage_steps(self.staging, step, *cut, self.num_actions)
+        if ended == kernels.BAD_ACTION:
+            raise InputError(
+                f"actions run from {step.actions.min()} to {step.actions.max()}: they must lie in "
+                f"0 .. {self.num_actions - 1}"
+            )
+        if ended == kernels.TOO_LONG:
+            raise InputError(
+                f"copy {self.staging.step_count.argmax()} is past {self.max_episode_steps} steps "
+                "without an end: raise max_episode_steps or give the environment a time limit"
+            )
+        if ended:
+            kernels.commit_ended(self.staging, step, self.ring, self.alpha, *cut, self.max_episodes)
+
+    def drop_running(self) -> None:
+        """Forget the unfinished episodes of all copies, as when every copy is reset."""
+        if self.num_copies:
+            self.staging.step_count[:] = 0
+
+    # -- drawing ----------------------------------------------------------------------------------
+
+    def beta(self, progress: float) -> float:
+        """Exponent of the importance weights when a share ``progress`` of training is over."""
+        return self.beta_start + min(max(progress, 0.0), 1.0) * (self.beta_end - self.beta_start)
+
+    def sample(self, batch_size: int, progress: float = 0.0) -> SequenceBatch:
+        """``batch_size`` sequences for each individual, drawn with replacement.
+
+        The batch's tensors are overwritten by the next call: ``clone`` it to keep it.
+
+        Parameters
+        ----------
+        progress
+            Share of training that is over, 0 to 1; it anneals the importance weights.
+        """
+        if self.num_sequences == 0:
+            raise InputError("the replay memory holds no finished episode yet: collect one first")
+        shape = (self.num_individuals, batch_size)
+        serials, slots = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
+        weights = np.empty(shape, dtype=np.float32)
+        kernels.choose(
+            *(self.ring, self.streams, self.beta(progress), self.stratified),
+            *(serials, slots, weights),
+        )
+        batch = self._batch.fill(
+            *(self.ring.frames, self._unscored, self.ring.sequences, slots, serials, weights)
+        )
+        return batch if self.device.type == "cpu" else batch.to(self.device)
+
+    def update_priorities(self, indices: NDArray[np.int64], errors: ArrayLike) -> None:
+        """Set the priorities of drawn sequences to ``(|error| + 1e-6) ** alpha``.
+
+        Sequences evicted since the draw are passed over; of one drawn twice the last error counts.
+
+        Parameters
+        ----------
+        indices, errors
+            ``(K, B)``: ``SequenceBatch.indices``, and one error per sequence.
+        """
+        if not self.prioritized:
+            return
+        errors = np.asarray(errors, dtype=np.float64)
+        if errors.shape != indices.shape or not np.isfinite(errors).all():
+            raise InputError(
+                f"priority errors of shape {errors.shape} for sequences {indices.shape}: give one "
+                "finite number per sequence"
+            )
+        kernels.update_priorities(self.ring, self.alpha, indices, errors)
+
+    # -- inside -----------------------------------------------------------------------------------
+
+    def allocate_staging(self, copies: int) -> None:
+        """Make room for the running episodes of so many copies, none of them begun."""
+        k, rows = self.num_individuals, copies * (self.max_episode_steps + 1)
+        pieces = math.ceil(self.max_episode_steps / self.stride)
+        refuse_too_large(
+            rows * Frames.bytes_per_row(k, self.observation_dim)
+            + 4 * copies * pieces * k * self.state_size,
+            f"{copies} copies of max_episode_steps {self.max_episode_steps}",
+        )
+        self.num_copies = copies
+        self.staging = Staging.allocate(
+            *(copies, self.max_episode_steps + 1, pieces),
+            *(k, self.observation_dim, self.state_size),
+        )
+        self._none = NotGiven.allocate(copies, k)

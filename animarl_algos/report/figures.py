@@ -1,0 +1,372 @@
+"""Figures of an evaluation: paths, speeds, distributions, counterfactuals.
+
+Each function takes arrays or tables and returns one matplotlib figure of one panel or a pair, small
+enough that a page can set several side by side, or below one another on a narrow screen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_algos.evaluation.comparison import interval
+from animarl_algos.evaluation.distances import kde_rule, kde_weighted
+from animarl_algos.evaluation.metrics import Metric
+from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.report import style
+from animarl_envs.arena import Arena
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+ROW_HEIGHT = 0.52  # of one method in a distribution [inch]
+MOST_DOTS = 400  # more rollouts than this are thinned evenly in drawings, never in numbers
+
+
+# -- paths ----------------------------------------------------------------------------------------
+
+
+def trajectory_pair(
+    simulated: Floats, recorded: Floats, arena: Arena, roles: Sequence[str], title: str = ""
+) -> Figure:
+    """A rollout above the demonstration that it started from.
+
+    Parameters
+    ----------
+    simulated, recorded
+        ``(frames, individuals, 2)``, arena frame [arena unit].
+    arena, roles
+        The field, whose outline is drawn, and what each individual is.
+    """
+    with style.house_style():
+        from matplotlib.patches import Rectangle
+
+        figure, axes = style.new_figure(1.7, 3.6, rows=2)
+        view = _view(arena, simulated, recorded)
+        x, y, half = view
+        for panel, path, name in zip(axes, (simulated, recorded), ("simulated", "recorded")):
+            draw_paths(panel, path, arena, roles)
+            panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+            if arena.shape == "open":
+                panel.add_patch(
+                    Rectangle((x - half, y - half), 2 * half, 2 * half, color=style.FLOOR, zorder=0)
+                )
+                _scale_bar(panel, view)
+            panel.text(
+                0.0, 1.02, name, transform=panel.transAxes, fontsize=8, color=style.MUTED,
+                va="bottom",
+            )  # fmt: skip
+        if title:
+            figure.suptitle(title, fontsize=8.5, x=0.02, ha="left")
+    return figure
+
+
+def draw_paths(panel: Axes, path: Floats, arena: Arena, roles: Sequence[str]) -> None:
+    """Paths in an arena: open circle at the start, filled at the end, a cross at the source."""
+    from matplotlib.patches import Circle, Rectangle
+
+    outline: dict[str, Any] = {
+        "fill": True, "facecolor": style.FLOOR, "edgecolor": style.MUTED, "linewidth": 0.8,
+        "zorder": 0,
+    }  # fmt: skip
+    if arena.shape == "square":
+        panel.add_patch(
+            Rectangle((-arena.size, -arena.size), 2 * arena.size, 2 * arena.size, **outline)
+        )
+    elif arena.shape == "disc":
+        panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
+    if "searcher" in roles:
+        panel.plot(0.0, 0.0, "x", color=style.RECORDED_COLOUR, markersize=6, markeredgewidth=1.5)
+    colours = style.individual_colours(roles)
+    for k in reversed(range(len(roles))):
+        xy, colour = path[:, k], colours[k]
+        panel.plot(xy[:, 0], xy[:, 1], color=colour, linewidth=1.1, alpha=0.9)
+        panel.plot(
+            *xy[0], "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour,
+            markeredgewidth=0.9,
+        )  # fmt: skip
+        panel.plot(*xy[-1], "o", markersize=4.0, color=colour, markeredgecolor="white",
+                   markeredgewidth=0.5)  # fmt: skip
+    panel.set_aspect("equal")
+    panel.set_axis_off()
+
+
+def _view(arena: Arena, simulated: Floats, recorded: Floats) -> tuple[float, float, float]:
+    """A square window: centre and half side.
+
+    It holds the arena and both paths; in an open field, where a lost searcher may be anywhere, the
+    recording and the source with room around them.
+    """
+    points = recorded.reshape(-1, 2)
+    if arena.shape == "open":
+        points = np.concatenate([points, [[0.0, 0.0]]])
+        margin = 1.5
+    else:
+        edge = min(1.08 * arena.boundary, 1.5 * arena.size)  # a step beyond stays in view
+        points = np.concatenate([points, simulated.reshape(-1, 2), [[-edge] * 2, [edge] * 2]])
+        margin = 1.04
+    low, high = points.min(axis=0), points.max(axis=0)
+    x, y = (low + high) / 2
+    return float(x), float(y), float((high - low).max()) / 2 * margin
+
+
+def _scale_bar(panel: Axes, view: tuple[float, float, float]) -> None:
+    """A bar of a round length, about a quarter of the window."""
+    x, y, half = view
+    power = 10.0 ** np.floor(np.log10(half / 2))
+    length = max(step * power for step in (1, 2, 5) if step * power <= half / 2)
+    left, bottom = x - 0.9 * half, y - 0.9 * half
+    panel.plot([left, left + length], [bottom, bottom], color=style.TEXT, linewidth=1.2)
+    panel.text(
+        left + length / 2, bottom + 0.03 * half, f"{length:g}", fontsize=7, ha="center", va="bottom"
+    )
+
+
+# -- speeds ---------------------------------------------------------------------------------------
+
+
+def speed_histogram(simulated: ArrayLike, recorded: ArrayLike, title: str = "") -> Figure:
+    """Speeds per step, recorded dark and simulated light, on shared bins; areas sum to one."""
+    first, second = np.asarray(simulated, dtype=float), np.asarray(recorded, dtype=float)
+    edges = shared_bins(first, second)
+    with style.house_style():
+        figure, panel = style.new_figure(4.0, 2.4)
+        panel.hist(
+            second, edges, density=True, color=style.RECORDED_FILL, label="recorded", alpha=0.85
+        )
+        panel.hist(
+            first, edges, density=True, histtype="stepfilled", alpha=0.42, linewidth=0,
+            color=style.SIMULATED_COLOUR, label="simulated",
+        )  # fmt: skip
+        panel.hist(
+            first, edges, density=True, histtype="step", linewidth=1.2,
+            color=style.SIMULATED_COLOUR,
+        )  # fmt: skip
+        panel.set(xlabel="Speed (arena units / s)", ylabel="Density", title=title)
+        panel.set_xlim(edges[0], edges[-1])
+        panel.legend(loc="best")
+    return figure
+
+
+def shared_bins(*samples: Floats, most: int = 50) -> Floats:
+    """Bin edges for all samples: Freedman and Diaconis' width, from zero to the largest value."""
+    pooled = np.concatenate(samples)
+    high = float(pooled.max(initial=0.0)) or 1.0
+    quartiles = np.percentile(pooled, [25, 75]) if len(pooled) else (0.0, 0.0)
+    width = 2.0 * (quartiles[1] - quartiles[0]) * max(len(pooled), 1) ** (-1 / 3)
+    count = most if width <= 0 else int(np.clip(np.ceil(high / width), 8, most))
+    return np.linspace(0.0, high, count + 1)
+
+
+# -- distributions --------------------------------------------------------------------------------
+
+
+def metric_distribution(
+    values: Mapping[str, ArrayLike],
+    means: Mapping[str, Interval],
+    metric: Metric,
+    *,
+    title: str = "",
+) -> Figure:
+    """One row per method: density above, every rollout below, mean with its 95 % interval.
+
+    Parameters
+    ----------
+    values
+        By method, the recordings first: one value per rollout that counts.
+    means
+        By method, as in the comparison table.
+    """
+    names = list(values)
+    samples = {name: _finite(value) for name, value in values.items()}
+    rule = kde_rule(*(s for s in samples.values() if len(s))) if _any(samples) else None
+    with style.house_style():
+        figure, panel = style.new_figure(4.6, 0.75 + ROW_HEIGHT * len(names))
+        style.light_grid(panel)
+        for row, name in enumerate(names):
+            colour = style.method_colour(name, row)
+            sample, base = samples[name], float(len(names) - 1 - row)
+            if len(sample) and rule is not None:
+                density = kde_weighted(rule, sample, np.ones((1, len(sample))))[0]
+                inside = (rule.grid >= sample.min()) & (rule.grid <= sample.max())
+                inside = inside if inside.sum() > 1 else np.ones_like(inside)
+                height = 0.46 * density / density.max()
+                panel.fill_between(
+                    rule.grid[inside], base, base + height[inside], color=colour, alpha=0.30,
+                    linewidth=0,
+                )  # fmt: skip
+                panel.plot(rule.grid[inside], base + height[inside], color=colour, linewidth=0.9)
+            dots = _thinned(sample)
+            if len(dots):
+                panel.plot(
+                    dots, base - 0.12 - 0.18 * _spread(len(dots)), ".", color=colour,
+                    markersize=2.4, alpha=0.55, markeredgewidth=0, rasterized=True,
+                )  # fmt: skip
+            draw_interval(panel, means[name], base, colour)
+        if style.is_recorded(names[0]) and np.isfinite(means[names[0]].estimate):
+            panel.axvline(
+                means[names[0]].estimate, color=style.MUTED, linewidth=0.7, linestyle=(0, (4, 3)),
+                zorder=0.5,
+            )  # fmt: skip
+        _method_rows(panel, names)
+        panel.set(xlabel=metric.axis, title=title or metric.label)
+        if rule is not None and min(s.min() for s in samples.values() if len(s)) >= 0:
+            panel.set_xlim(left=min(0.0, panel.get_xlim()[0]) if _near_zero(samples) else None)
+    return figure
+
+
+def interval_rows(
+    means: Mapping[str, Interval],
+    label: str,
+    *,
+    title: str = "",
+    reference: float | None = None,
+    bands: Mapping[str, Interval] | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Figure:
+    """One row per method: an estimate with its interval, over an optional null band.
+
+    Parameters
+    ----------
+    reference
+        Where a dashed line is drawn: zero difference, or the recordings' value.
+    bands
+        By method, the range that nothing but chance would give, drawn as a grey bar.
+    """
+    names = list(means)
+    with style.house_style():
+        figure, panel = style.new_figure(4.6, 0.8 + 0.36 * len(names))
+        style.light_grid(panel)
+        for row, name in enumerate(names):
+            base = float(len(names) - 1 - row)
+            band = (bands or {}).get(name)
+            if band is not None and np.isfinite(band.low):
+                panel.barh(
+                    base, band.high - band.low, left=band.low, height=0.62, color=style.FAINT,
+                    linewidth=0, zorder=0.6,
+                )  # fmt: skip
+                panel.plot([band.estimate] * 2, [base - 0.31, base + 0.31], color=style.MUTED,
+                           linewidth=0.8)  # fmt: skip
+            draw_interval(panel, means[name], base, style.method_colour(name, row))
+        if reference is not None and np.isfinite(reference):
+            panel.axvline(
+                reference, color=style.MUTED, linewidth=0.7, linestyle=(0, (4, 3)), zorder=0.5
+            )
+        _method_rows(panel, names, pad=0.55)
+        panel.set(xlabel=label, title=title)
+        if limits is not None:
+            panel.set_xlim(limits)
+        panel.xaxis.set_major_locator(locator(5))
+        panel.xaxis.set_major_formatter("{x:g}")
+    return figure
+
+
+def draw_interval(panel: Axes, value: Interval, base: float, colour: str) -> None:
+    """A mean as a dot with its interval, ringed in white so that it stands out."""
+    if not np.isfinite(value.estimate):
+        return
+    if np.isfinite(value.low):
+        panel.plot([value.low, value.high], [base, base], color="white", linewidth=4.2, zorder=3)
+        panel.plot([value.low, value.high], [base, base], color=colour, linewidth=2.2, zorder=3.1)
+    panel.plot(
+        value.estimate, base, "o", color=colour, markersize=6.2, markeredgecolor="white",
+        markeredgewidth=1.2, zorder=3.2,
+    )  # fmt: skip
+
+
+# -- counterfactual -------------------------------------------------------------------------------
+
+
+def counterfactual_lengths(
+    table: pd.DataFrame, method: str, conditions: Sequence[str], *, counting: str, unit: str
+) -> Figure:
+    """Mean path length by condition: recorded, simulated, and with the cue flipped.
+
+    ``table`` is that of :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
+    """
+    means = table[(table["quantity"] == "mean") & (table["counting"] == counting)]
+    rows: list[tuple[str, Interval, str, str]] = []
+    for c in (0, 1):
+        recorded = means[(means["method"] == "recorded") & (means["condition"] == c)]
+        asked = means[(means["method"] == method) & (means["condition"] == c)]
+        asked = asked[asked["world"] == c]
+        for _, row in recorded.iterrows():
+            rows.append((f"recorded: {conditions[c]}", interval(row, "value"), "recorded", "o"))
+        for _, row in asked.sort_values("cue", ascending=c == 0).iterrows():
+            told = int(row["cue"])
+            label = conditions[c] if told == c else f"{conditions[c]} \u2192 {conditions[told]}"
+            rows.append((label, interval(row, "value"), method, "o" if told == c else "D"))
+    with style.house_style():
+        figure, panel = style.new_figure(4.6, 0.8 + 0.36 * len(rows))
+        style.light_grid(panel)
+        for i, (_, value, name, marker) in enumerate(rows):
+            base, colour = float(len(rows) - 1 - i), style.method_colour(name)
+            draw_interval(panel, value, base, colour)
+            if marker == "D":
+                panel.plot(
+                    value.estimate, base, "o", color="white", markersize=2.6, zorder=3.3,
+                    markeredgewidth=0,
+                )  # fmt: skip
+        panel.set_yticks(range(len(rows)), [row[0] for row in reversed(rows)])
+        panel.tick_params(axis="y", length=0)
+        panel.spines["left"].set_visible(False)
+        panel.set_ylim(-0.6, len(rows) - 0.4)
+        panel.set(xlabel=f"Mean path length ({unit})", title=style.method_label(method))
+    return figure
+
+
+# -- small things ---------------------------------------------------------------------------------
+
+
+def _method_rows(panel: Axes, names: Sequence[str], pad: float = 0.6) -> None:
+    panel.set_yticks(range(len(names)), [style.method_label(n) for n in reversed(list(names))])
+    panel.tick_params(axis="y", length=0)
+    panel.spines["left"].set_visible(False)
+    panel.set_ylim(-pad, len(names) - 1 + pad)
+
+
+def _finite(values: ArrayLike) -> Floats:
+    array = np.asarray(values, dtype=np.float64)
+    return array[np.isfinite(array)]
+
+
+def _any(samples: Mapping[str, Floats]) -> bool:
+    return any(len(sample) for sample in samples.values())
+
+
+def _near_zero(samples: Mapping[str, Floats]) -> bool:
+    pooled = np.concatenate([s for s in samples.values() if len(s)])
+    return bool(pooled.min() < 0.35 * pooled.max())
+
+
+def _thinned(sample: Floats) -> Floats:
+    """Evenly spaced order statistics of a large sample."""
+    if len(sample) <= MOST_DOTS:
+        return sample
+    return np.asarray(np.sort(sample)[np.linspace(0, len(sample) - 1, MOST_DOTS).astype(int)])
+
+
+def _spread(count: int) -> Floats:
+    """Offsets in [0, 1) that fill a strip evenly and are the same every time (golden ratio)."""
+    return np.asarray((np.arange(count) * 0.6180339887498949) % 1.0)
+
+
+def locator(bins: int) -> Any:
+    """Ticks at round numbers, about so many."""
+    from matplotlib.ticker import MaxNLocator
+
+    return MaxNLocator(bins, steps=[1, 2, 2.5, 5, 10])
+
+
+def thousands() -> Any:
+    """Ticks as 20k for 20,000."""
+    from matplotlib.ticker import FuncFormatter
+
+    return FuncFormatter(lambda x, _: f"{x / 1000:g}k" if abs(x) >= 1000 else f"{x:g}")

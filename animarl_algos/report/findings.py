@@ -1,0 +1,258 @@
+"""What a report says in numbers: metrics, distances, contrasts, counterfactuals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from animarl_algos.evaluation.comparison import BASELINE, COUNTING, find_method, interval
+from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WORLD_SHIFT
+from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
+from animarl_algos.report import panels
+from animarl_algos.report import sentences as wording
+from animarl_algos.report.blocks import Block, Gallery, Group, Heading, Row, Table, Text
+from animarl_algos.report.inputs import ReportInputs
+from animarl_algos.report.sentences import (
+    NOTHING,
+    comparison_row,
+    number,
+    pair_difference,
+    with_interval,
+)
+from animarl_algos.report.style import method_label
+
+
+def metrics(inputs: ReportInputs) -> Iterator[Block]:
+    evaluation = inputs.evaluation
+    yield Text(
+        "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
+        "interval; the dashed line is the recorded mean. Intervals are percentile bootstrap "
+        f"intervals from {evaluation.resamples:,} paired resamples of demonstrations and of "
+        "training seeds; repetitions from one start are never counted as independent. Captures "
+        "are episodes in which the target was reached."
+    )
+    for metric in (RETURN, PATH_LENGTH, DURATION, DTW):
+        yield Heading(metric.label)
+        yield Gallery(panels.metric_panels(inputs, metric), _metric_caption(metric))
+        yield _metric_table(inputs, metric)
+
+
+def _metric_caption(metric: Metric) -> str:
+    what = {
+        RETURN.key: "Share of episodes in which a pursuer reached the target (the moth the "
+        "source), all episodes.",
+        PATH_LENGTH.key: "Path length per episode, mean over the pursuers (or the moth's): all "
+        "episodes, and captures only.",
+        DURATION.key: "Duration per episode: all episodes, and captures only.",
+        DTW.key: "DTW distance of each rollout to the demonstration that it started from, mean "
+        "over the pursuers (or the moth's), summed along the warping path: all episodes, and "
+        "captures only.",
+    }
+    return what[metric.key]
+
+
+def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
+    comparison = inputs.evaluation.comparison
+    rows = comparison[comparison["metric"] == metric.key]
+    percent = metric is RETURN
+    with_recorded = bool(rows["to_recorded"].notna().any())
+    baseline = find_method(inputs.rollouts, BASELINE)
+    groups = []
+    for counting in COUNTING:
+        chosen = rows[rows["counting"] == counting]
+        if chosen.empty:
+            continue
+        lines = []
+        for _, row in chosen.iterrows():
+            cells = [
+                method_label(str(row["method"])),
+                str(int(row["rollouts"])),
+                str(int(row["demos"])),
+                with_interval(interval(row, "mean"), percent),
+            ]
+            if with_recorded:
+                cells.append(with_interval(interval(row, "to_recorded"), percent))
+            if baseline is not None:
+                less = pair_difference(
+                    inputs.evaluation.pairs, str(row["method"]), baseline, metric, counting
+                )
+                cells.append(with_interval(less, percent))
+            if metric is DTW:
+                cells += _dtw_cells(inputs, row)
+            lines.append(Row(cells, strong=row["method"] == inputs.focus))
+        groups.append(Group(COUNTING[counting].capitalize() if metric is not RETURN else "", lines))
+    columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
+    columns += ["Minus recorded"] if with_recorded else []
+    columns += [f"Minus {BASELINE}"] if baseline is not None else []
+    note = ""
+    if metric is DTW:
+        columns += ["Within starts", f"Minus {method_label(inputs.focus)}", "Per step"]
+        note = (
+            " Within starts: the mean with what all methods share of a start taken out "
+            "(Cousineau 2005, Morey 2008), to compare methods where episodes differ much in length."
+            " Per step: the distance over the frames of the longer of the two paths."
+        )
+    return Table(
+        f"{metric.label} by method",
+        columns,
+        groups,
+        f"Mean [95 % interval] and paired differences.{note}",
+    )
+
+
+def _dtw_cells(inputs: ReportInputs, row: Any) -> list[str]:
+    """Within starts, minus the method in focus, per step."""
+    evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
+    step = comparison_row(evaluation.comparison, name, METRICS[-1], counting)
+    return [
+        with_interval(interval(row, "within")),
+        with_interval(pair_difference(evaluation.pairs, name, inputs.focus, DTW, counting)),
+        NOTHING if step is None else with_interval(interval(step, "mean")),
+    ]
+
+
+def distances(inputs: ReportInputs) -> Iterator[Block]:
+    evaluation = inputs.evaluation
+    images = panels.distance_panels(inputs)
+    if not images:
+        return
+    yield Gallery(
+        images,
+        "Kernel-density distance between simulated and recorded values (0: equal, 2: disjoint), "
+        "all episodes, with its 95 % interval. Grey: what recordings against recordings give at "
+        "the same sample sizes, central 95 % and mean. A value inside the grey cannot be told "
+        "from chance; the distance is biased upwards, and so is its interval.",
+    )
+    groups = []
+    for metric in (PATH_LENGTH, DURATION):
+        for counting in COUNTING:
+            lines = []
+            for name in inputs.rollouts:
+                row = comparison_row(evaluation.comparison, name, metric, counting)
+                if row is None:
+                    continue
+                cells = [
+                    method_label(name),
+                    str(int(row["rollouts"])),
+                    with_interval(interval(row, "kde")),
+                    with_interval(interval(row, "kde_null")),
+                    with_interval(interval(row, "wasserstein")),
+                    with_interval(interval(row, "wasserstein_null")),
+                ]
+                lines.append(Row(cells, strong=name == inputs.focus))
+            title = f"{metric.label} ({metric.unit}), {COUNTING[counting]}"
+            groups.append(Group(title, lines))
+    yield Table(
+        "Distances to the recordings",
+        [
+            "Method",
+            "Episodes",
+            "Kernel-density\ndistance",
+            "null\nreference",
+            "Wasserstein\ndistance",
+            "null\nreference",
+        ],
+        groups,
+        "Both distances [95 % interval], each beside its null reference [central 95 %] from "
+        f"{evaluation.distance_resamples:,} resamples. The kernel-density distance lies between 0 "
+        "and 2; the Wasserstein distance has the metric's unit. Its null samples are independent, "
+        "where rollouts from one start are not.",
+    )
+
+
+def contrasts(inputs: ReportInputs) -> Iterator[Block]:
+    contrasts = inputs.evaluation.contrasts
+    if contrasts.empty:
+        return
+    groups = []
+    for key, rows in contrasts.groupby("metric", sort=False):
+        metric = next(m for m in METRICS if m.key == key)
+        gate = rows.iloc[0]
+        passed = "passed" if gate["gate_passed"] else "not passed"
+        title = (
+            f"{metric.label}: gate {passed} (F = {number(gate['gate_f'])}, permutation "
+            f"p = {number(gate['gate_p'], 2)} over {gate['gate_unit']})"
+        )
+        lines = [
+            Row(
+                [
+                    f"{method_label(row['first'])} {wording.MINUS} {method_label(row['second'])}",
+                    with_interval(interval(row, "difference")),
+                ],
+                faint=not row["gate_passed"],
+            )
+            for _, row in rows.iterrows()
+        ]
+        groups.append(Group(title, lines))
+    yield Table(
+        "Planned contrasts",
+        ["Contrast", "Difference of the gaps to the recordings"],
+        groups,
+        "The contrasts planned in advance, all episodes. Compared is the absolute gap between a "
+        "rollout's start-wise mean and the recording (for DTW the distance itself); below zero, "
+        "the first method is closer. Contrasts behind a gate that was not passed are pale and "
+        "should not be read.",
+    )
+
+
+def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
+    table = inputs.evaluation.counterfactual
+    if table.empty:
+        return
+    names = condition_names(inputs)
+    yield Text(
+        "The policy is told the other condition; the world stays as it is. The shift is the path "
+        "length with the flipped cue minus that with the true one, on the same starts and the "
+        "same networks."
+    )
+    yield Gallery(
+        panels.counterfactual_panels(inputs, names),
+        "Mean path length with 95 % interval, all episodes: recorded, simulated, and simulated "
+        "with the cue flipped (arrow, ringed dot).",
+    )
+    words = {
+        DIFFERENCE: f"{names[0]} {wording.MINUS} {names[1]}",
+        ERROR: "absolute error",
+        SHIFT: "cue flipped",
+        WORLD_SHIFT: "world changed",
+    }
+    groups = []
+    for counting in COUNTING:
+        lines = []
+        for _, row in table[table["counting"] == counting].iterrows():
+            if row["quantity"] not in words:
+                continue
+            of, told = names[int(row["condition"])], names[int(row["cue"])]
+            where = {
+                DIFFERENCE: "",
+                ERROR: of,
+                SHIFT: f"{of} \u2192 {told}",
+                WORLD_SHIFT: f"{of} \u2192 {told}",
+            }[row["quantity"]]
+            lines.append(
+                Row(
+                    [
+                        method_label(str(row["method"])),
+                        words[row["quantity"]],
+                        where,
+                        with_interval(interval(row, "value")),
+                        "planned" if row["planned"] else "",
+                    ],
+                    strong=bool(row["planned"]),
+                )
+            )
+        groups.append(Group(COUNTING[counting].capitalize(), lines))
+    yield Table(
+        "Counterfactual path lengths",
+        ["Method", "Quantity", "Condition", f"Path length\n({PATH_LENGTH.unit})", ""],
+        groups,
+        "Differences and errors of the mean path length [95 % interval]. An absolute error is "
+        "never negative, so its interval cannot include zero.",
+        left=3,
+    )
+
+
+def condition_names(inputs: ReportInputs) -> tuple[str, str]:
+    """Names of conditions 0 and 1, as given or by number."""
+    names = tuple(inputs.conditions[:2])
+    return (names[0], names[1]) if len(names) == 2 else ("condition 0", "condition 1")

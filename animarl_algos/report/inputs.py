@@ -1,0 +1,95 @@
+"""Everything that a report shows, checked to belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.tables import Evaluation
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.fitting import LocomotionFit
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CURVE_COLUMNS = ("method", "phase", "seed", "step", "quantity", "value")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReportInputs:
+    """Everything that a report shows.
+
+    Parameters
+    ----------
+    title
+        Of the page.
+    focus
+        The method that the summary, the trajectories and the speeds are about.
+    demos
+        The evaluated demonstrations.
+    rollouts
+        By method name, all seeds and cues joined.
+    evaluation
+        Of these rollouts against these demonstrations.
+    conditions
+        Names of conditions 0 and 1, if the species has any.
+    fit
+        The fitted locomotion, if it was fitted.
+    decisions
+        What the method in focus values along a demonstration, if it has values.
+    learning_curves
+        Tidy, columns ``method, phase, seed, step, quantity, value``; the phase ``"offline"``
+        counts epochs, every other one environment steps.
+    settings
+        As resolved; may be nested.
+    seeds, versions, command, created
+        Training seeds, package versions, the command that repeats the run, and when it was made.
+    episodes
+        Number of demonstrations per split, where the run knows them.
+    unit
+        Of lengths, as axes and tables name it.
+
+    Raises
+    ------
+    InputError
+        If the evaluation is of other demonstrations, the focus has no rollouts, or the learning
+        curves lack a column.
+    """
+
+    title: str
+    focus: str
+    demos: Demonstrations
+    rollouts: Mapping[str, Rollouts]
+    evaluation: Evaluation
+    conditions: tuple[str, ...] = ()
+    fit: LocomotionFit | None = None
+    decisions: Decisions | None = None
+    learning_curves: pd.DataFrame | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    seeds: tuple[int, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    command: str = ""
+    created: str = ""
+    episodes: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.evaluation.fingerprint != self.demos.fingerprint():
+            raise InputError(
+                f"the evaluation is of other demonstrations than {self.demos.name}: "
+                "evaluate the run again"
+            )
+        if self.focus not in self.rollouts:
+            raise InputError(
+                f"there are no rollouts of {self.focus!r}: choose one of {', '.join(self.rollouts)}"
+            )
+        if self.learning_curves is not None:
+            missing = [c for c in CURVE_COLUMNS if c not in self.learning_curves.columns]
+            if missing:
+                raise InputError(
+                    f"the learning curves lack the column {missing[0]!r}: "
+                    f"give {', '.join(CURVE_COLUMNS)}"
+                )

@@ -1,0 +1,207 @@
+"""Numbers and sentences of a report: every claim is worked out from the tables, none is canned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from animarl_algos.evaluation.comparison import interval
+from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
+from animarl_algos.evaluation.rollouts import RECORDED
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.report.style import method_label
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MINUS = "\u2212"
+NOTHING = "\u2013"
+FEW_SEEDS = 5
+
+
+def number(value: float, digits: int = 3) -> str:
+    """``digits`` significant digits, never more than whole numbers need; a dash for NaN."""
+    if not math.isfinite(value):
+        return NOTHING
+    if value == 0:
+        return "0"
+    if abs(value) < 1e-4:
+        return f"{value:.0e}".replace("-", MINUS)
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return _fixed(value, min(decimals, 4 if digits > 2 else 5))
+
+
+def with_interval(value: Interval, percent: bool = False) -> str:
+    """``1.23 [1.01, 1.46]``, all with the decimals that suit the interval's width."""
+    if not math.isfinite(value.estimate):
+        return NOTHING
+    scale = 100.0 if percent else 1.0
+    parts = [scale * part for part in (value.estimate, value.low, value.high)]
+    if not math.isfinite(parts[1]):
+        return number(parts[0])
+    width = parts[2] - parts[1]
+    decimals = 0 if percent else _decimals(width, parts[0])
+    mean, low, high = (_fixed(part, decimals) for part in parts)
+    return f"{mean} [{low}, {high}]"
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """So many decimals, a true minus sign, and no negative zero."""
+    text = f"{value:.{decimals}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
+
+
+def _decimals(width: float, value: float) -> int:
+    """Two digits of the interval's width, or three of the value if there is no width."""
+    scale, digits = (width, 2) if width > 0 else (abs(value), 3)
+    if scale <= 0:
+        return 0
+    return min(4, max(0, digits - 1 - math.floor(math.log10(scale))))
+
+
+def comparison_row(
+    comparison: pd.DataFrame, method: str, metric: Metric, counting: str = "all"
+) -> Any | None:
+    """The row of a comparison table, ``None`` if there is none."""
+    chosen = comparison[
+        (comparison["method"] == method)
+        & (comparison["metric"] == metric.key)
+        & (comparison["counting"] == counting)
+    ]
+    return None if chosen.empty else chosen.iloc[0]
+
+
+def headline(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> list[str]:
+    """What the evaluation of ``focus`` found, in plain sentences."""
+    return [
+        *_captures(comparison, focus),
+        *_likeness(comparison, focus),
+        *_closeness(comparison, pairs, focus),
+    ]
+
+
+def pair_difference(
+    pairs: pd.DataFrame, first: str, second: str, metric: Metric, counting: str = "all"
+) -> Interval:
+    """Mean of ``first`` minus that of ``second``; undefined if the table lacks the pair."""
+    if pairs.empty:
+        return UNDEFINED
+    chosen = pairs[
+        (pairs["first"] == first)
+        & (pairs["second"] == second)
+        & (pairs["metric"] == metric.key)
+        & (pairs["counting"] == counting)
+    ]
+    return UNDEFINED if chosen.empty else interval(chosen.iloc[0], "difference")
+
+
+def _captures(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
+    simulated = comparison_row(comparison, focus, RETURN)
+    recorded = comparison_row(comparison, RECORDED, RETURN)
+    if simulated is None or recorded is None:
+        return
+    gap = interval(simulated, "to_recorded")
+    yield (
+        f"{method_label(focus)} reaches the target in {_share(simulated)} of "
+        f"{int(simulated['rollouts'])} rollouts, the recordings in {_share(recorded)} of "
+        f"{int(recorded['rollouts'])}: "
+        + (
+            "the difference cannot be told from none."
+            if not gap.excludes_zero
+            else f"{'more' if gap.estimate > 0 else 'less'} often than recorded."
+        )
+    )
+
+
+def _share(row: Any) -> str:
+    value = interval(row, "mean")
+    low, high = _fixed(100 * value.low, 0), _fixed(100 * value.high, 0)
+    return f"{_fixed(100 * value.estimate, 0)} % [{low}, {high}]"
+
+
+def _likeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
+    for metric in (PATH_LENGTH, DURATION):
+        row = comparison_row(comparison, focus, metric)
+        if row is None or not math.isfinite(row["to_recorded"]):
+            continue
+        gap = interval(row, "to_recorded")
+        if gap.excludes_zero:
+            size = gap if gap.estimate > 0 else Interval(-gap.estimate, -gap.high, -gap.low)
+            longer = "longer" if gap.estimate > 0 else "shorter"
+            words = f"{with_interval(size)} {metric.unit} {longer} than recorded"
+        else:
+            words = (
+                f"not told apart from the recordings on average (difference "
+                f"{with_interval(gap)} {metric.unit})"
+            )
+        sentence = f"{metric.label}, all episodes: {words}"
+        kde, null = interval(row, "kde"), interval(row, "kde_null")
+        if math.isfinite(kde.estimate) and math.isfinite(null.high):
+            place = "within" if kde.estimate <= null.high else "above"
+            place = "below" if kde.estimate < null.low else place
+            sentence += (
+                f"; kernel-density distance {number(kde.estimate, 2)} on a scale from 0 to 2, "
+                f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that recordings "
+                "against recordings give at this sample size"
+            )
+        yield f"{sentence}."
+
+
+def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> Iterator[str]:
+    mine = comparison_row(comparison, focus, DTW)
+    if mine is None:
+        return
+    closer, farther, unclear = [], [], []
+    for name in comparison["method"].unique():
+        row = comparison_row(comparison, name, DTW)
+        if row is None or name == focus:
+            continue
+        more = pair_difference(pairs, str(name), focus, DTW)
+        text = f"{method_label(name)} ({number(row['mean'])}, difference {with_interval(more)})"
+        if not more.excludes_zero:
+            unclear.append(text)
+        elif more.estimate > 0:
+            closer.append(text)
+        else:
+            farther.append(text)
+    sentence = (
+        f"Mean DTW distance of {method_label(focus)} to the recordings: "
+        f"{with_interval(interval(mine, 'mean'))} {DTW.unit}"
+    )
+    parts = [
+        f"{words} {_listed(names)}"
+        for words, names in (
+            ("closer than", closer),
+            ("farther than", farther),
+            ("not told apart from", unclear),
+        )
+        if names
+    ]
+    paired = "; from the same starts, it is " if parts else ""
+    yield f"{sentence}{paired}{', '.join(parts)}."
+
+
+def cautions(comparison: pd.DataFrame, focus: str, synthetic: bool) -> list[str]:
+    """What limits the conclusions: few seeds, synthetic demonstrations."""
+    row = comparison_row(comparison, focus, DTW)
+    seeds = 0 if row is None else int(row["seeds"])
+    sentences = []
+    if synthetic:
+        sentences.append(
+            "The demonstrations are synthetic: they were generated, not recorded from animals."
+        )
+    if seeds == 1:
+        sentences.append(
+            "One training seed: the intervals speak of demonstrations, for the networks trained "
+            "here, not of what another training would give."
+        )
+    elif 1 < seeds < FEW_SEEDS:
+        sentences.append(
+            f"Only {seeds} training seeds: where seeds differ much, the intervals are too short."
+        )
+    return sentences
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

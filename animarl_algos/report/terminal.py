@@ -1,0 +1,87 @@
+"""The comparison of an evaluation as a table for the terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from animarl_algos.evaluation.comparison import COUNTING, interval
+from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN
+from animarl_algos.evaluation.rollouts import RECORDED
+from animarl_algos.evaluation.tables import Evaluation
+from animarl_algos.report.sentences import comparison_row, with_interval
+from animarl_algos.report.style import method_label
+from animarl_envs.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def evaluation_table(
+    evaluation: Evaluation, *, counting: str = "all", focus: str | None = None
+) -> Table:
+    """One row per method: means with 95 % intervals, and distances to the demonstrations.
+
+    They are called demonstrated, not recorded: they may be synthetic.
+
+    Parameters
+    ----------
+    counting
+        Which episodes count: ``"all"`` or ``"captures"``; the table says so.
+    focus
+        A method to print in bold.
+
+    Raises
+    ------
+    MissingExtraError
+        If rich is not installed.
+    """
+    try:
+        from rich.box import SIMPLE_HEAD
+        from rich.markup import escape
+        from rich.table import Table
+    except ImportError as error:
+        raise MissingExtraError("the table", "algos") from error
+    comparison = evaluation.comparison
+    table = Table(
+        title=f"Simulated against demonstrated, {COUNTING[counting]}",
+        caption="Mean [95 % interval], resampling demonstrations and seeds. KDE: kernel-density "
+        "distance to the demonstrations, 0 to 2; in brackets what these against themselves give. "
+        "Within starts: the DTW distance with what all methods share of a start taken out.",
+        box=SIMPLE_HEAD,
+        padding=(0, 1),
+    )
+    table.add_column("method", no_wrap=True)
+    table.add_column("n", justify="right", no_wrap=True, min_width=3)
+    for heading in (
+        "target\nreached, %", "path length", "KDE", "duration, s", "KDE", "DTW distance",
+        "within starts",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name in comparison["method"].unique():
+        cells = []
+        for metric in METRICS:
+            row = comparison_row(comparison, str(name), metric, counting)
+            if metric is RETURN:
+                row = comparison_row(comparison, str(name), metric)
+            if metric in (RETURN, PATH_LENGTH, DURATION, DTW):
+                value = None if row is None else interval(row, "mean")
+                cells.append("" if value is None else with_interval(value, metric is RETURN))
+            if metric in (PATH_LENGTH, DURATION):
+                cells.append("" if row is None else _against_null(row))
+        own = comparison_row(comparison, str(name), DTW, counting)
+        cells.append("" if own is None else with_interval(interval(own, "within")))
+        count = comparison_row(comparison, str(name), PATH_LENGTH, counting)
+        table.add_row(
+            "demonstrated" if name == RECORDED else escape(method_label(str(name))),
+            "" if count is None else str(int(count["rollouts"])),
+            *(escape(cell.replace(" [", "\n[")) for cell in cells),
+            style="bold" if name == focus else "",
+        )
+    return table
+
+
+def _against_null(row: object) -> str:
+    value, null = interval(row, "kde"), interval(row, "kde_null")
+    if value.estimate != value.estimate:
+        return ""
+    return f"{value.estimate:.2f} [{null.low:.2f}, {null.high:.2f}]"

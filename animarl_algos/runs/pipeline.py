@@ -1,0 +1,270 @@
+"""From recorded episodes to a report: fit, pretrain, adapt, evaluate, report.
+
+Each stage writes its result into the run folder and is skipped if it is there, so that a run that
+was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import torch
+from stable_baselines3.common.logger import configure
+
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import (
+    CheckpointCallback,
+    latest_checkpoint,
+    load_checkpoint,
+    steps_done,
+)
+from animarl_algos.learner.recorder import check_environment
+from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.decisions import Decisions, decide_along
+from animarl_algos.evaluation.tables import Evaluation, evaluate
+from animarl_algos.report.inputs import ReportInputs
+from animarl_algos.report.report import write_report
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.data.focal import FocalPolicy, focal_drivers
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
+from animarl_algos.learner.settings import constructed
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import SPLITS
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.importing.readers import read
+from animarl_envs.errors import InputError
+from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.scenario import Scenario, make_scenario
+from animarl_envs.species import Species
+from animarl_envs.worlds import make_world
+
+PLANNED_FLIPS = {"agent": (0, 1), "silkmoth": (1, 0)}
+DECISIONS = Path("rollouts", "decisions.npz")
+PACKAGED = "packaged"
+UNTRAINED, RANDOM = "untrained", "random"
+
+
+def method_name(algo: str) -> str:
+    """How a learner is called in tables and figures."""
+    return algo.upper()
+
+
+def open_run(
+    settings: RunSettings, out: Path, command: str, demos: Demonstrations | None = None
+) -> RunFolder:
+    """Start (or find again) the run folder; what does not fit together is refused before it."""
+    if demos is None:
+        demos = load_demonstrations(settings.file, settings.source, settings.species)
+    rehearse(settings, demos)
+    run = RunFolder(out)
+    run.start(settings, demos, command)
+    return run
+
+
+def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
+    """Make the environment and the learners once, so that what does not fit is refused now.
+
+    Raises
+    ------
+    InputError
+        Whatever making them, or beginning to learn, would refuse.
+    """
+    species, asked = checked_species(settings, demos), settings.learner()
+    env = SlotVecEnv(
+        species,
+        settings.copies,
+        demos=demos,
+        focal=settings.focal,
+        condition_flag=None,
+        **asked.env_kwargs,
+    )
+    compared = [BEHAVIOUR_CLONING] if settings.baselines else []
+    for algo in dict.fromkeys([settings.algo, *compared]):
+        arguments = constructed(settings.learner(algo).arguments)
+        learner = named_recipe(algo).algorithm(
+            env=env, seed=settings.seed, device="cpu", **arguments
+        )
+        check_environment(env, learner.layout, learner.recipe)
+
+
+def load_demonstrations(
+    file: str, source: str | None = None, species: str | None = None
+) -> Demonstrations:
+    """A file of recorded episodes, or the demonstrations packaged for a species (``packaged``)."""
+    if file == PACKAGED:
+        return load_packaged(species or "agent")
+    demos = read(file, source)
+    for split in SPLITS:
+        demos.select(split=split)  # an empty split is refused now, not after an hour
+    return demos
+
+
+def fit(run: RunFolder) -> LocomotionFit:
+    """Stage 1: damping and thrust of every individual."""
+    file = run.path / "locomotion.json"
+    if file.exists():
+        return run.fit
+    settings = run.settings
+    method = "onset" if settings.fit_method == "onset" else "joint"
+    result = fit_locomotion(run.demos, method, seed=settings.seed)  # type: ignore[arg-type]
+    result.save(file)
+    return result
+
+
+def train(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
+    """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
+
+    Goes on from the last checkpoint, exactly.
+    """
+    torch.set_num_threads(1)
+    demos, settings = run.demos, run.settings
+    env = run.environment(run.species(demos, fit(run)), demos)
+    model = run.learner(algo, env)
+    if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
+        run.load_policy(algo, model)
+        return model
+    checkpoints = run.path / "checkpoints" / algo
+    resumed = latest_checkpoint(checkpoints) is not None
+    if resumed:
+        load_checkpoint(model, checkpoints)
+    with closing(configure(str(run.log_folder(algo)), ["csv", "tensorboard"])) as logger:
+        model.set_logger(logger)
+        model.learn(
+            max(0, settings.steps - model.num_timesteps) if resumed else settings.steps,
+            callback=CheckpointCallback(checkpoints, settings.checkpoint_every),
+            reset_num_timesteps=not resumed,
+            progress_bar=progress_bar,
+        )
+    run.save_policy(algo, model)
+    return model
+
+
+def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
+    """Whether the last checkpoint has fewer steps than the run now asks for."""
+    latest = latest_checkpoint(run.path / "checkpoints" / algo)
+    if latest is None or not named_recipe(algo).algorithm.recipe.online:
+        return False
+    return steps_done(latest) < steps
+
+
+def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Policy]:
+    """The trained learner and what it is compared with, ready to act as in the paper's tests."""
+    settings, demos = run.settings, run.demos
+    env = run.environment(run.species(demos, fit(run)), demos)
+    policies: dict[str, Policy] = {}
+    untrained = run.learner(settings.algo, env)
+    policies[method_name(settings.algo)] = train(run, settings.algo, progress_bar=False)
+    if settings.baselines:
+        if settings.algo != BEHAVIOUR_CLONING:
+            policies[method_name(BEHAVIOUR_CLONING)] = train(
+                run, BEHAVIOUR_CLONING, progress_bar=progress_bar
+            )
+        policies[UNTRAINED] = untrained
+        policies[RANDOM] = RandomPolicy(settings.seed)
+    for policy in policies.values():
+        if isinstance(policy, SequenceQLearning):
+            policy.policy.epsilon = settings.test_epsilon
+            policy.policy.seed(settings.seed)
+    return policies
+
+
+def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts]:
+    """Stage 4a: every method from each test demonstration's start, and what the learner values.
+
+    Where the learners see the condition, trained ones are also told the other one, in the same
+    world: the counterfactual.
+    """
+    settings, demos = run.settings, run.demos
+    species = run.species(demos, fit(run))
+    drivers = focal_drivers(species.individuals, settings.focal)
+    scenario = make_scenario(species, demos=demos, split="test", drivers=drivers)
+    flagged = run.environment(species, demos).condition_flag
+    policies = test_policies(run, progress_bar=progress_bar)
+    focus = policies[method_name(settings.algo)]
+    if isinstance(focus, SequenceQLearning):
+        test = demos.select(split="test")
+        along = decide_along(
+            focus.policy, species, test, condition_flag=flagged, focal=settings.focal
+        )
+        along.save(run.path / DECISIONS)
+    rollouts = {}
+    for name, policy in policies.items():
+        cues: tuple[Cue | None, ...] = (None,)
+        if flagged and name != RANDOM:
+            cues = ("actual",) if name == UNTRAINED else ("actual", "flipped")
+        collected = [
+            collect_rollouts(
+                partial(make_world, scenario),
+                _for_all(policy, scenario, settings.focal),
+                method=name,
+                seed=settings.seed,
+                repetitions=settings.repetitions,
+                cue=cue,
+            )
+            for cue in cues
+        ]
+        rollouts[name] = Rollouts.concatenate(collected)
+        rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
+    return rollouts
+
+
+def _for_all(policy: Policy, scenario: Scenario, focal: str | None) -> Policy:
+    learned_one = focal is not None and isinstance(policy, SequenceQLearning)
+    return FocalPolicy(policy, scenario.names, focal) if learned_one and focal else policy
+
+
+def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
+    """Stage 4: rollouts on the test split, measured and compared with the recordings."""
+    rollouts = roll_out(run, progress_bar=progress_bar)
+    evaluation = evaluate(
+        rollouts,
+        run.demos.select(split="test"),
+        seed=run.settings.seed,
+        planned_flip=PLANNED_FLIPS.get(run.settings.species),
+    )
+    evaluation.save(run.path / "evaluation")
+    return evaluation
+
+
+def report(run: RunFolder) -> Path:
+    """Stage 5: the page to show."""
+    settings, demos, record = run.settings, run.demos, run.record
+    decisions = run.path / DECISIONS
+    files = [f for f in sorted(decisions.parent.glob("*.npz")) if f != decisions]
+    if not files:
+        raise InputError(f"{run.path}: it has no rollouts yet: run 'animarl evaluate' first")
+    rollouts = {file.stem: Rollouts.load(file) for file in files}
+    focus = method_name(settings.algo)
+    ordered = {focus: rollouts.pop(focus)} | rollouts
+    species = run.species(demos, fit(run))
+    return write_report(
+        ReportInputs(
+            title=f"{species.title}: {focus}",
+            focus=focus,
+            demos=demos.select(split="test"),
+            rollouts=ordered,
+            evaluation=Evaluation.load(run.path / "evaluation"),
+            conditions=species.conditions,
+            fit=fit(run),
+            decisions=Decisions.load(decisions) if decisions.exists() else None,
+            learning_curves=run.learning_curves(),
+            settings={"run": record["settings"], "learner": record["learner"]},
+            seeds=(settings.seed,),
+            versions=record["versions"],
+            command=record["command"],
+            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            episodes={split: int((demos.split == split).sum()) for split in SPLITS},
+        ),
+        run.path / "report.html",
+    )
+
+
+def species_of(run: RunFolder) -> Species:
+    """The species of a run, with the fitted locomotion."""
+    return run.species(run.demos, fit(run))

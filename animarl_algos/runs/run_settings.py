@@ -1,0 +1,156 @@
+"""What a run is asked for: checked at the door, recorded in its folder, found again on resume."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium as gym
+import torch
+
+from animarl_algos.runs.presets import PRESETS, LearnerPreset, learner_preset
+from animarl_algos.recipes.registry import named_recipe
+from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.scenario import refuse_other_species
+from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
+from animarl_envs.fitting.custom_species import species_of
+
+BEHAVIOUR_CLONING = "bc"
+FIT_METHODS = ("joint", "onset")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """It decides the run together with the demonstrations.
+
+    ``preset`` (of the file ``config``, by default that of the package) gives the learner's
+    settings, ``overrides`` go over them. Only the individual ``focal`` learns, if one is named.
+    ``test_epsilon`` is the share of random actions when policies are evaluated.
+    """
+
+    file: str
+    source: str | None = None
+    species: str
+    algo: str
+    preset: str = "default"
+    config: str | None = None
+    steps: int
+    seed: int = 0
+    copies: int = 16
+    focal: str | None = None
+    device: str = "cpu"
+    fit_method: str = "joint"
+    repetitions: int = 5
+    test_epsilon: float = 0.1
+    baselines: bool = True
+    checkpoint_every: int = 20_000
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        named_recipe(self.algo)
+        if self.species != CUSTOM:
+            get_species(self.species)
+        if self.preset not in PRESETS:
+            raise InputError(f"preset {self.preset!r} is unknown: choose {' or '.join(PRESETS)}")
+        if self.fit_method not in FIT_METHODS:
+            raise InputError(
+                f"fit_method {self.fit_method!r} is unknown: choose {' or '.join(FIT_METHODS)}"
+            )
+        for name in ("steps", "copies", "repetitions", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
+        if not 0.0 <= self.test_epsilon <= 1.0:
+            raise InputError(f"test_epsilon is {self.test_epsilon}: it must be from 0 to 1")
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}: it must not be negative")
+        check_device(self.device)
+
+    def learner(self, algo: str | None = None) -> LearnerPreset:
+        """The settings of the run's learner, or of the one it is compared with.
+
+        The other one gets the run's policy, without quantiles, but none of its other ``overrides``
+        or its ``config``.
+        """
+        own = algo is None or algo == self.algo
+        shared = {k: v for k, v in self.overrides.items() if k in ("policy", "policy_kwargs")}
+        if isinstance(network := shared.get("policy_kwargs"), dict):
+            shared["policy_kwargs"] = {k: v for k, v in network.items() if k != "n_quantiles"}
+        return learner_preset(
+            algo or self.algo,
+            environment_id(self.species),
+            self.preset,
+            self.overrides if own else shared,
+            config=self.config if own else None,
+        )
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that PyTorch does not know or this machine does not have."""
+    try:
+        kind = torch.device(device).type
+    except RuntimeError:
+        raise InputError(f"device {device!r} is unknown: choose cpu or cuda") from None
+    if kind not in ("cpu", "cuda"):
+        raise InputError(f"device {device!r} is not supported: choose cpu or cuda")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"device {device!r} is asked for but this machine has none: choose cpu")
+
+
+def asked_species(env: str | None, species: str | None) -> str | None:
+    """The species that ``--env`` and ``--species`` name; None if neither is given.
+
+    Raises
+    ------
+    InputError
+        If they contradict each other, or the environment is none of this suite.
+    """
+    if env is None:
+        return species
+    try:
+        named = gym.spec(env).kwargs.get("species")
+    except gym.error.Error:
+        named = None
+    if not isinstance(named, str):
+        raise InputError(
+            f"environment {env!r} is none of AnimaRL's: choose among "
+            f"{', '.join(environment_id(s) for s in (*SPECIES, CUSTOM))}, or train it with "
+            "python -m animarl_algos.zoo"
+        )
+    if species not in (None, named):
+        raise InputError(f"--env {env} and --species {species} contradict each other: give one")
+    return named
+
+
+def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
+    """The species of a run, its locomotion not yet fitted; what does not fit is refused.
+
+    Raises
+    ------
+    InputError
+        If the demonstrations are of another species or layout, or the learner needs conditions
+        and there are none, or nobody has the focal one's name.
+    """
+    named, algo = settings.species, settings.algo
+    refuse_other_species(demos, named, "--species")
+    unfitted = (Locomotion(1.0, 1.0),) * demos.num_individuals
+    species = species_of(demos, unfitted, base=named)
+    if named_recipe(algo).algorithm.recipe.needs_condition:
+        instead = algo.replace("cil", "dil")
+        if not species.conditions:
+            raise InputError(
+                f"{algo} needs two experimental conditions and {named} has none: choose {instead}"
+            )
+        if len(set(demos.condition.tolist())) < 2:
+            raise InputError(
+                f"{demos.name}: {algo} needs episodes of both conditions and all are of "
+                f"condition {demos.condition[0]}: choose {instead}"
+            )
+    if settings.focal is not None and settings.focal not in demos.individuals:
+        raise InputError(
+            f"focal is {settings.focal!r}: choose one of {', '.join(demos.individuals)}"
+        )
+    return species

@@ -1,0 +1,246 @@
+"""Drawing scenes with pygame: a picture for a window or as an array.
+
+Shapes are drawn :data:`SUPERSAMPLING` times larger than they are shown and averaged down, text is
+drawn at its final size. The same scene gives the same pixels, with or without a display.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.drawing import palette
+from animarl_envs.drawing.clips import CLIP_SUFFIXES, write_clip
+from animarl_envs.drawing.palette import RGB
+from animarl_envs.drawing.scene import Scene
+from animarl_envs.drawing.sketch import Canvas, View, draw_bodies, draw_ground, draw_paths, view_of
+from animarl_envs.errors import InputError, MissingExtraError
+
+if TYPE_CHECKING:
+    from pygame import Surface
+
+__all__ = ["CLIP_SUFFIXES", "RenderMode", "Renderer", "round_length", "write_clip"]
+
+RenderMode = Literal["rgb_array", "human"]
+SUPERSAMPLING = 4  # a power of two: pygame then averages without rounding down
+STRIP = 0.12  # height of the text strip, in widths of the picture
+
+
+class Renderer:
+    """Draws scenes.
+
+    Parameters
+    ----------
+    mode
+        ``"rgb_array"``: :meth:`draw` returns an array and needs no display. ``"human"``: it shows
+        the picture in a window and waits so that at most ``fps`` pictures a second are shown.
+    size
+        Width of the picture, and height of the field in it [px]; a strip of text stands below.
+    fps
+        Frames per second of the window.
+
+    Raises
+    ------
+    MissingExtraError
+        If pygame-ce is not installed.
+    InputError
+        If a value is out of range, or a window is wanted where there is no display.
+    """
+
+    def __init__(self, mode: RenderMode, size: int = 600, fps: float = 10.0) -> None:
+        if mode not in ("rgb_array", "human"):
+            raise InputError(f"render_mode is {mode!r}: choose 'rgb_array' or 'human'")
+        if not (isinstance(size, int) and 100 <= size <= 4000):
+            raise InputError(f"size is {size!r}: give a whole number of pixels, 100 to 4000")
+        if not 0 < fps < math.inf:
+            raise InputError(f"fps is {fps!r}: it must be a positive number")
+        self.mode = mode
+        self.size = size
+        self.fps = fps
+        self.closed = False
+        """Whether the user has closed the window; :meth:`draw` then shows nothing."""
+        self._pygame = _import_pygame()
+        self._pygame.font.init()
+        self._fonts: dict[int, Any] = {}
+        self._window: Surface | None = None
+        self._clock: Any = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy or a pickle draws alike, and opens a window of its own."""
+        return type(self), (self.mode, self.size, self.fps)
+
+    @property
+    def height(self) -> int:
+        """Height of the picture [px]."""
+        return self.size + 2 * round(STRIP * self.size / 2)
+
+    def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
+        """Draw a scene: ``(height, width, 3)`` uint8 as an array, or ``None`` in a window."""
+        picture = self._picture(scene)
+        if self.mode == "human":
+            self._show(picture, scene.title)
+            return None
+        pixels = self._pygame.surfarray.array3d(picture)
+        return np.ascontiguousarray(pixels.transpose(1, 0, 2))
+
+    def close(self) -> None:
+        """Close the window, if any. Closing twice is harmless."""
+        self._fonts.clear()
+        if self._window is not None:
+            self._pygame.display.quit()
+            self._window = None
+
+    def _picture(self, scene: Scene) -> Surface:
+        pygame = self._pygame
+        canvas = Canvas(pygame, self.size * SUPERSAMPLING, view_of(scene))
+        draw_ground(canvas, scene)
+        draw_paths(canvas, scene)
+        draw_bodies(canvas, scene)
+        picture: Surface = pygame.Surface((self.size, self.height), 0, 32)
+        picture.fill(palette.BACKGROUND)
+        picture.blit(pygame.transform.smoothscale(canvas.surface, (self.size,) * 2), (0, 0))
+        self._write_strip(picture, scene)
+        if scene.arena.shape == "open":
+            self._draw_scale_bar(picture, scene, self.size / (2 * canvas.view.half))
+        return picture
+
+    def _show(self, picture: Surface, title: str) -> None:
+        pygame = self._pygame
+        if self.closed:
+            return
+        if self._window is None:
+            try:
+                pygame.display.init()
+                self._window = pygame.display.set_mode(picture.get_size())
+            except pygame.error as error:
+                raise InputError(
+                    f"no window can be opened ({error}): use render_mode='rgb_array'"
+                ) from error
+            pygame.display.set_caption(f"AnimaRL: {title}")
+            self._clock = pygame.time.Clock()
+        if any(event.type == pygame.QUIT for event in pygame.event.get()):
+            self.closed = True
+            self.close()
+            return
+        self._window.blit(picture, (0, 0))
+        pygame.display.flip()
+        self._clock.tick(self.fps)
+
+    # -- text -------------------------------------------------------------------------------------
+
+    def _write_strip(self, picture: Surface, scene: Scene) -> None:
+        """Two lines beneath the field: what and when; who has earned how much."""
+        pad, line = 0.03 * self.size, 0.045 * self.size
+        right = self.size - pad
+        top = self.size + 0.016 * self.size
+        x = self._write(picture, scene.title, pad, top, palette.TEXT)
+        if scene.condition:
+            self._write(picture, f"  \u00b7  {scene.condition}", x, top, palette.MUTED_TEXT)
+        clock = f"{scene.time:.1f} s   step {scene.step}"
+        self._write(picture, clock, right, top, palette.MUTED_TEXT, from_right=True)
+
+        x, top = pad, top + line
+        if scene.note:
+            self._write(picture, scene.note, right, top, palette.TEXT, from_right=True)
+            right -= self._text_width(scene.note) + pad
+        for i, (name, role) in enumerate(zip(scene.names, scene.roles, strict=True)):
+            colour = palette.TARGET if role == "target" else palette.pursuer(i)
+            label = f"{name}  {scene.rewards[i]:+.1f}"
+            left = len(scene.names) - i
+            more = f"and {left} more"
+            width = self._text_width(label) + 0.03 * self.size
+            rest = self._text_width(more) if left > 1 else 0.0
+            if x + width + rest > right:
+                self._write(picture, more, x, top, palette.MUTED_TEXT)
+                return
+            self._dot(picture, x, top, colour)
+            x = self._write(picture, label, x + 0.024 * self.size, top, palette.TEXT)
+            x += 0.03 * self.size
+
+    @property
+    def _text_size(self) -> int:
+        return max(9, round(0.024 * self.size))
+
+    def _dot(self, picture: Surface, x: float, top: float, colour: RGB) -> None:
+        """The colour key of an individual, at the height of the text."""
+        side = round(0.018 * self.size)
+        sheet = Canvas(self._pygame, side * SUPERSAMPLING, View(0.0, 0.0, 1.0))
+        sheet.disc(np.zeros(2), 0.46 * sheet.pixels, colour)
+        dot = self._pygame.transform.smoothscale(sheet.surface, (side, side))
+        picture.blit(dot, (round(x), round(top + 0.1 * (self._text_size - side))))
+
+    def _font(self, size: int) -> Any:
+        if size not in self._fonts:
+            self._fonts[size] = self._pygame.font.Font(None, size * SUPERSAMPLING)
+        return self._fonts[size]
+
+    def _text_width(self, text: str) -> float:
+        return float(self._font(self._text_size).size(text)[0]) / SUPERSAMPLING
+
+    def _write(
+        self,
+        picture: Surface,
+        text: str,
+        x: float,
+        top: float,
+        colour: RGB,
+        from_right: bool = False,
+    ) -> float:
+        """Write one line of text; returns where it ends [px]."""
+        large = self._font(self._text_size).render(text, True, colour)
+        size = (math.ceil(large.get_width() / SUPERSAMPLING), large.get_height() // SUPERSAMPLING)
+        left = round(x - size[0] if from_right else x)
+        picture.blit(self._pygame.transform.smoothscale(large, size), (left, round(top)))
+        return float(left + size[0])
+
+    def _draw_scale_bar(self, picture: Surface, scene: Scene, scale: float) -> None:
+        """A bar of a round length in the lower left corner, and the wind above it.
+
+        ``scale`` in px per arena unit.
+        """
+        length, label = round_length(0.2 * self.size / scale, scene.unit)
+        left, low = 0.04 * self.size, 0.955 * self.size
+        draw, thick = self._pygame.draw, max(2, round(0.005 * self.size))
+        bar = (round(left), round(low), round(length * scale), thick)
+        draw.rect(picture, palette.OUTLINE, bar)
+        self._write(picture, label, left, low - 0.034 * self.size, palette.MUTED_TEXT)
+        if scene.wind is None:
+            return
+        side = round(0.09 * self.size)
+        sheet = Canvas(self._pygame, side * SUPERSAMPLING, View(0.0, 0.0, 1.0))
+        sheet.surface.fill(palette.ARENA)
+        sheet.arrow(scene.wind, palette.MUTED_TEXT)
+        arrow = self._pygame.transform.smoothscale(sheet.surface, (side, side))
+        corner = (round(self.size - left - side), round(low - 0.5 * side))
+        picture.blit(arrow, corner)
+        width = self._text_width("wind")
+        self._write(
+            picture, "wind", corner[0] - width - 4, low - 0.012 * self.size, palette.MUTED_TEXT
+        )
+
+
+def round_length(longest: float, unit: str) -> tuple[float, str]:
+    """The longest of 1, 2 or 5 times a power of ten up to ``longest``, and its label.
+
+    ``unit`` is that of ``longest``; metres are written as m, cm or mm.
+    """
+    power = 10.0 ** math.floor(math.log10(longest))
+    length = max(m * power for m in (1, 2, 5) if m * power <= longest * (1 + 1e-9))
+    if unit == "m":
+        for shown, factor in (("m", 1.0), ("cm", 100.0), ("mm", 1000.0)):
+            if length * factor >= 1 - 1e-9:
+                return length, f"{length * factor:g} {shown}"
+    return length, f"{length:g} {unit}"
+
+
+def _import_pygame() -> Any:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        import pygame
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("drawing", "render") from error
+    return pygame

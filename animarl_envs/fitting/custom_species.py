@@ -1,0 +1,190 @@
+"""Your own animals: a species made from their demonstrations.
+
+What the file states is taken from it: names, roles, time step, arena, longest episode, contact
+radius. What it does not state comes from the species it names, or for species ``custom`` from the
+rules of :func:`species_of`. Every number can be replaced by the option of its name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.focus import distances_to_target
+from animarl_envs.locomotion import Locomotion
+from animarl_envs.species import CUSTOM, SILKMOTH, SPECIES, get_species
+from animarl_envs.species.base import ChaseSpecies, Recording, SearchSpecies, Species
+from animarl_envs.species.options import with_options
+
+LARGEST_CONTACT, SMALLEST_CONTACT = 0.1, 0.001  # shares of the arena's size
+CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
+
+_FITS: dict[str, tuple[Locomotion, ...]] = {}
+
+
+def species_of(
+    demos: Demonstrations,
+    fit: Sequence[Locomotion] | None = None,
+    base: str | None = None,
+) -> Species:
+    """The species that demonstrations show.
+
+    Parameters
+    ----------
+    demos
+        One or more pursuers and a target, or one searcher; all splits.
+    fit
+        Locomotion of each individual; by default fitted, see :func:`fitted_locomotion`.
+    base
+        Name of the species that gives the numbers the file does not state; by default the one
+        that the file names. For ``"custom"`` they are:
+
+        - time limit: the longest episode, or what the import kept at most, if that is longer;
+        - contact radius: as stated (``contact_radius`` in the provenance, or the distance at which
+          the import ended episodes), else the distance at which recorded contacts ended (their
+          0.9 quantile), else the smallest distance recorded, so that the world ends no episode
+          where the recording went on (at most a tenth of the arena's size);
+        - conditions: those that occur, as names only: no reward differs between them;
+        - starts without a demonstration: in the inner half of the arena; no warm-up steps;
+        - a searcher has the silkmoth's senses, plume and conditions.
+
+    Raises
+    ------
+    InputError
+        If nobody is the target, or the roles do not fit the species.
+    """
+    name = base or demos.species
+    numbers = get_species(name) if name in SPECIES else _plain_species(demos)
+    _check_roles(demos, numbers)
+    longest = int(demos.lengths.max()) - 1
+    conditions = numbers.conditions or _conditions(demos)
+    return with_options(
+        numbers,
+        individuals=demos.individuals,
+        dt=demos.dt,
+        arena=demos.arena if isinstance(numbers, ChaseSpecies) else Arena("open", demos.arena.size),
+        locomotion=fitted_locomotion(demos) if fit is None else tuple(fit),
+        time_limit=max(numbers.time_limit, longest, numbers.warmup + 1),
+        conditions=conditions,
+    )
+
+
+def fitted_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
+    """Joint fit of every individual on the training episodes (on all, if there are none).
+
+    Fitted once per content of the demonstrations and process.
+    """
+    key = demos.fingerprint()
+    if key not in _FITS:
+        from animarl_envs.fitting import fit_joint, transitions
+
+        seen = demos.select(split="train") if (demos.split == "train").any() else demos
+        _FITS[key] = tuple(
+            fit_joint(transitions(seen, i), f"{demos.name}: {name}")
+            for i, name in enumerate(demos.individuals)
+        )
+    return _FITS[key]
+
+
+def contact_radius_of(demos: Demonstrations) -> float:
+    """The contact radius that the demonstrations state or show [arena unit].
+
+    See :func:`species_of`.
+    """
+    cutting = _cutting(demos)
+    ended_at = "closer_than" if cutting.get("mode") == "approach" else "contact"
+    stated = (demos.provenance.get("contact_radius"), cutting.get(ended_at))
+    for value in stated:
+        if isinstance(value, int | float) and 0 < value < math.inf:
+            return float(value)
+    distance = distances_to_target(demos.positions, demos.roles)
+    ends = demos.offsets[1:] - 1
+    touched = np.flatnonzero(demos.outcome > 0)
+    if len(touched):
+        found = distance[ends[touched], demos.outcome[touched] - 1]
+        return max(float(np.quantile(found, CONTACT_QUANTILE)), SMALLEST_CONTACT * demos.arena.size)
+    low, high = SMALLEST_CONTACT * demos.arena.size, LARGEST_CONTACT * demos.arena.size
+    return float(np.clip(distance.min(), low, high))
+
+
+def _plain_species(demos: Demonstrations) -> Species:
+    """A species of no name: all that the demonstrations do not overwrite afterwards."""
+    from animarl_envs.fitting.result import default_onset_threshold
+
+    longest = int(demos.lengths.max()) - 1
+    kept = min(_seconds(_cutting(demos).get(key)) for key in ("longest", "keep_last"))
+    if kept < math.inf:
+        longest = max(longest, round(kept / demos.dt))
+    synthetic = "synthetic: " if demos.synthetic else ""
+    common: dict[str, Any] = {
+        "name": CUSTOM,
+        "title": "Recorded animals" if not demos.synthetic else "Synthetic animals",
+        "contact_radius": contact_radius_of(demos),
+        "time_limit": longest,
+        "recording": Recording(
+            frame_rate=1.0 / demos.dt, onset_threshold=default_onset_threshold(demos)
+        ),
+        "source": f"{synthetic}{demos.provenance['source']}",
+        "version_history": ("v0: as the demonstrations",),
+        "warmup": 0,
+    }
+    if "searcher" in demos.roles:
+        return replace(SILKMOTH, **common)
+    still = (Locomotion(1.0, 1.0),) * demos.num_individuals  # until the fit takes its place
+    return ChaseSpecies(
+        individuals=demos.individuals,
+        locomotion=still,
+        arena=demos.arena,
+        dt=demos.dt,
+        start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
+        **common,
+    )
+
+
+def _check_roles(demos: Demonstrations, species: Species) -> None:
+    searching = "searcher" in demos.roles
+    if searching and demos.num_individuals > 1:
+        raise InputError(
+            f"{demos.name}: it holds {demos.num_individuals} searchers, a search has one: "
+            "import each of them alone"
+        )
+    if searching != isinstance(species, SearchSpecies):
+        roles = ", ".join(demos.roles)
+        raise InputError(
+            f"{demos.name}: its roles are {roles}, which do not fit {species.name}: choose the "
+            "species custom, or import with other roles"
+        )
+    if not searching and ("target" not in demos.roles or demos.num_individuals < 2):
+        raise InputError(
+            f"{demos.name}: nobody is pursued (its roles are {', '.join(demos.roles)}): import it "
+            "with --target NAME or --target auto, and at least one other individual"
+        )
+
+
+def _conditions(demos: Demonstrations) -> tuple[str, ...]:
+    """Names of the conditions, as the provenance has them; none if all episodes are alike."""
+    if not (demos.condition == 1).any():
+        return ()
+    named = demos.provenance.get("conditions")
+    if isinstance(named, list | tuple) and len(named) == 2:
+        return (str(named[0]), str(named[1]))
+    return ("condition 0", "condition 1")
+
+
+def _cutting(demos: Demonstrations) -> dict[str, Any]:
+    """How the import cut the episodes, as the provenance has it."""
+    recipe = demos.provenance.get("recipe")
+    cutting = recipe.get("cutting") if isinstance(recipe, dict) else None
+    return cutting if isinstance(cutting, dict) else {}
+
+
+def _seconds(value: Any) -> float:
+    """A limit of the recipe: a number, or infinity where it is text or absent."""
+    return float(value) if isinstance(value, int | float) and value > 0 else math.inf

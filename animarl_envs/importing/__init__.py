@@ -1,0 +1,1 @@
+"""From tracks to demonstrations: reading, cleaning, scaling, cutting."""

@@ -1,0 +1,224 @@
+"""Following a recipe: tracks are cleaned, scaled, cut, thinned and dealt to the splits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import split_recordings
+from animarl_envs.errors import InputError
+from animarl_envs.importing.cleaning import clean, resample, resample_index
+from animarl_envs.importing.cutting import (
+    FEWEST_PIECES,
+    Cut,
+    cut_episodes,
+    in_pieces,
+    most_approached,
+)
+from animarl_envs.importing.import_recipe import NOT_STATED, Recipe
+from animarl_envs.importing.scaling import scale_of
+from animarl_envs.importing.tracks import Tracks
+
+FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
+SHORTEST_PIECE = 10  # decisions
+
+
+def demonstrations_from_tracks(
+    recordings: Sequence[Tracks], recipe: Recipe, name: str = "tracks"
+) -> Demonstrations:
+    """Clean, scale, cut, resample and split; ``name`` is for messages.
+
+    Raises
+    ------
+    InputError
+        One sentence that names the file, the place and the mend.
+    """
+    cleaned, bodies, scales, done = [], [], {}, {}
+    for tracks in recordings:
+        tracks = _named(tracks, recipe)
+        tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
+        scale = scale_of(tracks, recipe.scaling)
+        scales[tracks.recording] = scale.to_dict()
+        cleaned.append(tracks)
+        bodies.append(scale.to_arena(tracks.bodies))
+    individuals, roles, order = _roles(cleaned, bodies, recipe, name)
+    bodies = [body[:, order] for body in bodies]
+    episodes = []
+    for tracks, body, cuts in zip(
+        cleaned, bodies, _cuts(cleaned, bodies, roles, recipe), strict=True
+    ):
+        done[tracks.recording]["episodes"] = len(cuts)
+        if len(cuts) == 1 and tracks.outcome is not None and recipe.cutting.mode == "whole":
+            cuts = [replace(cuts[0], outcome=tracks.outcome)]
+        episodes += [_episode(tracks, body, cut, order, recipe) for cut in cuts]
+    episodes = [one for one in episodes if len(one["positions"]) >= 2]
+    if not episodes:
+        raise InputError(
+            f"{name}: the cut leaves no episode: loosen the distances or the length limits"
+        )
+    recording = np.array([one["recording"] for one in episodes])
+    rate = recipe.decision_rate or cleaned[0].frame_rate
+    assert rate is not None
+    first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
+    return Demonstrations(
+        species=recipe.species,
+        individuals=individuals,
+        roles=roles,
+        dt=1.0 / rate,
+        arena=recipe.scaling.arena,
+        positions=np.concatenate([one["positions"] for one in episodes]),
+        lengths=np.array([len(one["positions"]) for one in episodes]),
+        initial_velocity=np.array([one["initial_velocity"] for one in episodes]),
+        condition=np.array([one["condition"] for one in episodes], dtype=np.int8),
+        outcome=np.array([one["outcome"] for one in episodes], dtype=np.int8),
+        split=split_recordings(recording, recipe.splitting),
+        recording=recording,
+        signals={
+            key: np.concatenate([one["signals"][key] for one in episodes])
+            for key in episodes[0]["signals"]
+        },
+        provenance={
+            "source": recipe.source or "found by the file",
+            "licence": recipe.licence,
+            "synthetic": recipe.synthetic,
+            **first,
+            **({} if recipe.licence == NOT_STATED else {"licence": recipe.licence}),
+            "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
+            "unit": cleaned[0].unit,
+            "keypoints": list(recordings[0].keypoints),
+            "recipe": recipe.to_dict(),
+            "scales": scales,
+            "cleaning": done,
+        },
+        name=name,
+    )
+
+
+def _named(tracks: Tracks, recipe: Recipe) -> Tracks:
+    strangers = sorted(set(recipe.rename) - set(tracks.individuals))
+    if strangers:
+        raise InputError(
+            f"{tracks.recording}: there is no individual {strangers[0]!r} to rename: choose among "
+            f"{', '.join(tracks.individuals)}"
+        )
+    if recipe.individuals is not None:
+        tracks = tracks.choose(recipe.individuals)
+    names = tuple(recipe.rename.get(name, name) for name in tracks.individuals)
+    rate = recipe.frame_rate or tracks.frame_rate
+    return replace(tracks, individuals=names, frame_rate=rate)
+
+
+def _roles(
+    cleaned: Sequence[Tracks],
+    bodies: Sequence[NDArray[np.float64]],
+    recipe: Recipe,
+    name: str,
+) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
+    """Names and roles, the target last, and the order of the tracks' columns."""
+    names = cleaned[0].individuals
+    rate = cleaned[0].frame_rate
+    for tracks in cleaned:
+        if tracks.individuals != names:
+            raise InputError(
+                f"{name}: {tracks.recording} has individuals {', '.join(tracks.individuals)}, "
+                f"{cleaned[0].recording} has {', '.join(names)}: choose the same in all of them"
+            )
+        if recipe.decision_rate is None and tracks.frame_rate != rate:
+            raise InputError(
+                f"{name}: {tracks.recording} has {tracks.frame_rate} frames a second, "
+                f"{cleaned[0].recording} {rate}: give a decision rate"
+            )
+    order = list(range(len(names)))
+    if recipe.target is None:
+        role = "searcher" if recipe.searcher else "pursuer"
+        return names, (role,) * len(names), order
+    if recipe.target == "auto":
+        target = most_approached(bodies)
+    elif recipe.target in names:
+        target = names.index(recipe.target)
+    else:
+        raise InputError(
+            f"{name}: there is no target {recipe.target!r}: choose among {', '.join(names)}"
+        )
+    order = [i for i in order if i != target] + [target]
+    roles = ("pursuer",) * (len(names) - 1) + ("target",)
+    return tuple(names[i] for i in order), roles, order
+
+
+def _cuts(
+    cleaned: Sequence[Tracks],
+    bodies: Sequence[NDArray[np.float64]],
+    roles: tuple[str, ...],
+    recipe: Recipe,
+) -> list[list[Cut]]:
+    """The episodes of each recording; a lone long recording is cut in pieces, see ``Cutting``."""
+    rates = [tracks.frame_rate or 1.0 for tracks in cleaned]
+    found = [
+        cut_episodes(body, roles, rate, recipe.cutting, tracks.recording)
+        for tracks, body, rate in zip(cleaned, bodies, rates, strict=True)
+    ]
+    piece = recipe.cutting.piece
+    if recipe.cutting.mode != "whole":
+        return found
+    if piece is None and 0 < sum(map(len, found)) < FEWEST_EPISODES:
+        seconds = sum(
+            (cut.stop - cut.start) / rate
+            for cuts, rate in zip(found, rates, strict=True)
+            for cut in cuts
+        )
+        decisions = seconds * (recipe.decision_rate or rates[0])
+        if decisions >= FEWEST_PIECES * SHORTEST_PIECE:
+            piece = seconds / FEWEST_PIECES
+    if piece is None:
+        return found
+    return [
+        in_pieces(cuts, rate, piece, rate / (recipe.decision_rate or rate))
+        for cuts, rate in zip(found, rates, strict=True)
+    ]
+
+
+def _episode(
+    tracks: Tracks, body: NDArray[np.float64], cut: Cut, order: list[int], recipe: Recipe
+) -> dict[str, Any]:
+    """One episode at the decision rate; its first sample only serves to make the first velocity."""
+    assert tracks.frame_rate is not None
+    rate = recipe.decision_rate or tracks.frame_rate
+    every = tracks.frame_rate / rate
+    frames = slice(cut.start, cut.stop)
+    if every < 1 - 1e-9:
+        raise InputError(
+            f"{tracks.recording}: it has {tracks.frame_rate:g} frames a second: choose a decision "
+            "rate no higher than that"
+        )
+    if abs(every - round(every)) < 1e-9:
+        index = resample_index(cut.stop - cut.start, round(every), recipe.keep_last_frame)
+        samples = body[frames][index]
+    else:
+        if recipe.keep_last_frame:
+            raise InputError(
+                f"{tracks.recording}: the last frame can be kept only if the decision rate divides "
+                f"{tracks.frame_rate:g} Hz: choose another rate"
+            )
+        samples = resample(body[frames], tracks.frame_rate, rate)
+        index = np.round(np.arange(len(samples)) * every).astype(np.int64)
+    several = len(tracks.individuals)
+    signals = {}
+    for key, value in tracks.signals.items():
+        taken = value[frames][index][1:]
+        own = taken.ndim > 1 and taken.shape[1] == several
+        signals[key] = taken[:, order] if own else taken
+    condition = cut.condition if cut.condition is not None else tracks.condition
+    first = (samples[1] - samples[0]) * rate if len(samples) > 1 else np.zeros((several, 2))
+    return {
+        "positions": samples[1:],
+        "initial_velocity": first,
+        "condition": recipe.condition if recipe.condition is not None else condition,
+        "outcome": cut.outcome,
+        "recording": tracks.recording,
+        "signals": signals,
+    }

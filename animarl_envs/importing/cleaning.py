@@ -1,0 +1,230 @@
+"""Cleaning of tracks, each step explicit and recorded: what was done, and to how many frames.
+
+Order: confidence threshold, keypoint, jumps flagged, gaps filled, smoothing. Nothing is shifted in
+time: the low-pass filter runs forwards and backwards, and filled gaps are straight lines.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.episode import FILLED
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.importing.tracks import CENTROID, Tracks
+
+JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
+SHOWN_JUMPS = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cleaning:
+    """What is done to the tracks of every recording.
+
+    Parameters
+    ----------
+    keypoint
+        Name of the keypoint that stands for the body, or ``"centroid"``, the mean of those seen.
+    min_confidence
+        Keypoints below it count as not tracked.
+    max_gap
+        Gaps up to this long are filled by straight lines [s]; longer ones cut the recording.
+    smoothing_cutoff
+        Butterworth low-pass of first order, run forwards and backwards [Hz]; ``None`` or 0: none.
+    drop_jumps
+        Whether frames after a jump (there and back within a frame) become gaps; else only flagged.
+    """
+
+    keypoint: str = CENTROID
+    min_confidence: float | None = None
+    max_gap: float = 0.0
+    smoothing_cutoff: float | None = None
+    drop_jumps: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.max_gap < math.inf:
+            raise InputError(f"max_gap is {self.max_gap} s: it must be zero or positive")
+        if self.smoothing_cutoff == 0:
+            object.__setattr__(self, "smoothing_cutoff", None)
+        if self.smoothing_cutoff is not None and not 0 < self.smoothing_cutoff < math.inf:
+            raise InputError(
+                f"smoothing_cutoff is {self.smoothing_cutoff} Hz: give a positive one, or 0"
+            )
+        if self.min_confidence is not None and not math.isfinite(self.min_confidence):
+            raise InputError(f"min_confidence is {self.min_confidence}: it must be a number")
+
+
+def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
+    """Clean one recording; returns it with one keypoint per individual, and what was done.
+
+    Where gaps were filled, a signal says at which frames and of whom.
+    """
+    if tracks.frame_rate is None:
+        raise InputError(f"{tracks.recording}: its frame rate is not known: give it with --fps")
+    done: dict[str, Any] = {"frames": len(tracks)}
+    rate = tracks.frame_rate
+    positions = tracks.positions
+    if settings.min_confidence is not None:
+        if tracks.confidence is None:
+            raise InputError(f"{tracks.recording}: it holds no confidence: leave the threshold out")
+        trusted = np.greater_equal(tracks.confidence, settings.min_confidence)
+        weak: NDArray[np.bool_] = np.asarray(np.logical_not(trusted), dtype=bool)
+        positions = np.where(weak[..., None], np.nan, positions)
+        done["below_confidence"] = int(weak.sum())
+    bodies = body_positions(positions, tracks.keypoints, settings.keypoint, tracks.recording)
+    done["keypoint"] = settings.keypoint
+    jumps, swaps = find_jumps(bodies)
+    done["jumps"], done["first_jumps"] = len(jumps), _flags(tracks, jumps)
+    done["identity_swaps"], done["first_swaps"] = len(swaps), _flags(tracks, swaps)
+    done["jumps_dropped"] = settings.drop_jumps
+    if settings.drop_jumps:
+        bodies = bodies.copy()
+        bodies[jumps[:, 0], jumps[:, 1]] = np.nan
+    done["untracked"] = int(np.count_nonzero(np.isnan(bodies).any(axis=2)))
+    gaps = np.isnan(bodies).any(axis=2)
+    bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
+    if settings.max_gap > 0:
+        inside = np.asarray(gaps & np.isfinite(bodies).all(axis=2))
+        tracks = replace(tracks, signals={**tracks.signals, FILLED: inside})
+    if settings.smoothing_cutoff is not None:
+        bodies = smooth(bodies, settings.smoothing_cutoff, rate, tracks.recording)
+        done["smoothing"] = {
+            "filter": "Butterworth low-pass, order 1, forward and backward",
+            "cutoff_hz": settings.smoothing_cutoff,
+        }
+    return tracks.with_bodies(bodies, keypoints=(settings.keypoint,)), done
+
+
+def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """The first of the flagged frames: frame, time [s] and names."""
+    assert tracks.frame_rate is not None
+    return [
+        {
+            "frame": frame,
+            "time": round(frame / tracks.frame_rate, 3),
+            "individuals": [tracks.individuals[i] for i in who],
+        }
+        for frame, *who in found[:SHOWN_JUMPS].tolist()
+    ]
+
+
+def body_positions(
+    positions: NDArray[np.float64], keypoints: tuple[str, ...], keypoint: str, name: str
+) -> NDArray[np.float64]:
+    """One position per individual ``(frames, individuals, 2)`` from all keypoints."""
+    if keypoint in keypoints:
+        return positions[:, :, keypoints.index(keypoint)].copy()
+    if keypoint != CENTROID:
+        raise InputError(
+            f"{name}: there is no keypoint {keypoint!r}: choose {CENTROID} or one of "
+            f"{', '.join(keypoints)}"
+        )
+    if len(keypoints) == 1:
+        return positions[:, :, 0].copy()
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(positions).all(axis=-1))
+    total = np.where(seen[..., None], positions, 0.0).sum(axis=2)
+    count = seen.sum(axis=2)[..., None]
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def find_jumps(bodies: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Suspect frames: ``(n, 2)`` (frame, individual) after a far jump, ``(m, 3)`` (frame, i, j).
+
+    A swap is a pair whose tracks fit better exchanged: each lands nearer to the other's last place,
+    by less than half the way.
+    """
+    with np.errstate(invalid="ignore"):
+        step = np.linalg.norm(np.diff(bodies, axis=0), axis=2)
+    usual = np.nanquantile(step, 0.99) if np.isfinite(step).any() else 0.0
+    far = np.argwhere(step > JUMP_FACTOR * usual) if usual > 0 else np.empty((0, 2), int)
+    far = far + [1, 0]
+    swaps = []
+    for i in range(bodies.shape[1]):
+        for j in range(i + 1, bodies.shape[1]):
+            crossed = np.linalg.norm(bodies[1:, i] - bodies[:-1, j], axis=1) + np.linalg.norm(
+                bodies[1:, j] - bodies[:-1, i], axis=1
+            )
+            own = step[:, i] + step[:, j]
+            frames = np.flatnonzero((crossed < 0.5 * own) & (own > 4 * usual)) + 1
+            swaps += [(frame, i, j) for frame in frames.tolist()]
+    return np.asarray(far, dtype=np.int64), np.array(swaps, dtype=np.int64).reshape(-1, 3)
+
+
+def fill_gaps(bodies: NDArray[np.float64], longest: int) -> tuple[NDArray[np.float64], int]:
+    """Straight lines over inner gaps of at most ``longest`` frames; the count of frames filled."""
+    out, filled = bodies.copy(), 0
+    if longest < 1:
+        return out, 0
+    for i in range(bodies.shape[1]):
+        known = np.flatnonzero(np.isfinite(bodies[:, i]).all(axis=1))
+        gaps = np.diff(known) - 1
+        for k in np.flatnonzero((gaps > 0) & (gaps <= longest)):
+            inside = np.arange(known[k] + 1, known[k + 1])
+            share = (inside - known[k]) / (known[k + 1] - known[k])
+            start, end = bodies[known[k], i], bodies[known[k + 1], i]
+            out[inside, i] = start + share[:, None] * (end - start)
+            filled += len(inside)
+    return out, filled
+
+
+def smooth(
+    bodies: NDArray[np.float64], cutoff: float, frame_rate: float, name: str = "tracks"
+) -> NDArray[np.float64]:
+    """Zero-phase Butterworth low-pass of first order, on each stretch without gaps.
+
+    The two passes together halve the power twice: the amplitude at the cutoff is 1/2.
+    """
+    try:
+        from scipy.signal import butter, filtfilt
+    except ImportError as error:
+        raise MissingExtraError("smoothing", "data") from error
+    if cutoff >= frame_rate / 2:
+        raise InputError(
+            f"{name}: smoothing at {cutoff:g} Hz needs more than {2 * cutoff:g} frames a second, "
+            f"it has {frame_rate:g}: lower the cutoff or leave it out"
+        )
+    numerator, denominator = butter(1, cutoff / (frame_rate / 2))
+    shortest = 3 * max(len(numerator), len(denominator)) + 1
+    out = bodies.copy()
+    for i in range(bodies.shape[1]):
+        for start, stop in runs(np.isfinite(bodies[:, i]).all(axis=1)):
+            if stop - start >= shortest:
+                stretch = filtfilt(numerator, denominator, bodies[start:stop, i], axis=0)
+                out[start:stop, i] = stretch
+    return out
+
+
+def runs(mask: NDArray[np.bool_] | np.bool_) -> list[tuple[int, int]]:
+    """First and one-past-last index of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(mask, dtype=np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def resample_index(frames: int, every: int, keep_last: bool) -> NDArray[np.int64]:
+    """Every ``every``-th frame from the first; the last recorded one as well if asked."""
+    index = np.arange(0, frames, every)
+    if keep_last and index[-1] != frames - 1:
+        index = np.append(index, frames - 1)
+    return index
+
+
+def resample(
+    bodies: NDArray[np.float64], frame_rate: float, decision_rate: float
+) -> NDArray[np.float64]:
+    """Positions at decision times, by straight lines between frames where the rates do not divide.
+
+    The first frame keeps its time, so nothing is shifted.
+    """
+    ratio = frame_rate / decision_rate
+    times = np.arange(0, int((len(bodies) - 1) / ratio + 1e-9) + 1) * ratio
+    low = np.minimum(times.astype(np.int64), len(bodies) - 1)
+    high = np.minimum(low + 1, len(bodies) - 1)
+    share = (times - low)[:, None, None]
+    exact = share < 1e-9
+    return np.asarray(
+        np.where(exact, bodies[low], bodies[low] + share * (bodies[high] - bodies[low]))
+    )

@@ -1,0 +1,255 @@
+"""Cutting recordings into episodes, and who is the pursuer and who the target.
+
+All distances are in arena units, after scaling; cuts and outcomes are decided at the recorded rate.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
+from animarl_envs.errors import InputError
+from animarl_envs.focus import distances_to_target
+from animarl_envs.importing.cleaning import runs
+
+FEWEST_PIECES = 10
+
+Mode = Literal["whole", "approach", "events"]
+Start = Literal["separation", "approach"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cutting:
+    """Where episodes begin and end.
+
+    Parameters
+    ----------
+    mode
+        ``"whole"``: each stretch without gaps is an episode. ``"approach"``: from farther than
+        ``farther_than`` to closer than ``closer_than``, by the distance of the nearest pursuer to
+        the target. ``"events"``: from a table with columns recording, start, end [s] and optionally
+        condition and outcome.
+    start
+        Of an approach: at the ``"separation"``, the first frame farther away since the last
+        contact, or at the last one before the contact (``"approach"``).
+    contact
+        In mode ``"whole"``: an episode ends at the first contact within this distance.
+    piece
+        In mode ``"whole"``: longer stretches are cut into pieces of this length [s]. ``None``: only
+        where there would be fewer than three episodes, and then into ``FEWEST_PIECES``, so that
+        training, validation and test have some each; infinity: never.
+    longest, keep_last
+        Episodes that last longer are left out [s]; of the others the last seconds are kept [s].
+    shortest
+        Shorter episodes are left out [s].
+    events
+        Path of the table.
+    """
+
+    mode: Mode = "whole"
+    farther_than: float | None = None
+    closer_than: float | None = None
+    start: Start = "separation"
+    contact: float | None = None
+    piece: float | None = None
+    longest: float = math.inf
+    keep_last: float = math.inf
+    shortest: float = 0.0
+    events: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mode not in get_args(Mode) or self.start not in get_args(Start):
+            raise InputError(
+                f"cutting {self.mode!r} from {self.start!r} is unknown: choose mode "
+                f"{', '.join(get_args(Mode))} and start {', '.join(get_args(Start))}"
+            )
+        if self.mode == "approach":
+            if self.farther_than is None or self.closer_than is None:
+                raise InputError(
+                    "cutting by approach needs farther_than and closer_than: give both"
+                )
+            if not 0 < self.closer_than < self.farther_than:
+                raise InputError(
+                    f"farther_than is {self.farther_than} and closer_than {self.closer_than}: "
+                    "the first must be the larger, both positive"
+                )
+        if self.contact is not None and not self.contact > 0:
+            raise InputError(f"contact is {self.contact}: it must be a positive distance")
+        if self.mode == "events" and self.events is None:
+            raise InputError("cutting by events needs a table: give its path")
+        if self.piece is not None and not self.piece > 0:
+            raise InputError(f"piece is {self.piece} s: it must be positive")
+        if not (self.longest > 0 and self.keep_last > 0 and self.shortest >= 0):
+            raise InputError("longest, keep_last and shortest of an episode must be positive")
+
+
+@dataclass(frozen=True)
+class Cut:
+    """One episode: frames ``start`` to ``stop - 1`` of a recording."""
+
+    start: int
+    stop: int
+    outcome: int = UNFINISHED
+    condition: int | None = None
+
+
+def cut_episodes(
+    bodies: NDArray[np.float64],
+    roles: Sequence[str],
+    frame_rate: float,
+    settings: Cutting,
+    recording: str = "",
+) -> list[Cut]:
+    """Episodes of one recording.
+
+    Parameters
+    ----------
+    bodies
+        ``(frames, individuals, 2)`` [arena unit]; NaN where not tracked.
+    roles
+        Of the individuals, the target last.
+    frame_rate
+        [Hz].
+    """
+    found: list[Cut] = []
+    if settings.mode == "events":
+        found = _from_table(bodies, frame_rate, settings, recording)
+    else:
+        distance = distances_to_target(bodies, roles)
+        for start, stop in runs(np.isfinite(bodies).all(axis=(1, 2))):
+            if settings.mode == "approach":
+                found += _approaches(distance[start:stop], settings, start, recording)
+            else:
+                found.append(_until_contact(distance[start:stop], settings.contact, start))
+    kept = []
+    for cut in found:
+        duration = (cut.stop - cut.start - 1) / frame_rate
+        if duration > settings.longest or cut.stop - cut.start < 2:
+            continue
+        if duration > settings.keep_last:
+            first = cut.stop - 1 - round(settings.keep_last * frame_rate)
+            cut = Cut(first, cut.stop, cut.outcome, cut.condition)
+            duration = settings.keep_last
+        if duration >= settings.shortest:
+            kept.append(cut)
+    return kept
+
+
+def in_pieces(
+    cuts: Sequence[Cut], frame_rate: float, piece: float, every: float = 1.0
+) -> list[Cut]:
+    """Episodes of at most ``piece`` seconds.
+
+    Neighbours share a frame and begin at decisions (each ``every`` frames), so no step is lost.
+    """
+    found = []
+    for cut in cuts:
+        steps = cut.stop - 1 - cut.start
+        count = max(1, math.ceil(steps / frame_rate / piece - 1e-9)) if piece < math.inf else 1
+        decisions = np.linspace(0, steps / every, count + 1).round()
+        edges = (cut.start + (decisions * every).round().astype(int)).tolist()
+        edges[-1] = cut.stop - 1
+        for first, last in pairwise(edges):
+            ends = last == cut.stop - 1
+            outcome = cut.outcome if ends else UNFINISHED
+            found.append(Cut(first, last + 1, outcome, cut.condition))
+    return [cut for cut in found if cut.stop - cut.start >= 2]
+
+
+def _approaches(
+    distance: NDArray[np.float64], settings: Cutting, offset: int, recording: str
+) -> list[Cut]:
+    if not np.isfinite(distance).all():
+        raise InputError(
+            f"{recording}: cutting by approach needs a target: name the pursuers and the target"
+        )
+    assert settings.farther_than is not None and settings.closer_than is not None
+    nearest = distance.min(axis=1)
+    far, near = nearest > settings.farther_than, nearest < settings.closer_than
+    found, begin = [], -1
+    for t in range(len(nearest)):
+        if far[t] and (begin < 0 or settings.start == "approach"):
+            begin = t
+        elif near[t] and begin >= 0:
+            found.append(Cut(offset + begin, offset + t + 1, int(distance[t].argmin()) + 1))
+            begin = -1
+    return found
+
+
+def _until_contact(distance: NDArray[np.float64], contact: float | None, offset: int) -> Cut:
+    if contact is not None:
+        touching = np.flatnonzero(distance.min(axis=1) < contact)
+        if len(touching):
+            t = int(touching[0])
+            return Cut(offset, offset + t + 1, int(distance[t].argmin()) + 1)
+    return Cut(offset, offset + len(distance), UNFINISHED)
+
+
+def _from_table(
+    bodies: NDArray[np.float64], frame_rate: float, settings: Cutting, recording: str
+) -> list[Cut]:
+    assert settings.events is not None
+    path, found = Path(settings.events), []
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: the event table cannot be read ({error}): check it") from None
+    if rows and not {"recording", "start", "end"} <= set(rows[0]):
+        raise InputError(f"{path}: it lacks a column recording, start or end: add them")
+    for number, row in enumerate(rows, start=2):
+        if row["recording"] != recording:
+            continue
+        try:
+            start = round(float(row["start"]) * frame_rate)
+            stop = round(float(row["end"]) * frame_rate) + 1
+            condition = int(row["condition"]) if row.get("condition") else None
+            outcome = int(row["outcome"]) if row.get("outcome") else TIME_OUT
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{path}: line {number} is not numbers ({error}): mend it") from None
+        if not 0 <= start < stop - 1 < len(bodies):
+            raise InputError(
+                f"{path}: line {number} lies outside {recording} "
+                f"({len(bodies) / frame_rate:.3f} s): mend start and end"
+            )
+        if not np.isfinite(bodies[start:stop]).all():
+            raise InputError(
+                f"{path}: line {number} spans a gap in {recording}: allow longer gaps to be filled"
+            )
+        found.append(Cut(start, stop, outcome, condition))
+    return found
+
+
+def most_approached(bodies: Sequence[NDArray[np.float64]]) -> int:
+    """The individual that the others approach most while it approaches them least.
+
+    For each individual the mean velocity component towards each other one is taken over all
+    recordings ``(frames, individuals, 2)``; the target has the lowest mean.
+    """
+    num = bodies[0].shape[1]
+    if num < 2:
+        raise InputError("roles by approach need two individuals or more: name the roles")
+    approach, count = np.zeros(num), np.zeros(num)
+    for track in bodies:
+        step = np.diff(track, axis=0)
+        for i in range(num):
+            for j in range(num):
+                if i == j:
+                    continue
+                towards = track[:-1, j] - track[:-1, i]
+                length = np.linalg.norm(towards, axis=1)
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    along = (step[:, i] * towards).sum(axis=1) / length
+                along = along[np.isfinite(along)]
+                approach[i] += along.sum()
+                count[i] += len(along)
+    return int(np.argmin(approach / np.maximum(count, 1)))

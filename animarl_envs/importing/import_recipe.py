@@ -1,0 +1,157 @@
+"""A recipe: all settings that turn tracker files into demonstrations, saved as YAML."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from animarl_envs.demos.splits import Splitting
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import write_then_rename
+from animarl_envs.importing.cleaning import Cleaning
+from animarl_envs.importing.cutting import Cutting
+from animarl_envs.importing.scaling import Scaling
+from animarl_envs.species import CUSTOM, SPECIES
+
+NOT_STATED = "not stated"  # the licence, where nobody said
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """From files to demonstrations.
+
+    Parameters
+    ----------
+    source
+        Name of the reader; ``None``: found by a look at each file.
+    options
+        For the reader.
+    individuals
+        Which to take, in which order; ``None``: all. ``rename`` gives them other names.
+    target
+        Name of the target (after renaming), ``"auto"``: who is approached, ``None``: none.
+    searcher
+        Whether the individuals search a source at the origin instead of chasing.
+    frame_rate
+        Overrides that of the file [Hz].
+    decision_rate
+        Of the demonstrations [Hz]; ``None``: the frame rate.
+    keep_last_frame
+        Whether the last recorded frame of an episode is kept though it falls between decisions.
+    species, condition, licence, synthetic
+        What the demonstrations are.
+    """
+
+    source: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    individuals: tuple[str, ...] | None = None
+    rename: Mapping[str, str] = field(default_factory=dict)
+    target: str | None = None
+    searcher: bool = False
+    frame_rate: float | None = None
+    decision_rate: float | None = None
+    keep_last_frame: bool = False
+    species: str = CUSTOM
+    condition: int | None = None
+    licence: str = NOT_STATED
+    synthetic: bool = False
+    cleaning: Cleaning = field(default_factory=Cleaning)
+    scaling: Scaling = field(default_factory=Scaling)
+    cutting: Cutting = field(default_factory=Cutting)
+    splitting: Splitting = field(default_factory=Splitting)
+
+    def __post_init__(self) -> None:
+        for name in ("frame_rate", "decision_rate"):
+            rate = getattr(self, name)
+            if rate is not None and not 0 < rate < math.inf:
+                raise InputError(f"{name} is {rate} Hz: it must be a positive number")
+        if self.individuals is not None:
+            object.__setattr__(self, "individuals", tuple(self.individuals))
+        if self.species not in (*SPECIES, CUSTOM):
+            raise InputError(
+                f"species {self.species!r} is unknown: choose one of "
+                f"{', '.join([*SPECIES, CUSTOM])}"
+            )
+        if self.target is not None and self.searcher:
+            raise InputError("a searcher has no target: leave one of them out")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, infinity as a string."""
+        return {key: _plain(value) for key, value in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], name: str = "recipe") -> Recipe:
+        """The inverse of :meth:`to_dict`; unknown entries are refused."""
+        parts = {
+            "cleaning": Cleaning, "scaling": Scaling, "cutting": Cutting, "splitting": Splitting,
+        }  # fmt: skip
+        values = dict(record)
+        for key, kind in parts.items():
+            if key in values:
+                values[key] = _build(kind, values[key], f"{name}: {key}")
+        built = _build(cls, values, name)
+        assert isinstance(built, Recipe)
+        return built
+
+    def save(self, path: str | Path) -> Path:
+        """Write YAML."""
+        with write_then_rename(path) as part:
+            part.write_text(_yaml().safe_dump(self.to_dict(), sort_keys=False))
+        return Path(path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recipe:
+        """Read YAML written by :meth:`save`."""
+        yaml = _yaml()
+        try:
+            record = yaml.safe_load(Path(path).read_text())
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            first = str(error).splitlines()[0]
+            raise InputError(f"{path}: the recipe cannot be read ({first}): check it") from None
+        if not isinstance(record, dict):
+            raise InputError(
+                f"{path}: it is no recipe: give one that 'animarl import' wrote beside its --out"
+            )
+        return cls.from_dict(record, str(path))
+
+
+def _build(kind: type[Any], values: Any, name: str) -> Any:
+    if not isinstance(values, Mapping):
+        raise InputError(f"{name}: it is {values!r}: give names and values")
+    known = {one.name for one in fields(kind)}
+    unknown = sorted(str(key) for key in set(values) - known)
+    if unknown:
+        raise InputError(
+            f"{name}: the entry {unknown[0]!r} is unknown: choose among {', '.join(sorted(known))}"
+        )
+    given = {
+        key: float(value) if isinstance(value, str) and value in ("inf", "-inf") else value
+        for key, value in values.items()
+    }
+    try:
+        return kind(**given)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: a value does not fit ({error}): check the recipe") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and math.isinf(value):
+        return str(value)
+    return value
+
+
+def _yaml() -> Any:
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingExtraError("recipes in YAML", "data") from error
+    return yaml

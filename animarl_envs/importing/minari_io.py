@@ -1,0 +1,204 @@
+"""Demonstrations as a Minari dataset and back, exactly; in a folder of one's own, no network.
+
+An episode of T steps has T + 1 observations and T actions. Observations are a dictionary with an
+entry per individual: x, y [arena unit], then their velocity [arena unit / s], arena frame. Actions
+are one of 13 per individual: the recorded ones, or else those inferred by inverse dynamics with the
+joint fit. Rewards are the pursuers' touch. Signals travel as infos; condition, outcome, split,
+recording, roles, arena and provenance (licence included) as metadata.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.locomotion import NUM_ACTIONS
+
+DATA_FILE = "main_data.hdf5"
+METADATA_KEY = "animarl"
+RECORDED, INFERRED = "recorded", "inferred"
+
+
+def export_minari(demos: Demonstrations, folder: str | Path) -> Path:
+    """Write a dataset into ``folder/data``; the folder must not exist yet.
+
+    With ``MINARI_DATASETS_PATH`` set to the folder's parent, ``minari.load_dataset(folder.name)``
+    finds it.
+    """
+    _minari()
+    folder = Path(folder).resolve()  # Minari mishandles relative paths
+    if folder.exists():
+        raise InputError(f"{folder}: it exists already: name a new folder")
+    actions, origin = _actions(demos)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as part:
+        _write(demos, actions, origin, Path(part) / folder.name)
+        (Path(part) / folder.name).rename(folder)
+    return folder
+
+
+def _write(demos: Demonstrations, actions: NDArray[np.int8], origin: str, folder: Path) -> None:
+    import gymnasium as gym
+    import minari
+
+    storage_class, buffer_class = _minari()
+    data = folder / "data"
+    data.mkdir(parents=True)
+    box = gym.spaces.Box(-np.inf, np.inf, (4,), dtype=np.float64)
+    storage = storage_class.new(
+        data,
+        observation_space=gym.spaces.Dict({name: box for name in demos.individuals}),
+        action_space=gym.spaces.Dict(
+            {name: gym.spaces.Discrete(NUM_ACTIONS) for name in demos.individuals}
+        ),
+        env_spec=None,
+        data_format="hdf5",
+    )
+    storage.update_metadata(
+        {
+            "dataset_id": folder.name,
+            "minari_version": minari.__version__,
+            "description": f"{demos!r}; {'synthetic' if demos.synthetic else 'recorded'} animals",
+            "algorithm_name": "none: demonstrations",
+            METADATA_KEY: json.dumps(_metadata(demos, origin)),
+        }
+    )
+    storage.update_episodes(
+        buffer_class(**_episode(demos, actions, index)) for index in range(demos.num_episodes)
+    )
+
+
+def import_minari(folder: str | Path) -> Demonstrations:
+    """Read what :func:`export_minari` wrote.
+
+    Raises
+    ------
+    InputError
+        If it is no Minari dataset, or one that this project did not write.
+    """
+    _minari()
+    from minari import MinariDataset
+
+    from animarl_envs.importing.readers.hdf import open_hdf
+
+    folder = Path(folder).resolve()
+    if not (folder / "data" / DATA_FILE).is_file():
+        raise InputError(f"{folder}: it holds no data/{DATA_FILE}: name the dataset's folder")
+    open_hdf(folder / "data" / DATA_FILE).close()  # refuses damage that the library trips over
+    try:
+        dataset = MinariDataset(folder / "data")
+        meta = json.loads(dataset.storage.metadata[METADATA_KEY])
+    except KeyError:
+        raise InputError(
+            f"{folder}: it is a Minari dataset of another project, which does not say which entry "
+            "is a position: convert it to a table or array first"
+        ) from None
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{folder}: the Minari dataset is damaged ({error}): copy it again"
+        ) from None
+    names = meta["individuals"]
+    states, actions, infos = [], [], []
+    for episode in dataset.iterate_episodes():
+        states.append(np.stack([episode.observations[name] for name in names], axis=1))
+        taken = np.full(states[-1].shape[:2], -1, dtype=np.int8)
+        taken[:-1] = np.stack([episode.actions[name] for name in names], axis=1)
+        actions.append(taken)
+        infos.append(episode.infos)
+    signals: dict[str, NDArray[Any]] = {
+        key: np.concatenate([info[key] for info in infos]).astype(kind)
+        for key, kind in meta["signals"].items()
+    }
+    if meta["actions"] == RECORDED:
+        signals["actions"] = np.concatenate(actions)
+    arena = dict(meta["arena"])
+    arena["boundary"] = float(arena["boundary"])
+    return Demonstrations(
+        species=meta["species"],
+        individuals=tuple(names),
+        roles=tuple(meta["roles"]),
+        dt=meta["dt"],
+        arena=Arena(**arena),
+        positions=np.concatenate([state[..., :2] for state in states]),
+        lengths=np.array([len(state) for state in states]),
+        initial_velocity=np.stack([state[0, :, 2:] for state in states]),
+        condition=np.array(meta["condition"], dtype=np.int8),
+        outcome=np.array(meta["outcome"], dtype=np.int8),
+        split=np.array(meta["split"]),
+        recording=np.array(meta["recording"]),
+        signals={key: signals[key] for key in meta["signal_order"]},
+        provenance=meta["provenance"],
+        name=str(folder),
+    )
+
+
+def _actions(demos: Demonstrations) -> tuple[NDArray[np.int8], str]:
+    if "actions" in demos.signals:
+        recorded = demos.signals["actions"]
+        if recorded.dtype == np.int8 and recorded.shape == demos.positions.shape[:2]:
+            return recorded, RECORDED
+    from animarl_envs.fitting import demonstrated_actions, fit_locomotion
+
+    fit = fit_locomotion(demos, split=None, bootstrap=0)
+    return demonstrated_actions(demos, fit.locomotion), INFERRED
+
+
+def _metadata(demos: Demonstrations, origin: str) -> dict[str, Any]:
+    as_infos = {
+        key: str(value.dtype)
+        for key, value in demos.signals.items()
+        if not (key == "actions" and origin == RECORDED)
+    }
+    boundary = demos.arena.boundary
+    return {
+        "species": demos.species,
+        "individuals": list(demos.individuals),
+        "roles": list(demos.roles),
+        "dt": demos.dt,
+        "arena": vars(demos.arena) | {"boundary": str(boundary)},
+        "condition": demos.condition.tolist(),
+        "outcome": demos.outcome.tolist(),
+        "split": demos.split.tolist(),
+        "recording": demos.recording.tolist(),
+        "signals": as_infos,
+        "signal_order": list(demos.signals),
+        "actions": origin,
+        "licence": demos.provenance["licence"],
+        "provenance": dict(demos.provenance),
+    }
+
+
+def _episode(demos: Demonstrations, actions: NDArray[np.int8], index: int) -> dict[str, Any]:
+    one = demos.episode(index)
+    first = int(demos.offsets[index])
+    taken = actions[first : first + one.num_steps]
+    state = np.concatenate([one.positions, one.velocities], axis=2)
+    ended = np.arange(one.num_steps) == one.num_steps - 1
+    by_itself = one.outcome not in (TIME_OUT, UNFINISHED)
+    return {
+        "id": index,
+        "observations": {name: state[:, i] for i, name in enumerate(demos.individuals)},
+        "actions": {name: taken[:, i] for i, name in enumerate(demos.individuals)},
+        "rewards": (ended & (one.outcome > 0)).astype(np.float64).tolist(),
+        "terminations": (ended & by_itself).tolist(),
+        "truncations": (ended & (not by_itself)).tolist(),
+        "infos": {key: np.asarray(value) for key, value in one.signals.items() if key != "actions"},
+    }
+
+
+def _minari() -> tuple[Any, Any]:
+    try:
+        from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_storage import MinariStorage
+    except ImportError as error:
+        raise MissingExtraError("Minari datasets", "data") from error
+    return MinariStorage, EpisodeBuffer

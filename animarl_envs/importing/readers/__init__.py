@@ -1,0 +1,33 @@
+"""Readers: files of trackers and of other projects become demonstrations."""
+
+from animarl_envs.importing.readers import (
+    agents,
+    arrays,
+    authors,
+    collections,
+    deeplabcut,
+    minari,
+    mothvr,
+    native,
+    pose,
+    tables,
+    trackers,
+)
+from animarl_envs.importing.readers.registry import (
+    Reader,
+    available_readers,
+    default_recipe,
+    find_reader,
+    follow,
+    get_reader,
+    read,
+    read_tracks,
+    register_reader,
+    register_track_reader,
+)
+
+__all__ = [
+    "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
+    "default_recipe", "find_reader", "follow", "get_reader", "minari", "mothvr", "native", "pose",
+    "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
+]  # fmt: skip

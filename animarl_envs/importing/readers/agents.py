@@ -1,0 +1,134 @@
+"""Artificial predators and prey: ``episodes_*.npz`` with the layout of its SOURCE.md.
+
+Arrays: ``pos`` float32 ``(sum(n_steps + 1), individuals, 2)``, predators first, prey last;
+``actions`` int8 ``(sum(n_steps), individuals)``; ``n_steps`` per episode; ``outcome`` (k > 0:
+captured by predator k; -1 the prey left, -2 a predator left; 0 time-out), the codes of
+:class:`Demonstrations`; ``meta`` JSON with ``dt``, ``damping``, ``speed_pred``, ``speed_prey``,
+``cond``.
+
+Recorded actions are relative to the opponent: the prey for a predator, the nearest predator for the
+prey, action k at -30 deg * k, 12 for none. Measured against the accelerations of all 1,000
+episodes, that is the numbering of :mod:`animarl_envs.locomotion`, so they are kept as they are.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import assign_splits
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers.guards import guarded_npz, npz_members
+from animarl_envs.importing.readers.registry import register_reader
+from animarl_envs.locomotion import NUM_ACTIONS
+
+HALF_SIDE = 1.0  # leaving [-1, 1]^2 ends an episode
+SPLIT_SEED = 20240
+CONDITIONS = {"indiv": 0, "share": 1}  # by the end of meta["cond"]
+_MEMBERS = {"pos.npy", "actions.npy", "n_steps.npy", "outcome.npy", "meta.npy"}
+
+
+@register_reader(
+    "agents",
+    "artificial predators and prey, episodes_*.npz of collaborative hunting",
+    sniff=lambda path: npz_members(path) >= _MEMBERS,
+    extensions=(".npz",),
+)
+def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
+    """Read one file of episodes; individuals ``predator_0 ... prey``, condition from the file.
+
+    Episodes start at rest. Four fifths are for training, a tenth each for validation and test.
+    """
+    arrays = guarded_npz(path)
+    missing = sorted(m[:-4] for m in _MEMBERS if m[:-4] not in arrays)
+    if missing:
+        raise InputError(
+            f"{path}: it lacks the array {missing[0]!r}: it is no episodes file of the agents"
+        )
+    meta = _meta(path, arrays["meta"])
+    pos = _numbers(path, arrays, "pos", 3)
+    actions = _numbers(path, arrays, "actions", 2)
+    steps = _numbers(path, arrays, "n_steps", 1).astype(np.int64)
+    outcome = _numbers(path, arrays, "outcome", 1)
+    num = pos.shape[1]
+    if num < 2 or pos.shape[2] != 2:
+        raise InputError(
+            f"{path}: pos has shape {pos.shape}, not (frames, individuals, 2) with two individuals "
+            "or more: give predators and a prey"
+        )
+    if len(steps) == 0 or (steps < 1).any():
+        place = f"episode {int(np.argmax(steps < 1))}" if len(steps) else "n_steps"
+        raise InputError(f"{path}: {place} has no step: leave empty episodes out")
+    if actions.shape != (int(steps.sum()), num):
+        raise InputError(
+            f"{path}: actions have shape {actions.shape}, n_steps ask for "
+            f"({int(steps.sum())}, {num}): give one action per step and individual"
+        )
+    if len(pos) != int((steps + 1).sum()):
+        raise InputError(
+            f"{path}: pos has {len(pos)} frames, n_steps ask for {int((steps + 1).sum())}: "
+            "give one frame more than steps per episode"
+        )
+    if ((actions < 0) | (actions >= NUM_ACTIONS)).any():
+        raise InputError(f"{path}: an action lies outside 0 to {NUM_ACTIONS - 1}: check actions")
+    signal = np.full((len(pos), num), -1, dtype=np.int8)
+    acting = np.ones(len(pos), dtype=bool)
+    acting[np.cumsum(steps + 1) - 1] = False
+    signal[acting] = actions
+    count = len(steps)
+    recording = np.array([f"{path.stem}/{i:04d}" for i in range(count)])
+    return Demonstrations(
+        species="agent",
+        individuals=(*(f"predator_{i}" for i in range(num - 1)), "prey"),
+        roles=("pursuer",) * (num - 1) + ("target",),
+        dt=float(meta["dt"]),
+        arena=Arena("square", size=HALF_SIDE, boundary=HALF_SIDE),
+        positions=pos,
+        lengths=steps + 1,
+        initial_velocity=np.zeros((count, num, 2)),
+        condition=np.full(count, meta["condition"]),
+        outcome=outcome,
+        split=assign_splits(recording, split_seed),
+        recording=recording,
+        signals={"actions": signal},
+        provenance={
+            "source": "rolled out from the networks of TsutsuiKazushi/collaborative-hunting",
+            "file": path.name,
+            "licence": "MIT",
+            "citation": "Tsutsui K, Tanaka R, Takeda K, Fujii K (2024) Collaborative hunting in "
+            "artificial agents with deep reinforcement learning. eLife.",
+            "synthetic": True,
+            "kind": "artificial agents",
+            "meta": meta,
+        },
+        name=str(path),
+    )
+
+
+def _meta(path: Path, raw: NDArray[Any]) -> dict[str, Any]:
+    try:
+        meta = json.loads(str(raw))
+        meta["dt"] = float(meta["dt"])
+        name = str(meta["cond"]).rsplit("_", 1)[-1]
+        meta["condition"] = CONDITIONS[name]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: meta is not the JSON of an episodes file ({type(error).__name__}: {error}): "
+            "it must give dt and cond, ending in _indiv or _share"
+        ) from None
+    return dict(meta)
+
+
+def _numbers(path: Path, arrays: dict[str, NDArray[Any]], key: str, ndim: int) -> NDArray[Any]:
+    array = arrays[key]
+    if array.ndim != ndim or array.dtype.kind not in "iuf":
+        raise InputError(
+            f"{path}: {key} is {array.dtype} of shape {array.shape}: give numbers with {ndim} axes"
+        )
+    return array

@@ -1,0 +1,278 @@
+"""The layouts in which the paper's authors publish their recordings (agents, flies, newts, moths).
+
+Their ``.npz`` files hold Python objects; they are opened by the restricted unpickler only.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers.guards import check_size, npz_members
+from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.unpickle import count_leaves, load_object_npy
+from animarl_envs.importing.tracks import Tracks
+from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH
+
+PAPER = {
+    "source": "Fujii et al., Data-driven simulator of multi-animal behavior",
+    "licence": "as published by its authors",
+}
+FEWEST_AGENT_FRAMES = 3
+FEWEST_FLY_FRAMES = 5  # more than three velocity samples
+FEWEST_NEWT_FRAMES = 45
+NEWT_STEPS = 500  # of the decision rate, kept from the end
+NEWT_JUMP = 3.0  # speed beyond which a position is wrong [arena unit / s]
+NEWT_JUMP_FRAMES = 100  # a jump this early is cut off, a later one drops the episode
+NEWT_COLUMNS = (0, 2, 4)  # positions of male 1, male 2, female
+MOTH_SECONDS = 300.0
+
+
+def _chase_defaults(species: Any) -> dict[str, Any]:
+    recording = species.recording
+    return {
+        "species": species.name,
+        "target": species.individuals[-1],
+        "synthetic": species is AGENT,
+        "cutting": {"piece": math.inf},
+        "decision_rate": 1.0 / species.dt,
+        "cleaning": {"smoothing_cutoff": recording.smoothing_cutoff},
+        "scaling": {
+            "shape": species.arena.shape, "width": 2.0, "centre": (0.0, 0.0),
+            "boundary": species.arena.boundary,
+        },
+    }  # fmt: skip
+
+
+def _objects(path: Path) -> dict[str, Any]:
+    """Arrays of an archive, objects included, by name."""
+    found, total = {}, 0
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for member in archive.infolist():
+                total += member.file_size
+                check_size(path, total, "its content")
+                found[member.filename.removesuffix(".npy")] = load_object_npy(
+                    archive.read(member), path, member.filename
+                )
+    except (zipfile.BadZipFile, OSError, EOFError, zlib.error, NotImplementedError) as error:
+        raise InputError(
+            f"{path}: the archive is damaged or cut short ({error}): copy it again"
+        ) from None
+    for value in found.values():
+        count_leaves(value, path)
+    return found
+
+
+def _nested(path: Path, value: Any, place: str) -> Any:
+    """A list, or the list of a squeezed object array."""
+    if isinstance(value, np.ndarray):
+        value = np.squeeze(value)
+        if value.ndim == 0 and value.dtype.hasobject:
+            return _nested(path, value.item(), place)
+        return list(value)
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{path}: {place} is {type(value).__name__}, not a list: check the file")
+    return list(value)
+
+
+def _path_of(path: Path, value: Any, place: str) -> NDArray[np.float64]:
+    """x and y per frame ``(frames, 2)``."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: {place} is not a path of numbers ({error}): check it") from None
+    array = array.reshape(len(array), -1) if array.ndim > 1 else array
+    if array.ndim != 2 or array.shape[1] < 2:
+        raise InputError(f"{path}: {place} has shape {array.shape}: give x and y per frame")
+    return array[:, :2]
+
+
+def _tracks(
+    path: Path, number: int, paths: list[NDArray[np.float64]], names: tuple[str, ...], rate: float,
+    **more: Any,
+) -> Tracks:  # fmt: skip
+    lengths = {len(one) for one in paths}
+    if len(lengths) != 1:
+        raise InputError(
+            f"{path}: episode {number} has {sorted(lengths)} frames for its individuals: "
+            "give each as many"
+        )
+    return Tracks(
+        recording=f"{path.stem}/{number:04d}",
+        individuals=names,
+        positions=np.stack(paths, axis=1)[:, :, None],
+        frame_rate=rate,
+        unit="arena unit",
+        provenance=PAPER,
+        **more,
+    )
+
+
+@register_track_reader(
+    "authors-agents",
+    "the paper's agents (pos_val_rep_2on1_{indiv,share}_equal_K_*.npz)",
+    sniff=lambda path: npz_members(path) == {"pos.npy"} and path.name.startswith("pos_val_rep"),
+    extensions=(".npz",),
+    defaults=_chase_defaults(AGENT)
+    | {"cutting": {"piece": math.inf, "contact": AGENT.contact_radius}},
+)
+def read_authors_agents(path: Path) -> list[Tracks]:
+    """Key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
+    objects = _objects(path)
+    if "pos" not in objects:
+        raise InputError(f"{path}: it has no array 'pos': check --source")
+    condition = 1 if "share" in path.name else 0
+    found = []
+    for number, episode in enumerate(_nested(path, objects["pos"], "pos")):
+        prey, *predators = (
+            _path_of(path, one, f"episode {number}")
+            for one in _nested(path, episode, f"episode {number}")
+        )
+        if len(prey) >= FEWEST_AGENT_FRAMES:
+            found.append(
+                _tracks(
+                    path, number, [*predators, prey], AGENT.individuals,
+                    AGENT.recording.frame_rate, condition=condition,
+                )
+            )  # fmt: skip
+    return found
+
+
+@register_track_reader(
+    "authors-fly",
+    "the paper's flies (fly/data.npz)",
+    sniff=lambda path: npz_members(path) == {"states.npy", "actions.npy", "rewards.npy"},
+    extensions=(".npz",),
+    defaults=_chase_defaults(FLY),
+)
+def read_authors_fly(path: Path) -> list[Tracks]:
+    """Key ``states``: [individual][episode] of (frames, 1, >= 2) at 30 Hz; ``rewards`` likewise."""
+    objects = _objects(path)
+    if not {"states", "rewards"} <= set(objects):
+        raise InputError(f"{path}: it lacks 'states' or 'rewards': check --source")
+    states = [_nested(path, one, "states") for one in _nested(path, objects["states"], "states")]
+    rewards = [
+        _nested(path, one, "rewards") for one in _nested(path, objects["rewards"], "rewards")
+    ]
+    if len(states) != 3 or len({len(one) for one in states}) != 1:
+        raise InputError(f"{path}: states are of {len(states)} individuals, not 3: check the file")
+    found = []
+    for number in range(len(states[0])):
+        paths = [_path_of(path, one[number], f"episode {number}") for one in states]
+        if len(paths[0]) < FEWEST_FLY_FRAMES:
+            continue
+        touched = [_last(path, rewards, male, number) > 0 for male in range(2)]
+        outcome = touched.index(True) + 1 if any(touched) else UNFINISHED
+        found.append(
+            _tracks(path, number, paths, FLY.individuals, FLY.recording.frame_rate, outcome=outcome)
+        )
+    return found
+
+
+def _last(path: Path, rewards: list[Any], individual: int, number: int) -> float:
+    try:
+        return float(np.asarray(rewards[individual][number], dtype=np.float64).ravel()[-1])
+    except (IndexError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: the reward of individual {individual} in episode {number} is missing "
+            f"({error}): check the file"
+        ) from None
+
+
+@register_track_reader(
+    "authors-newt",
+    "the paper's newts (newt/state_m1_data*.npz beside reward_*_data*.npz)",
+    sniff=lambda path: re.fullmatch(r"state_m1_data\d+\.npz", path.name) is not None,
+    extensions=(".npz",),
+    defaults=_chase_defaults(NEWT),
+)
+def read_authors_newt(path: Path) -> list[Tracks]:
+    """One array per episode, (frames, >= 5, >= 2), positions at columns 0, 2, 4; 30 Hz."""
+    number_of_file = path.stem.removeprefix("state_m1_data")
+    rewards = []
+    for male in ("m1", "m2"):
+        beside = path.with_name(f"reward_{male}_data{number_of_file}.npz")
+        rewards.append(_objects(beside) if beside.exists() else {})
+    rate = NEWT.recording.frame_rate
+    found = []
+    for number, (key, value) in enumerate(_objects(path).items()):
+        array = np.asarray(value, dtype=np.float64)
+        if array.ndim != 3 or array.shape[1] < 5 or array.shape[2] < 2:
+            raise InputError(f"{path}: {key} has shape {array.shape}: give (frames, 6, 2)")
+        array = _without_jump(array[:, NEWT_COLUMNS, :2], rate)
+        if len(array) < FEWEST_NEWT_FRAMES:
+            continue
+        kept = round(NEWT_STEPS * NEWT.dt * rate) + 1
+        paths = [array[-kept:, i] for i in range(3)]
+        ends = [float(np.asarray(r[key]).ravel()[-1]) if key in r else 0.0 for r in rewards]
+        outcome = ends.index(max(ends)) + 1 if max(ends) > 0 else UNFINISHED
+        found.append(_tracks(path, number, paths, NEWT.individuals, rate, outcome=outcome))
+    return found
+
+
+def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
+    """Cut behind an early jump; nothing is left of an episode with a later one."""
+    speed = np.linalg.norm(np.diff(array, axis=0), axis=2).max(axis=1) * rate
+    jumps = np.flatnonzero(speed > NEWT_JUMP)
+    if len(jumps) == 0:
+        return array
+    return array[jumps[-1] + 1 :] if jumps[-1] < NEWT_JUMP_FRAMES else array[:0]
+
+
+@register_track_reader(
+    "authors-silkmoth",
+    "the paper's silkmoths ({AllStim,Odoronly}/Movie*/trial*_mod.csv)",
+    sniff=lambda path: re.fullmatch(r"trial\d+_mod\.csv", path.name) is not None,
+    extensions=(".csv",),
+    defaults={
+        "species": SILKMOTH.name,
+        "searcher": True,
+        "decision_rate": 1.0 / SILKMOTH.dt,
+        "keep_last_frame": True,
+        "cutting": {"piece": math.inf},
+        "scaling": {"shape": "open", "units_per_arena_unit": 1000.0},
+        "splitting": {"by": "group", "pattern": r"(Movie\d+)", "fractions": (0.6, 0.2, 0.2)},
+    },
+)
+def read_authors_silkmoth(path: Path) -> list[Tracks]:
+    """No header: time, x, y [mm], angle, left odour, right odour, vision, wind sector; 30 Hz."""
+    try:
+        table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
+    except (ValueError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: a line is not eight numbers ({error}): mend it") from None
+    if table.shape[1] != 8 or len(table) < 2:
+        raise InputError(f"{path}: it has shape {table.shape}, not (frames, 8): check the file")
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        raise InputError(f"{path}: line {bad[0][0] + 1} holds a value that is no number: mend it")
+    movie, stimulus = path.parent.name, path.parent.parent.name
+    rate = SILKMOTH.recording.frame_rate
+    return [
+        Tracks(
+            recording=f"{stimulus}/{movie}/{path.stem}",
+            individuals=SILKMOTH.individuals,
+            positions=table[:, None, None, 1:3],
+            frame_rate=rate,
+            unit="mm",
+            signals={
+                "heading": table[:, 3],
+                "odour_left": table[:, 4] > 0,
+                "odour_right": table[:, 5] > 0,
+                "vision": table[:, 6],
+                "wind": table[:, 7].astype(np.int8),
+            },
+            condition=1 if stimulus.lower() == "odoronly" else 0,
+            outcome=1 if len(table) / rate < MOTH_SECONDS else TIME_OUT,
+            provenance=PAPER,
+        )
+    ]

@@ -1,0 +1,85 @@
+"""HDF5 files: opened, looked at, and read within the memory that their size allows."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.importing.readers.hdf_texts import check_heaps, check_texts
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+HEAD = 96  # the longest header of a file [bytes]
+END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # where it says the file's length, by its version
+MATLAB_OFFSET = 512  # MATLAB writes a header of its own before the HDF5 one
+
+
+def is_hdf(path: Path) -> bool:
+    """Whether the file starts like HDF5 (or MATLAB 7.3)."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(MATLAB_OFFSET + len(MAGIC))
+    except OSError:
+        return False
+    return start.startswith(MAGIC) or start[MATLAB_OFFSET:] == MAGIC
+
+
+def open_hdf(path: Path) -> Any:
+    """An open ``h5py.File``, or one sentence that says why not."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("reading HDF5", "data") from error
+    if not is_hdf(path):
+        raise InputError(f"{path}: it is no HDF5 file: check --source, or copy the file again")
+    _check_end(path)
+    check_heaps(path)
+    try:
+        return h5py.File(path, "r")
+    except (OSError, RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0][:160]
+        raise InputError(f"{path}: the HDF5 file is damaged ({first}): copy it again") from None
+
+
+def _check_end(path: Path) -> None:
+    """Refuse a file that goes on beyond the end its header names (a shorter one fails to open)."""
+    with path.open("rb") as file:
+        head = file.read(MATLAB_OFFSET + HEAD)
+    start = 0 if head.startswith(MAGIC) else MATLAB_OFFSET
+    version, widths = head[start + 8], head[start + 13 : start + 15]
+    if version in END_AT and (version > 1 or widths[:1] == b"\x08"):
+        (end,) = struct.unpack_from("<Q", head.ljust(MATLAB_OFFSET + HEAD), start + END_AT[version])
+        if path.stat().st_size > end:
+            raise InputError(
+                f"{path}: the HDF5 file is longer ({path.stat().st_size:,} bytes) than its header "
+                f"says ({end:,}): copy it again"
+            )
+
+
+def hdf_keys(path: Path) -> set[str]:
+    """Names at the top of an HDF5 file; empty if it is none."""
+    if not is_hdf(path):
+        return set()
+    try:
+        with open_hdf(path) as file:
+            return set(file.keys())
+    except (InputError, MissingExtraError, OSError, RuntimeError, KeyError, ValueError):
+        return set()
+
+
+def read_dataset(path: Path, file: Any, key: str) -> NDArray[Any]:
+    """One dataset, refused before allocation if it is absurdly large."""
+    if key not in file:
+        raise InputError(f"{path}: it has no dataset {key!r}: check --source")
+    dataset = file[key]
+    if not hasattr(dataset, "shape"):
+        raise InputError(f"{path}: {key!r} is a group, not an array: name an array")
+    size = int(np.prod([int(n) for n in dataset.shape], dtype=object)) * dataset.dtype.itemsize
+    check_size(path, size, f"dataset {key!r}")
+    check_texts(path, key, dataset)
+    return np.asarray(dataset[()])

@@ -1,0 +1,101 @@
+"""Silkmoth runs of the MothVR set-up: ``case*.csv`` with Time [s], X, Y [mm], Theta, Odor, Wind.
+
+30 frames a second, source at the origin, start at (300, 0) mm, one run per file. The set-up stopped
+a run at 50 mm from the source or after 300 s; seven of the 24 public runs end 0.04 to 0.23 mm
+outside the 50, so a run that ends within one frame's walk of it counts as having reached the
+source. Decisions are taken at 2 Hz; the final
+recorded frame is kept as the last sample.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.tabular import column_names, read_columns
+from animarl_envs.importing.tracks import Tracks
+
+HEADER = ("Time", "X", "Y", "Theta", "Odor", "Wind")
+ODOUR = {"N": (0, 0), "R": (0, 1), "L": (1, 0), "B": (1, 1)}  # left, right antenna
+WIND = {"F": 0, "R": 1, "L": 2, "B": 3}  # the side the air comes from
+FRAME_RATE = 30.0  # [Hz]
+GOAL_RADIUS = 50.0  # [mm]
+FRAME_WALK = 1.2  # one frame at the moths' top speed of 36 mm/s [mm]
+TIME_LIMIT = 300.0  # [s]
+
+DEFAULTS = {
+    "species": "silkmoth",
+    "searcher": True,
+    "decision_rate": 2.0,
+    "keep_last_frame": True,
+    "cutting": {"piece": math.inf},
+    "scaling": {"shape": "open", "units_per_arena_unit": 1000.0},
+    "splitting": {"by": "recording", "fractions": (0.6, 0.2, 0.2), "seed": 0},
+}
+
+
+@register_track_reader(
+    "mothvr",
+    "silkmoth runs of the MothVR set-up (case*.csv)",
+    sniff=lambda path: column_names(path) == list(HEADER),
+    extensions=(".csv",),
+    defaults=DEFAULTS,
+)
+def read_mothvr(path: Path) -> list[Tracks]:
+    """One run.
+
+    Signals: odour_left, odour_right; heading [rad, arena frame]; wind, the side the air comes from
+    (0 front, 1 right, 2 left, 3 back).
+    """
+    table = read_columns(path, HEADER, text=("Odor", "Wind"))
+    time = np.asarray(table["Time"], dtype=np.float64)
+    if len(time) < 2 or np.abs(np.diff(time) - 1 / FRAME_RATE).max() > 1e-3:
+        raise InputError(f"{path}: Time does not run at {FRAME_RATE:g} frames a second: check it")
+    signals = {}
+    for column, codes in (("Odor", ODOUR), ("Wind", WIND)):
+        unknown = set(table[column].tolist()) - set(codes)
+        if unknown:
+            raise InputError(
+                f"{path}: column {column} holds {sorted(map(str, unknown))[0]!r}: "
+                f"use one of {', '.join(codes)}"
+            )
+    odour = np.array([ODOUR[entry] for entry in table["Odor"].tolist()], dtype=bool)
+    signals = {
+        "odour_left": odour[:, 0],
+        "odour_right": odour[:, 1],
+        "heading": np.asarray(table["Theta"], dtype=np.float64),
+        "wind": np.array([WIND[entry] for entry in table["Wind"].tolist()], dtype=np.int8),
+    }
+    for name in ("X", "Y", "Theta"):
+        bad = ~np.isfinite(np.asarray(table[name], dtype=np.float64))
+        if bad.any():
+            raise InputError(
+                f"{path}: line {int(bad.argmax()) + 2}, column {name} is not a number: mend it"
+            )
+    positions = np.column_stack([table["X"], table["Y"]]).astype(np.float64)
+    outcome = UNFINISHED
+    if np.hypot(*positions[-1]) <= GOAL_RADIUS + FRAME_WALK:
+        outcome = 1
+    elif len(positions) / FRAME_RATE >= TIME_LIMIT:
+        outcome = TIME_OUT
+    return [
+        Tracks(
+            recording=path.stem,
+            individuals=("moth",),
+            positions=positions[:, None, None],
+            frame_rate=FRAME_RATE,
+            unit="mm",
+            signals=signals,
+            outcome=outcome,
+            provenance={
+                "source": "nhat-14/CPT-IRL, MothVR",
+                "citation": "Yamada M et al. (2021) eLife 10:e72001",
+                "licence": "none stated: ask before redistributing",
+            },
+        )
+    ]

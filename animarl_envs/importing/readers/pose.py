@@ -1,0 +1,169 @@
+"""SLEAP (``.slp``, analysis ``.h5``) and whatever the ``movement`` package loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
+from animarl_envs.importing.readers.lines import check_lines
+from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.tabular import column_names, separator_of
+from animarl_envs.importing.tracks import Tracks
+
+
+@register_track_reader(
+    "sleap",
+    "SLEAP projects (.slp) and analysis files (.h5)",
+    sniff=lambda path: (
+        {"instances", "frames", "points"} <= hdf_keys(path)
+        or {"tracks", "track_names", "node_names"} <= hdf_keys(path)
+    ),
+    extensions=(".slp", ".h5", ".hdf5"),
+)
+def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
+    """Proofread or predicted tracks of all nodes, in pixels; SLEAP files hold no frame rate.
+
+    A project of several videos gives a recording of each.
+    """
+    if {"tracks", "track_names"} <= hdf_keys(path):
+        return _analysis(path, fps)
+    try:
+        import sleap_io
+    except ImportError as error:
+        raise MissingExtraError("reading SLEAP projects", "tracking") from error
+    with open_hdf(path) as file:
+        keys = [k for k in ("points", "pred_points", "instances", "frames") if k in file]
+        tables = {key: read_dataset(path, file, key) for key in keys}  # refuses absurd sizes
+    _check_places(path, tables)
+    labels = sleap_io.load_slp(str(path), open_videos=False)
+    if not labels.tracks:
+        raise InputError(f"{path}: it has no tracks: track the individuals in SLEAP first")
+    names = [track.name or f"track_{i}" for i, track in enumerate(labels.tracks)]
+    nodes = labels.skeletons[0].node_names
+    videos = [video for video in labels.videos if labels.find(video)]
+    found = []
+    for number, video in enumerate(videos):
+        array = np.asarray(labels.numpy(video=video, return_confidence=True), dtype=np.float64)
+        predicted = np.isfinite(array[..., 2]) & (array[..., 2] != 1.0)
+        found.append(
+            Tracks(
+                recording=path.stem if len(videos) == 1 else f"{path.stem}/{number}",
+                individuals=tuple(names), keypoints=tuple(nodes),
+                positions=array[..., :2], frame_rate=fps, y_down=True,
+                confidence=array[..., 2] if predicted.any() else None,
+                provenance={"file": path.name, "tracker": "SLEAP"},
+            )
+        )  # fmt: skip
+    return found
+
+
+def _check_places(path: Path, tables: dict[str, NDArray[Any]]) -> None:
+    """Refuse frames and instances of a project that share rows or point outside the tables."""
+    instances, frames = tables["instances"], tables["frames"]
+    if len(frames):
+        last = int(frames["frame_idx"].max())
+        check_size(path, (last + 1) * 16, f"frame number {last}")
+    points = {0: "points", 1: "pred_points"}  # of user's and predicted instances
+    claims = [("instances", frames["instance_id_start"], frames["instance_id_end"])]
+    for kind, key in points.items():
+        own = instances[instances["instance_type"] == kind]
+        claims.append((key, own["point_id_start"], own["point_id_end"]))
+    if not set(np.unique(instances["instance_type"]).tolist()) <= set(points):
+        raise InputError(f"{path}: an instance is of no known type: copy the file again")
+    for key, start, end in claims:
+        order = np.argsort(start, kind="stable")
+        start, end = start[order].astype(np.int64), end[order].astype(np.int64)
+        rows = len(tables.get(key, ()))
+        if (start > end).any() or (start[1:] < end[:-1]).any() or (end > rows).any():
+            raise InputError(
+                f"{path}: entries of its table {key!r} are claimed twice or do not exist: copy the "
+                "file again"
+            )
+
+
+def _analysis(path: Path, fps: float | None) -> list[Tracks]:
+    with open_hdf(path) as file:
+        tracks = np.asarray(read_dataset(path, file, "tracks"), dtype=np.float64)
+        names = [_text(name) for name in read_dataset(path, file, "track_names")]
+        nodes = [_text(name) for name in read_dataset(path, file, "node_names")]
+        scores = None
+        if "point_scores" in file:
+            scores = np.asarray(read_dataset(path, file, "point_scores"), dtype=np.float64)
+    if tracks.ndim != 4 or tracks.shape[:3] != (len(names), 2, len(nodes)):
+        raise InputError(
+            f"{path}: tracks have shape {tracks.shape}, not ({len(names)}, 2, {len(nodes)}, "
+            "frames): export the analysis file again"
+        )
+    return [
+        Tracks(
+            recording=path.stem, individuals=tuple(names), keypoints=tuple(nodes),
+            positions=tracks.transpose(3, 0, 2, 1), frame_rate=fps, y_down=True,
+            confidence=None if scores is None else scores.transpose(2, 0, 1),
+            provenance={"file": path.name, "tracker": "SLEAP"},
+        )
+    ]  # fmt: skip
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+@register_track_reader(
+    "movement",
+    "anything the movement package loads; option software, such as Anipose or LightningPose",
+    sniff=lambda path: False,
+    extensions=(),
+)
+def read_movement(
+    path: Path, software: str = "DeepLabCut", fps: float | None = None
+) -> list[Tracks]:
+    """Poses of a ``movement`` dataset; ``software`` is its ``source_software``."""
+    try:
+        from loguru import logger
+        from movement.io import load_dataset
+    except ImportError as error:
+        raise MissingExtraError("reading with movement", "tracking") from error
+    if path.suffix.lower() == ".csv":
+        check_lines(path, separator_of(path), len(column_names(path)))
+    elif path.suffix.lower() in {".h5", ".hdf5", ".nwb", ".slp"}:
+        open_hdf(path).close()  # which refuses damage that the library would trip over
+    logger.disable("movement")  # what it says is in the message already
+    try:
+        dataset = load_dataset(path, source_software=software, fps=fps)
+    finally:
+        logger.enable("movement")
+    array = dataset["position"]
+    keypoints: tuple[str, ...] = ("centroid",)
+    if "keypoint" in array.dims or "keypoints" in array.dims:
+        axis = "keypoint" if "keypoint" in array.dims else "keypoints"
+        keypoints = tuple(str(name) for name in array.coords[axis].values)
+    else:
+        axis = "keypoint"
+        array = array.expand_dims({axis: list(keypoints)})
+        dataset = dataset.assign(position=array)
+    who = "individual" if "individual" in array.dims else "individuals"
+    positions = array.transpose("time", who, axis, "space").values[..., :2]
+    confidence = None
+    if "confidence" in dataset:
+        weights = dataset["confidence"]
+        if axis not in weights.dims:
+            weights = weights.expand_dims({axis: list(keypoints)})
+        confidence = np.asarray(weights.transpose("time", who, axis).values, dtype=np.float64)
+    return [
+        Tracks(
+            recording=path.stem,
+            individuals=tuple(str(name) for name in array.coords[who].values),
+            keypoints=keypoints,
+            positions=np.asarray(positions, dtype=np.float64),
+            frame_rate=fps,
+            y_down=True,
+            confidence=confidence,
+            provenance={"file": path.name, "tracker": software, "read_by": "movement"},
+        )
+    ]

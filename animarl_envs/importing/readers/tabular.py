@@ -1,0 +1,129 @@
+"""Columns of CSV, TSV and Parquet files, in pieces, so that large tables fit in memory."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.importing.readers.guards import refuse_empty
+from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
+from animarl_envs.importing.readers.parquet import is_parquet, parquet_names, parquet_pieces
+
+PIECE_ROWS = 500_000
+LONGEST_LINE = 2**20
+_SWALLOWED = "Calling read(nbytes) on source failed"
+"""What pandas makes of Ctrl-C while it asks for more; errors of the source come through as such."""
+
+
+def first_line(path: Path) -> str:
+    """First line of a text file, empty if it is not text."""
+    try:
+        with path.open("rb") as file:
+            line = file.readline(LONGEST_LINE)
+        return line.decode("utf-8-sig").strip("\r\n")
+    except (OSError, UnicodeDecodeError):
+        return ""
+
+
+def separator_of(path: Path) -> str:
+    """Tab in a ``.tsv``; else comma, or semicolon where the header has only those."""
+    if path.suffix.lower() == ".tsv":
+        return "\t"
+    header = first_line(path)
+    return ";" if ";" in header and "," not in header else ","
+
+
+def column_names(path: Path) -> list[str]:
+    """Names in the header of a table; none where it cannot be read."""
+    if is_parquet(path):
+        return parquet_names(path)
+    try:
+        cells = next(csv.reader([first_line(path)], delimiter=separator_of(path)), [])
+    except csv.Error:
+        return []
+    return [name.strip() for name in cells]
+
+
+def pieces(
+    path: Path,
+    columns: Sequence[str],
+    text: Sequence[str] = (),
+    progress: Callable[[float], None] | None = None,
+    decimal: str = ".",
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """The named columns, ``PIECE_ROWS`` rows at a time.
+
+    Numbers are float64, empty cells NaN; ``text`` columns are strings and must not be empty.
+    """
+    if is_parquet(path):
+        yield from parquet_pieces(path, columns, text, PIECE_ROWS, progress)
+    else:
+        yield from _text_pieces(path, columns, text, progress, decimal)
+
+
+def read_columns(
+    path: Path, columns: Sequence[str], text: Sequence[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """All rows of the named columns."""
+    parts = list(pieces(path, columns, text))
+    if not parts or not sum(len(part[columns[0]]) for part in parts):
+        raise InputError(f"{path}: it has a header but no rows: check the file")
+    return {name: np.concatenate([part[name] for part in parts]) for name in columns}
+
+
+def _text_pieces(
+    path: Path,
+    columns: Sequence[str],
+    text: Sequence[str],
+    progress: Callable[[float], None] | None,
+    decimal: str,
+) -> Iterator[dict[str, NDArray[Any]]]:
+    pandas = _pandas()
+    header, separator = column_names(path), separator_of(path)
+    for name in columns:
+        if header.count(name) != 1:
+            raise InputError(
+                f"{path}: it has {header.count(name)} columns {name!r} (header: "
+                f"{', '.join(header)[:200]}): name the column by an option"
+            )
+    place = {name: header.index(name) for name in columns}
+    kinds = {at: str if name in text else np.float64 for name, at in place.items()}
+    size, row = max(path.stat().st_size, 1), 0
+    try:
+        with path.open("rb") as file:
+            lines = CheckedLines(file, path, separator, len(header))
+            with pandas.read_csv(
+                io.BufferedReader(lines, BLOCK), names=range(len(header)), header=0,
+                usecols=list(kinds), index_col=False, dtype=kinds, chunksize=PIECE_ROWS,
+                skipinitialspace=True, sep=separator, decimal=decimal, encoding="utf-8-sig",
+                float_precision="round_trip",
+            ) as reader:  # fmt: skip
+                for piece in reader:
+                    for name in text:
+                        refuse_empty(path, name, piece[place[name]].isna().to_numpy(), row)
+                    row += len(piece)
+                    yield {name: piece[at].to_numpy() for name, at in place.items()}
+                    if progress is not None:
+                        progress(min(lines.seen / size, 1.0))
+    except InputError:
+        raise
+    except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
+        first = str(error).splitlines()[0][:200]
+        if _SWALLOWED in first:
+            raise KeyboardInterrupt from None
+        raise InputError(f"{path}: a cell or line cannot be read ({first}): mend it") from None
+
+
+def _pandas() -> Any:
+    try:
+        import pandas
+    except ImportError as error:
+        raise MissingExtraError("reading tables", "data") from error
+    return pandas

@@ -1,0 +1,110 @@
+"""Scaling of tracks to the arena frame: invertible, and stored with the demonstrations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError
+from animarl_envs.importing.tracks import Tracks
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scaling:
+    """How positions become arena units.
+
+    Parameters
+    ----------
+    shape
+        ``"square"`` and ``"disc"``: half side or radius 1; ``"open"``: only the unit changes.
+    width
+        Full side or diameter of the arena in the tracks' unit; ``None`` takes the extent of each
+        recording's tracks.
+    centre
+        Of the arena, in the tracks' unit; ``None``: the middle of each recording's extent, and the
+        origin of an open field.
+    units_per_arena_unit
+        For an open field: how many of the tracks' units make one arena unit (1000 for mm to m).
+    boundary
+        Virtual boundary [arena unit].
+    flip_y
+        Whether y is turned upwards; ``None``: if it grows downwards in the file.
+    """
+
+    shape: Literal["square", "disc", "open"] = "square"
+    width: float | None = None
+    centre: tuple[float, float] | None = None
+    units_per_arena_unit: float = 1.0
+    boundary: float = 1.1
+    flip_y: bool | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("width", "units_per_arena_unit"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < math.inf:
+                raise InputError(f"{name} is {value}: it must be a positive number")
+        if self.centre is not None:
+            if len(self.centre) != 2:
+                raise InputError(f"centre is {self.centre}: give x and y")
+            object.__setattr__(self, "centre", (float(self.centre[0]), float(self.centre[1])))
+
+    @property
+    def arena(self) -> Arena:
+        """The arena in arena units."""
+        return Arena(self.shape, size=1.0, boundary=self.boundary)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """``p' = (p - centre) / unit``, then y times ``y_sign``: one recording's way to the arena."""
+
+    centre: tuple[float, float]
+    unit: float  # of the file per arena unit
+    y_sign: float
+
+    def to_arena(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
+        """From the file's unit to arena units, ``(..., 2)``."""
+        return np.asarray((positions - np.array(self.centre)) / self.unit * [1.0, self.y_sign])
+
+    def to_file(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
+        """From arena units back to the file's unit, ``(..., 2)``."""
+        return np.asarray(positions * [1.0, self.y_sign] * self.unit + np.array(self.centre))
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Scale:
+        x, y = record["centre"]
+        return cls((float(x), float(y)), float(record["unit"]), float(record["y_sign"]))
+
+
+def scale_of(tracks: Tracks, settings: Scaling) -> Scale:
+    """The scale of one recording (one keypoint per individual)."""
+    flip = tracks.y_down if settings.flip_y is None else settings.flip_y
+    sign = -1.0 if flip else 1.0
+    if settings.shape == "open":
+        return Scale(settings.centre or (0.0, 0.0), settings.units_per_arena_unit, sign)
+    points = tracks.bodies[np.isfinite(tracks.bodies).all(axis=2)]
+    if len(points) == 0:
+        raise InputError(f"{tracks.recording}: no individual was ever tracked: check the file")
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    centre = settings.centre or (float(middle[0]), float(middle[1]))
+    if settings.width is not None:
+        half = settings.width / 2
+    elif settings.shape == "disc":
+        half = float(np.linalg.norm(points - np.array(centre), axis=1).max())
+    else:
+        half = float(np.abs(points - np.array(centre)).max())
+    if not half > 0:
+        raise InputError(
+            f"{tracks.recording}: its tracks have no extent: give the arena's width instead"
+        )
+    return Scale(centre, half, sign)

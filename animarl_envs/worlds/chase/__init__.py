@@ -1,0 +1,1 @@
+"""Pursuers and a target."""

@@ -1,0 +1,298 @@
+"""The equations of the chase world, as loops over copies; what is observed follows in
+:mod:`animarl_envs.worlds.chase.senses`.
+
+Arrays have the copy last: positions ``(K, 2, B)``, observations ``(K, n, B)``. Each innermost loop
+runs over all copies and has no branch, so that it compiles to vector instructions. Rows are chosen
+by index, not cut out as views, which would cost more than the row when there is one copy only.
+``field`` is ``(shape code, size, boundary)``.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba.core import types
+from numba.experimental import structref
+
+from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.locomotion import ACTION_VECTORS, COAST
+from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
+from animarl_envs.worlds.chase.senses import observe
+from animarl_envs.worlds.compiling import jit, part
+from animarl_envs.worlds.rules import decide
+from animarl_envs.worlds.streams import next_uniform
+from animarl_envs.worlds.transition import next_velocity
+
+SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
+TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
+
+AHEAD = np.ascontiguousarray(ACTION_VECTORS[:, 0])
+LEFT = np.ascontiguousarray(ACTION_VECTORS[:, 1])
+
+
+# -- starting -------------------------------------------------------------------------------------
+
+
+@jit
+def start(mask, demos, demo, fixed, half_side, contact_radius, random, position, velocity):  # type: ignore[no-untyped-def]
+    """First states: recorded, given, or uniform in a square without contact; at rest but for the
+    first."""
+    K, _, B = position.shape
+    target = K - 1
+    for b in range(B):
+        if not mask[b]:
+            continue
+        if demo[b] >= 0:
+            frame = demos.start[demo[b]]
+            for i in range(K):
+                for x in range(2):
+                    position[i, x, b] = demos.position[frame, i, x]
+                    velocity[i, x, b] = demos.velocity[frame, i, x]
+            continue
+        for i in range(K):
+            velocity[i, 0, b] = 0.0
+            velocity[i, 1, b] = 0.0
+        if len(fixed):
+            for i in range(K):
+                position[i, 0, b] = fixed[i, 0]
+                position[i, 1, b] = fixed[i, 1]
+            continue
+        touching = True
+        while touching:
+            for i in range(K):
+                for x in range(2):
+                    position[i, x, b] = half_side * (2.0 * next_uniform(random, b) - 1.0)
+            touching = False
+            for i in range(target):
+                dx = position[target, 0, b] - position[i, 0, b]
+                dy = position[target, 1, b] - position[i, 1, b]
+                touching |= dx * dx + dy * dy < contact_radius * contact_radius
+
+
+# -- a whole step ---------------------------------------------------------------------------------
+
+
+@structref.register
+class _ChaseStateType(types.StructRef):  # type: ignore[misc]
+    """Numba's type of :class:`ChaseState`."""
+
+
+class ChaseState(structref.StructRefProxy):  # type: ignore[misc]
+    """What a step reads and writes, in one object: handing arrays to a kernel one by one would
+    take longer than the step of a single copy.
+
+    ``actions``, ``others``, ``nearest`` and ``code`` are scratch. ``sharing`` is the condition
+    where condition 1 shares the reward, else zeros. ``driven``: somebody ignores the caller.
+    """
+
+
+structref.define_proxy(  # type: ignore[no-untyped-call]
+    ChaseState,
+    _ChaseStateType,
+    [
+        "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "numbers",
+        "position", "velocity", "towards", "others", "nearest", "code", "components", "reward",
+        "outcome", "terminated", "truncated", "step_count", "warming", "observation",
+    ],
+)  # fmt: skip
+
+
+@jit
+def bundle(  # type: ignore[no-untyped-def]
+    actions, drivers, driven, demos, demo, sharing, damping, thrust, numbers, position, velocity,
+    towards, others, nearest, code, components, reward, outcome, terminated, truncated, step_count,
+    warming, observation,
+):  # fmt: skip
+    """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
+    return ChaseState(  # type: ignore[no-untyped-call]
+        actions, drivers, driven, demos, demo, sharing, damping, thrust, numbers, position,
+        velocity, towards, others, nearest, code, components, reward, outcome, terminated,
+        truncated, step_count, warming, observation,
+    )  # fmt: skip
+
+
+@jit
+def advance(asked, state):  # type: ignore[no-untyped-def]
+    """All of a step in one call; ``asked`` is ``(B, K)``."""
+    (
+        dt, contact_radius, penalty, time_limit, warmup, field, rebounds, senses_centre,
+    ) = state.numbers  # fmt: skip
+    actions, position, velocity = state.actions, state.position, state.velocity
+    step_count, code, towards = state.step_count, state.code, state.towards
+    outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
+    K, _, B = position.shape
+    for i in range(K):
+        for b in range(B):
+            actions[i, b] = asked[b, i]
+    for b in range(B):
+        step_count[b] += 1
+    if state.driven:
+        drive(
+            state.drivers, actions, position, velocity, towards, state.damping, state.thrust, dt,
+            field,
+        )  # fmt: skip
+    move(actions, towards, state.damping, state.thrust, dt, position, velocity)
+    if state.driven or warmup > 0:
+        replay(
+            state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
+            state.warming,
+        )  # fmt: skip
+    if rebounds:
+        rebound(field, position, velocity)
+    judge(
+        position, state.sharing, field, contact_radius, dt, penalty, state.nearest, code,
+        state.components, state.reward,
+    )  # fmt: skip
+    for b in range(B):
+        outcome[b] = code[b]
+        terminated[b] = code[b] != TIME_OUT
+        truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
+    observe(position, velocity, towards, state.others, senses_centre, state.observation)
+
+
+# -- moving ---------------------------------------------------------------------------------------
+
+
+@part
+def drive(drivers, actions, position, velocity, towards, damping, thrust, dt, field):  # type: ignore[no-untyped-def]
+    """Put the actions of those whom the caller does not drive into ``actions`` ``(K, B)``."""
+    for i in range(len(drivers)):
+        if drivers[i] == COASTING or drivers[i] == REPLAY:
+            for b in range(actions.shape[1]):
+                actions[i, b] = COAST
+        elif drivers[i] == SCRIPTED:
+            decide(
+                i, position, velocity, towards, damping[i], thrust[i], dt, field[0], field[1],
+                actions,
+            )  # fmt: skip
+
+
+@part
+def move(actions, towards, damping, thrust, dt, position, velocity):  # type: ignore[no-untyped-def]
+    """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all individuals."""
+    K, _, B = position.shape
+    for i in range(K):
+        for b in range(B):
+            ahead = AHEAD[actions[i, b]]
+            left = LEFT[actions[i, b]]
+            ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
+            ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
+            vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
+            vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
+            velocity[i, 0, b] = vx
+            velocity[i, 1, b] = vy
+            position[i, 0, b] += vx * dt
+            position[i, 1, b] += vy * dt
+
+
+@part
+def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming):  # type: ignore[no-untyped-def]
+    """Set what follows its demonstration: all during warm-up, the replaying ones always.
+
+    When a replayed path ends before the episode does, that individual coasts.
+    """
+    K, _, B = position.shape
+    for b in range(B):
+        warming[b] = False
+        if demo[b] < 0:
+            continue
+        frame = demos.start[demo[b]] + step_count[b]
+        left = demos.start[demo[b] + 1] - frame  # recorded frames, this one included
+        if left <= 0:
+            continue
+        for i in range(K):
+            if drivers[i] == REPLAY or step_count[b] <= warmup:
+                for x in range(2):
+                    position[i, x, b] = demos.position[frame, i, x]
+                    velocity[i, x, b] = demos.velocity[frame, i, x]
+        warming[b] = step_count[b] < warmup and left > 1
+
+
+@part
+def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
+    """Back onto the boundary; the outward velocity is reversed and halved."""
+    shape, _, boundary = field
+    K, _, B = position.shape
+    for i in range(K):
+        for b in range(B):
+            if shape == SQUARE:
+                for x in range(2):
+                    if abs(position[i, x, b]) > boundary:
+                        position[i, x, b] = math.copysign(boundary, position[i, x, b])
+                        if velocity[i, x, b] * position[i, x, b] > 0.0:
+                            velocity[i, x, b] *= -0.5
+            elif shape == DISC:
+                radius = math.sqrt(position[i, 0, b] ** 2 + position[i, 1, b] ** 2)
+                if radius > boundary:
+                    nx = position[i, 0, b] / radius
+                    ny = position[i, 1, b] / radius
+                    # a hair inside, so that rounding does not leave it outside
+                    position[i, 0, b] = boundary * nx * (1.0 - 1e-12)
+                    position[i, 1, b] = boundary * ny * (1.0 - 1e-12)
+                    outward = velocity[i, 0, b] * nx + velocity[i, 1, b] * ny
+                    if outward > 0.0:
+                        velocity[i, 0, b] -= 1.5 * outward * nx
+                        velocity[i, 1, b] -= 1.5 * outward * ny
+
+
+# -- ends and rewards -----------------------------------------------------------------------------
+
+
+@part
+def judge(  # type: ignore[no-untyped-def]
+    position, sharing, field, contact_radius, dt, penalty, nearest, code, components, reward
+):
+    """Contact, then boundary, then rewards.
+
+    ``code`` ``(B,)`` int64 becomes the outcome; ``nearest`` is scratch, ``(B,)``.
+    """
+    K, _, B = position.shape
+    target = K - 1
+    touching = contact_radius * contact_radius
+    for b in range(B):
+        nearest[b] = touching
+        code[b] = TIME_OUT
+    for i in range(target):  # the nearest of those in contact is the outcome (ties: lower index)
+        for b in range(B):
+            dx = position[target, 0, b] - position[i, 0, b]
+            dy = position[target, 1, b] - position[i, 1, b]
+            squared = dx * dx + dy * dy
+            components[i, TOUCH, b] = 1.0 if squared < touching else 0.0
+            code[b] = i + 1 if squared < nearest[b] else code[b]
+            nearest[b] = min(nearest[b], squared)
+    for i in range(target):
+        for b in range(B):  # shared reward: a capture is everybody's
+            shared = sharing[b] == 1 and code[b] > 0
+            components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
+    for i in range(target, -1, -1):  # the target first: its leaving is named before the others'
+        _leave(i, position, field, penalty, components)
+        left = TARGET_OUT if i == target else PURSUER_OUT
+        for b in range(B):
+            out = components[i, BOUNDARY, b] != 0.0
+            code[b] = left if out and code[b] == TIME_OUT else code[b]
+    for b in range(B):  # the target is paid for every step that it lasts
+        lost = code[b] > 0 or code[b] == TARGET_OUT
+        components[target, ELAPSED, b] = 0.0 if lost else dt
+    for i in range(K):
+        for b in range(B):
+            reward[i, b] = (
+                components[i, TOUCH, b] + components[i, ELAPSED, b] + components[i, BOUNDARY, b]
+            )
+
+
+@part
+def _leave(i, position, field, penalty, components):  # type: ignore[no-untyped-def]
+    """The penalty for being out of bounds."""
+    shape, _, boundary = field
+    B = position.shape[2]
+    if shape == SQUARE:
+        for b in range(B):
+            farthest = max(abs(position[i, 0, b]), abs(position[i, 1, b]))
+            components[i, BOUNDARY, b] = penalty if farthest > boundary else 0.0
+    elif shape == DISC:
+        for b in range(B):
+            x = position[i, 0, b]
+            y = position[i, 1, b]
+            components[i, BOUNDARY, b] = penalty if x * x + y * y > boundary * boundary else 0.0

@@ -1,0 +1,1 @@
+"""The odour plume: model, movies, stand-ins."""

@@ -1,0 +1,391 @@
+"""Odour plumes as a searcher reads them: where an antenna would be hit, step by step.
+
+A plume is turned once into a :class:`HitTable`, the maximum over the frames of each decision step
+and over the antenna's radius, one bit per grid cell, so that a reading is one look-up. A table is
+made when it is first needed, in about a tenth of a second per pattern, and kept for the process:
+1 MB per pattern of 260 s at 0.5 s a step. It repeats when the pattern ends.
+
+Frame: the source lies at the origin, the air flows towards +x, y is up [m].
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.worlds.plume.filaments import FilamentModel, paint
+
+NUM_PATTERNS = 5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlumeField:
+    """A concentration field.
+
+    Parameters
+    ----------
+    values
+        ``(rows, columns)`` in [0, 1]; row 0 lies at ``y_low``, column 0 at ``x_low``.
+    extent
+        ``(x_low, x_high, y_low, y_high)``, outer edges in the arena frame [arena unit].
+    """
+
+    values: NDArray[np.floating]
+    extent: tuple[float, float, float, float]
+
+    def __post_init__(self) -> None:
+        x_low, x_high, y_low, y_high = self.extent
+        if self.values.ndim != 2 or self.values.size == 0:
+            raise InputError(f"the plume field has shape {self.values.shape}: give (rows, columns)")
+        if not (x_low < x_high and y_low < y_high):
+            raise InputError(
+                f"the plume extent is {self.extent}: give (x_low, x_high, y_low, y_high), "
+                "each low below its high"
+            )
+
+
+class HitTable(NamedTuple):
+    """Where an antenna is hit. Row 0 lies at the lowest y, column 0 at the lowest x."""
+
+    bits: NDArray[np.uint8]  # (patterns, steps, bytes): one bit per cell, row by row
+    rows: int
+    columns: int
+    source_row: int
+    source_column: int
+    cell: float  # side of a cell [m]
+
+    def unpack(self, pattern: int, step: int) -> NDArray[np.bool_]:
+        """Hits of one step, ``(rows, columns)``."""
+        flat = np.unpackbits(self.bits[pattern, step], bitorder="little")
+        return flat[: self.rows * self.columns].reshape(self.rows, self.columns).astype(bool)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Outer edges ``(x_low, x_high, y_low, y_high)`` [m]."""
+        left = -(self.source_column + 0.5) * self.cell
+        low = -(self.source_row + 0.5) * self.cell
+        return left, left + self.columns * self.cell, low, low + self.rows * self.cell
+
+
+@nb.njit(inline="always")
+def is_hit(bits, rows, columns, source_row, source_column, cell, pattern, step, x, y):  # type: ignore[no-untyped-def]
+    """Whether an antenna at ``(x, y)`` is hit; the middle of two cells belongs to the outer one."""
+    column = source_column + int(math.copysign(math.floor(abs(x) / cell + 0.5), x))
+    row = source_row + int(math.copysign(math.floor(abs(y) / cell + 0.5), y))
+    if column < 0 or column >= columns or row < 0 or row >= rows:
+        return False
+    index = row * columns + column
+    return (bits[pattern, step, index >> 3] >> (index & 7)) & 1 == 1
+
+
+class Plume(ABC):
+    """A source of odour with one or more fixed patterns.
+
+    Make one with :meth:`from_array`, :meth:`from_movie`, :meth:`off` or :meth:`continuous`, or use
+    :class:`ModelPlume`, the default.
+    """
+
+    num_patterns: int
+
+    @abstractmethod
+    def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+        """The table of one pattern for steps of ``dt`` [s] and a sensing radius [m]."""
+
+    @abstractmethod
+    def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
+        """To draw: values in [0, 1], lowest y first, and ``(x_low, x_high, y_low, y_high)``."""
+
+    @staticmethod
+    def from_array(
+        frames: ArrayLike,
+        *,
+        mm_per_pixel: float,
+        source_pixel: tuple[int, int],
+        frame_rate: float,
+        threshold: float | None = None,
+    ) -> MoviePlume:
+        """A plume from a movie in memory.
+
+        Parameters
+        ----------
+        frames
+            ``(frames, height, width)``, bool or grey values; the air flows to the right, row 0 is
+            the top. Mirror it first if it flows to the left.
+        mm_per_pixel
+            Size of a pixel [mm].
+        source_pixel
+            ``(row, column)`` of the source, in the image or outside it.
+        frame_rate
+            [Hz]
+        threshold
+            A grey value above it is a hit; by default half of the greatest value.
+
+        Raises
+        ------
+        InputError
+            If the array has another shape, is empty, or holds NaN; or a number is out of range.
+        """
+        array = np.asarray(frames)
+        if array.ndim != 3 or array.size == 0:
+            raise InputError(
+                f"the plume movie has shape {array.shape}: give grey frames as "
+                "(frames, height, width)"
+            )
+        if not (array.dtype == bool or np.issubdtype(array.dtype, np.number)):
+            raise InputError(f"the plume movie holds {array.dtype}: give grey values or booleans")
+        if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
+            raise InputError("the plume movie holds NaN or infinity: replace them by zero")
+        if threshold is None:
+            threshold = 0.5 * float(array.max())
+        return MoviePlume(array, None, mm_per_pixel, tuple(source_pixel), frame_rate, threshold)
+
+    @staticmethod
+    def from_movie(
+        path: str | Path,
+        *,
+        mm_per_pixel: float,
+        source_pixel: tuple[int, int],
+        frame_rate: float,
+        threshold: float = 127.5,
+    ) -> MoviePlume:
+        """A plume from a movie file, or an ``.npy`` array; read when it is first needed.
+
+        The parameters are those of :meth:`from_array`; colours are averaged.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"plume movie {path}: there is no such file: check the path")
+        return MoviePlume(None, path, mm_per_pixel, tuple(source_pixel), frame_rate, threshold)
+
+    @staticmethod
+    def off() -> MoviePlume:
+        """No odour anywhere."""
+        frames = np.zeros((1, 1, 1), dtype=bool)
+        return MoviePlume(frames, None, 1.0, (0, 0), 1.0, 0.5)
+
+    @staticmethod
+    def continuous(half_width: float = 0.02, length: float = 0.5) -> MoviePlume:
+        """A steady ribbon of odour straight downwind of the source, for checks [m]."""
+        rows = 2 * round(half_width * 1000) + 1
+        frames = np.ones((1, rows, round(length * 1000) + 1), dtype=bool)
+        return MoviePlume(frames, None, 1.0, (rows // 2, 0), 1.0, 0.5)
+
+
+@dataclass(frozen=True)
+class ModelPlume(Plume):
+    """Five fixed patterns of the filament model; see :mod:`animarl_envs.worlds.plume.filaments`."""
+
+    model: FilamentModel
+    num_patterns: int = NUM_PATTERNS
+
+    @classmethod
+    def fitted(cls) -> ModelPlume:
+        return cls(FilamentModel.fitted())
+
+    def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+        model = self.model
+        rows, columns, x0, y0 = model.grid
+        steps = max(1, round(model.period / dt))
+        bits = np.zeros((steps, (rows * columns + 7) // 8), dtype=np.uint8)
+        _model_table(
+            model.release(pattern), model.kernel_constants(), model.threshold,
+            1.0 / model.frame_rate, dt, _stencil(antenna_radius, model.cell), rows, columns, bits,
+        )  # fmt: skip
+        return HitTable(
+            bits[None], rows, columns, round(-y0 / model.cell), round(-x0 / model.cell), model.cell
+        )
+
+    def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
+        rows, columns, x0, y0 = self.model.grid
+        half = 0.5 * self.model.cell
+        concentration = self.model.concentration(pattern, time)
+        values = concentration / (concentration + np.float32(self.model.threshold))
+        right, top = x0 + columns * 2 * half - half, y0 + rows * 2 * half - half
+        return values, (x0 - half, right, y0 - half, top)
+
+
+@dataclass(frozen=True, eq=False)
+class MoviePlume(Plume):
+    """A recorded plume: frames in memory or in a file. One pattern."""
+
+    frames: NDArray[Any] | None
+    path: Path | None
+    mm_per_pixel: float
+    source_pixel: tuple[int, ...]
+    frame_rate: float
+    threshold: float
+    num_patterns: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("mm_per_pixel", "frame_rate"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(
+                    f"the plume movie's {name} is {getattr(self, name)}: it must be positive"
+                )
+        whole = all(isinstance(v, int | np.integer) for v in self.source_pixel)
+        if len(self.source_pixel) != 2 or not whole:
+            raise InputError(
+                f"the plume movie's source_pixel is {self.source_pixel}: give (row, column) as "
+                "whole numbers"
+            )
+        if math.isnan(self.threshold):
+            raise InputError("the plume movie's threshold is not a number: give a grey value")
+
+    def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+        cell = self.mm_per_pixel * 1e-3
+        stencil = _stencil(antenna_radius, cell)
+        margin = int(np.abs(stencil).max())  # the antenna may lie outside the picture
+        per_step = dt * self.frame_rate
+        packed: list[NDArray[np.uint8]] = []
+        height = width = 0
+        for hits in _over_steps(self._hits(), per_step):
+            height, width = hits.shape
+            padded = np.pad(hits[::-1], margin)
+            packed.append(np.zeros((padded.size + 7) // 8, dtype=np.uint8))
+            _spread(padded, 0, padded.shape[0], 0, padded.shape[1], stencil, packed[-1])
+        row, column = self.source_pixel
+        return HitTable(
+            np.stack(packed)[None], height + 2 * margin, width + 2 * margin,
+            height - 1 - row + margin, column + margin, cell,
+        )  # fmt: skip
+
+    def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
+        table = hit_table(self, (0,), 1.0 / self.frame_rate, 0.0)
+        step = int(time * self.frame_rate) % table.bits.shape[1]
+        return table.unpack(0, step).astype(np.float32), table.extent
+
+    def _hits(self) -> Iterator[NDArray[np.bool_]]:
+        frames = self.frames if self.frames is not None else _read_movie(self.path)
+        for frame in frames:
+            yield frame > self.threshold if frame.dtype != bool else frame
+
+
+def as_plume(choice: Any) -> Plume:
+    """The plume of an option: ``"model"``, ``"off"``, ``"continuous"`` or a :class:`Plume`."""
+    if isinstance(choice, Plume):
+        return choice
+    named = {"model": ModelPlume.fitted, "off": Plume.off, "continuous": Plume.continuous}
+    if isinstance(choice, str) and choice in named:
+        return named[choice]()
+    raise InputError(
+        f"plume is {choice!r}: choose {', '.join(repr(n) for n in named)}, or give "
+        "Plume.from_array(...) or Plume.from_movie(...)"
+    )
+
+
+@functools.lru_cache(maxsize=32)
+def _cached_table(plume: Plume, pattern: int, dt: float, antenna_radius: float) -> HitTable:
+    return plume.pattern_table(pattern, dt, antenna_radius)
+
+
+@functools.lru_cache(maxsize=8)
+def hit_table(
+    plume: Plume, patterns: tuple[int, ...], dt: float, antenna_radius: float
+) -> HitTable:
+    """The tables of several patterns as one; built on first use and kept."""
+    for pattern in patterns:
+        if not 0 <= pattern < plume.num_patterns:
+            raise InputError(
+                f"plume pattern {pattern} does not exist: choose 0 to {plume.num_patterns - 1}"
+            )
+    tables = [_cached_table(plume, p, dt, antenna_radius) for p in patterns]
+    return tables[0]._replace(bits=np.concatenate([t.bits for t in tables]))
+
+
+def _stencil(radius: float, cell: float) -> NDArray[np.int64]:
+    """Offsets ``(n, 2)`` in cells (row, column) within ``radius`` of a cell's centre."""
+    reach = math.floor(radius / cell + 1e-9)
+    offsets = np.arange(-reach, reach + 1)
+    rows, columns = np.meshgrid(offsets, offsets, indexing="ij")
+    inside = np.hypot(rows, columns) * cell <= radius + 1e-9
+    return np.stack([rows[inside], columns[inside]], axis=-1)
+
+
+def _over_steps(
+    frames: Iterable[NDArray[np.bool_]], per_step: float
+) -> Iterator[NDArray[np.bool_]]:
+    """The union of the frames of each whole step; a frame longer than a step is repeated."""
+    union: NDArray[np.bool_] | None = None
+    done = 0
+    for count, frame in enumerate(frames, start=1):
+        seen = frame if union is None else union | frame
+        union = seen
+        while (done + 1) * per_step <= count + 1e-9:
+            yield seen
+            done += 1
+            seen, union = frame, None
+    if done == 0 and union is not None:  # shorter than one step
+        yield union
+
+
+def _read_movie(path: Path | None) -> Iterator[NDArray[Any]]:
+    """Grey frames of a file, one by one."""
+    assert path is not None
+    if path.suffix == ".npy":
+        try:
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        except ValueError as error:
+            raise InputError(f"plume movie {path}: it is no plain array ({error})") from None
+        if array.ndim != 3 or array.size == 0:
+            raise InputError(
+                f"plume movie {path} has shape {array.shape}: give (frames, height, width)"
+            )
+        yield from array
+        return
+    try:
+        import imageio.v3 as imageio
+    except ImportError:
+        raise MissingExtraError("reading a plume movie", "render") from None
+    try:
+        for frame in imageio.imiter(path):
+            yield frame if frame.ndim == 2 else frame[..., :3].mean(axis=-1)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"plume movie {path}: it cannot be read ({error}): convert it") from None
+
+
+@nb.njit(cache=True)
+def _spread(hits, bottom, top, left, right, stencil, packed):  # type: ignore[no-untyped-def]
+    """Set the bits of cells within the stencil's reach of a hit; clear the hits on the way."""
+    rows, columns = hits.shape
+    for row in range(bottom, top):
+        for column in range(left, right):
+            if hits[row, column]:
+                hits[row, column] = False
+                for k in range(stencil.shape[0]):
+                    r = row + stencil[k, 0]
+                    c = column + stencil[k, 1]
+                    if 0 <= r < rows and 0 <= c < columns:
+                        index = r * columns + c
+                        packed[index >> 3] |= np.uint8(1 << (index & 7))
+
+
+@nb.njit(cache=True)
+def _model_table(filaments, constants, threshold, frame_time, dt, stencil, rows, columns, bits):  # type: ignore[no-untyped-def]
+    """Fill ``bits`` (steps, bytes): frames of a step united, spread over the antenna, packed."""
+    field = np.zeros((rows, columns), dtype=np.float32)
+    hits = np.zeros((rows, columns), dtype=np.bool_)
+    for step in range(bits.shape[0]):
+        first = math.floor(step * dt / frame_time + 1e-9)
+        last = math.floor((step + 1) * dt / frame_time + 1e-9)
+        lowest, highest, leftmost, rightmost = rows, 0, columns, 0
+        for frame in range(first, max(first + 1, last)):
+            bottom, top, left, right = paint(field, frame * frame_time, filaments, *constants)
+            for row in range(bottom, top):
+                for column in range(left, right):
+                    hits[row, column] |= field[row, column] > threshold
+                    field[row, column] = 0.0
+            lowest = min(lowest, bottom)
+            highest = max(highest, top)
+            leftmost = min(leftmost, left)
+            rightmost = max(rightmost, right)
+        _spread(hits, lowest, highest, leftmost, rightmost, stencil, bits[step])

@@ -1,0 +1,1 @@
+"""A searcher and an odour source."""

@@ -1,0 +1,270 @@
+"""The odour-search world: one searcher, a plume, two antennae, wind and visual flow.
+
+The source lies at the origin and the air flows towards +x. The searcher is never told where it is:
+the focus of its egocentric frame is the fixed upwind direction (-1, 0), "left" is then -y.
+
+State beside position and velocity: the heading of the body, the signals of the two antennae, and
+the plume's pattern and phase. All readings are those of the step that led to the present state.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import Scenario
+from animarl_envs.species import SearchSpecies
+from animarl_envs.worlds.base import ObservationComponent, World, recorded_speed
+from animarl_envs.worlds.plume.plume import ModelPlume, PlumeField, as_plume, hit_table
+from animarl_envs.worlds.search import kernels as kernels
+from animarl_envs.worlds.search.kernels import Senses
+
+HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
+
+
+class SearchWorld(World):
+    """Batched odour search; see :class:`animarl_envs.worlds.base.World` for the arrays.
+
+    Reward: ``touch`` +1 at the source. Contact terminates, the time limit truncates.
+
+    Further attributes
+    ------------------
+    heading
+        ``(B, 2)`` unit vector, arena frame: the direction of the velocity, kept at rest.
+    body_angle
+        ``(B,)``, the heading from upwind, counter-clockwise (to the left) [rad].
+    odour
+        ``(B, 2)``, signals of the left and right antenna: 1 when hit, then decaying.
+    pattern, phase
+        ``(B,)``: index into ``patterns``, and the plume's step at the start of the episode.
+    """
+
+    reward_components = ("touch",)
+    _state_names = (*World._state_names, "heading", "body_angle", "odour", "pattern", "phase")
+
+    def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
+        species = scenario.species
+        assert isinstance(species, SearchSpecies)
+        if species.num_individuals != 1:
+            raise InputError(
+                f"{species.name} has {species.num_individuals} searchers: it needs one"
+            )
+        if scenario.drivers[0] == "scripted":
+            raise InputError(
+                f"{species.individuals[0]} has no scripted rule in the world: drive it by actions, "
+                "for instance with animarl_envs.worlds.search.programmed_moth"
+            )
+        self.observation_components = observation_components(species, recorded_speed(scenario))
+        super().__init__(scenario, num_copies)
+        B = num_copies
+        self._heading = np.zeros((2, B))
+        self._heading[0] = -1.0
+        self.heading = self._heading.T
+        self.body_angle = np.zeros(B)
+        self._odour = np.full((2, B), species.odour_baseline)
+        self.odour = self._odour.T
+        self.pattern = np.zeros(B, dtype=np.int64)
+        self.phase = np.zeros(B, dtype=np.int64)
+
+        self.plume = as_plume(species.plume)
+        groups = _pattern_groups(species, self.plume.num_patterns, self._own_patterns)
+        self.patterns = tuple(sorted({p for group in groups for p in group}))
+        self._scale = scale = species.metres_per_unit
+        table = hit_table(self.plume, self.patterns, species.dt, species.antenna_radius * scale)
+        self._table = table._replace(cell=table.cell / scale)  # from here on in arena units
+        self._episodes = _recorded_senses(scenario.demos, self.patterns, groups, self._own_patterns)
+        self._senses = _senses(species)
+        loco = species.locomotion[0]
+        numbers = (
+            loco.damping, loco.thrust, species.contact_radius, species.time_limit, self._warmup,
+        )  # fmt: skip
+        self._state = kernels.bundle(
+            int(self._drivers[0]), self._demos, self._episodes.hits, self._table, self._senses,
+            numbers, self.demo, self.condition, self.pattern, self.phase, self._position[0],
+            self._velocity[0], self._heading, self.body_angle, self._odour,
+            self._components[0, 0], self._reward[0], self.terminated, self.truncated,
+            self.outcome, self.step_count, self.warming, self._sensed[0],
+        )  # fmt: skip
+        fixed = scenario.start
+        self._first = np.array(
+            [species.start_distance, 0.0] if isinstance(fixed, str) else fixed[0], dtype=np.float64
+        )
+
+    @property
+    def _own_patterns(self) -> bool:
+        """Whether the plume is the model, whose patterns are dealt to training and test."""
+        return isinstance(self.plume, ModelPlume)
+
+    def _start(self, mask: NDArray[np.bool_]) -> None:
+        kernels.start(
+            mask, self._demos.position, self._demos.velocity, self._demos.start, *self._episodes,
+            self._first, self._table, self._senses, self.random_state, self.demo, self.condition,
+            self._position[0], self._velocity[0], self._heading, self.body_angle, self._odour,
+            self.pattern, self.phase, self._sensed[0],
+        )  # fmt: skip
+
+    def _advance(self, actions: NDArray[np.integer]) -> None:
+        kernels.step(actions, self._state)
+
+    # -- to look at -------------------------------------------------------------------------------
+
+    def antennae(self) -> NDArray[np.float64]:
+        """Positions of the left and right antenna, ``(B, 2, 2)``, arena frame."""
+        return antennae_at(self.scenario.species, self.position[:, 0], self.heading)
+
+    def scene_details(self, copy: int) -> dict[str, Any]:
+        """What a :class:`animarl_envs.drawing.scene.Scene` shows beside the searcher itself."""
+        step = int(self.phase[copy] + self.step_count[copy]) % self._table.bits.shape[1]
+        pattern = self.patterns[self.pattern[copy]]
+        values, extent = self.plume.field(pattern, (step + 1) * self.scenario.species.dt)
+        left, right, low, high = (edge / self._scale for edge in extent)
+        return {
+            "plume": PlumeField(values=values, extent=(left, right, low, high)),
+            "source": (0.0, 0.0),
+            "wind": 0.0,
+            "antennae": self.antennae()[copy],
+            "odour": (float(self.odour[copy, 0]), float(self.odour[copy, 1])),
+            "headings": np.array([math.atan2(self.heading[copy, 1], self.heading[copy, 0])]),
+            "unit": "m",
+        }
+
+
+def antennae_at(
+    species: Any, position: NDArray[np.float64], heading: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Left and right antenna ``(..., 2, 2)`` of bodies at ``(..., 2)`` with unit headings."""
+    angle = np.deg2rad(species.antenna_angle)
+    ahead = species.antenna_length * math.cos(angle) * heading
+    beside = species.antenna_length * math.sin(angle) * heading
+    left = np.stack([-beside[..., 1], beside[..., 0]], axis=-1)
+    return np.stack([position + ahead + left, position + ahead - left], axis=-2)
+
+
+def observation_components(
+    species: SearchSpecies, fastest: float = 0.0
+) -> tuple[ObservationComponent, ...]:
+    """What each entry of an observation means, in order. The position is not among them.
+
+    The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are.
+    """
+    limit = species.time_limit + 1
+    top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
+    ego = "egocentric, x upwind, y to the left"
+    entries = [
+        ObservationComponent("velocity ahead", ego, "arena unit / s", -top, top),
+        ObservationComponent("velocity left", ego, "arena unit / s", -top, top),
+        ObservationComponent("body angle", ego, "rad", -math.pi, math.pi),
+        ObservationComponent("odour left", "body", "1", 0.0, 1.0),
+        ObservationComponent("odour right", "body", "1", 0.0, 1.0),
+        ObservationComponent(
+            "visual flow", "body", "rad / s", -species.flow_limit, species.flow_limit
+        ),
+    ]
+    entries += [
+        ObservationComponent(f"wind from {side}", "body", "1", 0.0, 1.0)
+        for side in ("front", "right", "left", "back")
+    ]
+    return tuple(entries)
+
+
+def demonstration_observations(
+    species: SearchSpecies, demos: Demonstrations, condition: int | None = None
+) -> NDArray[np.float32]:
+    """Observations of recorded episodes, ``(frames, 1, n)``, for offline learning.
+
+    The kernel is that of the simulation, so both mean the same: the heading is the direction of the
+    recorded velocity. The odour is what was recorded: signals ``odour_left`` and ``odour_right``,
+    hit or not in the step that led to each frame. ``condition`` replaces the recorded one.
+
+    Raises
+    ------
+    InputError
+        If the demonstrations hold no odour signals.
+    """
+    recorded = _recorded_senses(demos, (), ((), ()), False)
+    if not len(recorded.hits):
+        raise InputError(
+            f"{demos.name}: it lacks the signals 'odour_left' and 'odour_right', without which "
+            "there is no observation of a search: import them with the tracks"
+        )
+    out = np.zeros((len(observation_components(species)), len(demos.positions)), np.float32)
+    conditions = demos.condition if condition is None else np.full_like(demos.condition, condition)
+    kernels.sense_recorded(
+        demos.velocities(), demos.offsets.astype(np.int64), conditions, recorded.hits,
+        recorded.heading, _senses(species), out,
+    )  # fmt: skip
+    return np.ascontiguousarray(out.T)[:, None]
+
+
+# -- numbers and recordings for the kernels ---------------------------------------------------
+
+
+def _senses(species: SearchSpecies) -> Senses:
+    angle = math.radians(species.antenna_angle)
+    return Senses(
+        species.dt, species.rest_speed, species.antenna_length * math.cos(angle),
+        species.antenna_length * math.sin(angle), math.exp(-species.dt / species.odour_decay),
+        species.odour_baseline, species.flow_threshold, species.flow_limit,
+    )  # fmt: skip
+
+
+class _RecordedSenses(NamedTuple):
+    hits: NDArray[np.bool_]  # (frames, 2), or empty
+    heading: NDArray[np.float64]  # (frames,) [rad], or empty
+    candidates: NDArray[np.int64]  # (2, patterns), first those of training, then of test
+    num_candidates: NDArray[np.int64]  # (2,)
+    group: NDArray[np.int64]  # (episodes,), row of candidates
+    pattern: NDArray[np.int64]  # (episodes,), -1: draw it
+    phase: NDArray[np.int64]  # (episodes,), -1: draw it
+
+
+def _pattern_groups(
+    species: SearchSpecies, num_patterns: int, model: bool
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Plume patterns of training and of held-out episodes; a user's plume is the same for both."""
+    if model:
+        return species.train_plumes, species.test_plumes
+    return tuple(range(num_patterns)), tuple(range(num_patterns))
+
+
+def _recorded_senses(
+    demos: Demonstrations | None,
+    patterns: tuple[int, ...],
+    groups: tuple[tuple[int, ...], tuple[int, ...]],
+    model: bool,
+) -> _RecordedSenses:
+    candidates = np.zeros((2, max(1, *map(len, groups))), dtype=np.int64)
+    for row, group in enumerate(groups):
+        candidates[row, : len(group)] = [patterns.index(p) for p in group]
+    count = demos.num_episodes if demos else 0
+    hits, heading = np.zeros((0, 2), dtype=bool), np.zeros(0)
+    group_of = np.zeros(count, dtype=np.int64)
+    pattern, phase = np.full(count, -1), np.full(count, -1)
+    if demos is not None:
+        signals = {name: np.squeeze(value) for name, value in demos.signals.items()}
+        group_of[demos.split != "train"] = 1
+        if {"odour_left", "odour_right"} <= set(signals):
+            both = np.stack([signals["odour_left"], signals["odour_right"]], axis=-1)
+            hits = both.astype(np.float64) >= HIT_SHARE
+        if "heading" in signals:
+            heading = signals["heading"].astype(np.float64)
+        if model and "plume" in signals:
+            numbers = signals["plume"][demos.offsets[:-1]]
+            strange = sorted(set(numbers.tolist()) - set(patterns))
+            if strange:
+                raise InputError(
+                    f"{demos.name}: signal 'plume' names pattern {strange[0]}, which is neither in "
+                    "train_plumes nor in test_plumes: add it, or pass demos=None to search "
+                    f"patterns {patterns} only"
+                )
+            pattern = np.searchsorted(patterns, numbers).astype(np.int64)
+            if "plume_step" in signals:
+                phase = signals["plume_step"][demos.offsets[:-1]].astype(np.int64)
+    return _RecordedSenses(
+        hits, heading, candidates, np.array([len(g) for g in groups]), group_of, pattern, phase
+    )

@@ -1,0 +1,1 @@
+"""Generators of the packaged demonstrations, and the plume's calibration."""
