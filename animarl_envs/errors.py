@@ -6,7 +6,7 @@ _APPENDED_BY_GYMNASIUM = " was raised from the environment creator for "
 
 
 class InputError(ValueError):
-    """Input that cannot be used, said in one sentence: what, where in it, and the mend.
+    """Input that cannot be used, said in one sentence: what, where, and what to do about it.
 
     The command line prints the sentence alone and exits with code 2; from Python it is a
     :class:`ValueError`.

@@ -256,7 +256,7 @@ def refuse_other_species(demos: Demonstrations, species: str, option: str = "spe
         )
 
 
-def describe(scenario: Scenario) -> dict[str, Any]:
+def scenario_as_data(scenario: Scenario) -> dict[str, Any]:
     """The scenario as plain data, for ``info["scenario"]`` at reset.
 
     All numbers of the species under their names (``species`` is its name), and the options of

@@ -38,7 +38,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from animarl_algos.cli.run import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.gradient_step import evaluate
+from animarl_algos.learner.gradient_step import minibatch_values
 from animarl_algos.learner.offline import OfflineDataset
 from animarl_algos.learner.settings import constructed
 from animarl_algos.recipes.dqcil import DQCIL
@@ -158,7 +158,7 @@ def memories(
     parts: list[list[tuple[torch.Tensor, torch.Tensor]]] = [[] for _ in model.layout.individuals]
     policy = model.policy
     for batch in dataset.batches(model.offline_batch_size):
-        seen = evaluate(
+        seen = minibatch_values(
             batch,
             model.phase("offline"),
             policy.q_net,

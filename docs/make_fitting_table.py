@@ -19,7 +19,7 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cutting import Cutting
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read, read_tracks
 from animarl_envs.importing.tracks import merge
 
@@ -65,7 +65,7 @@ def fly_pair(data: Path) -> Demonstrations:
         )
         for name in ("male", "female")
     ]  # fmt: skip
-    recipe = Recipe(target="female", decision_rate=10.0, cutting=Cutting(piece=float("inf")))
+    recipe = ImportRecipe(target="female", decision_rate=10.0, cutting=Cutting(piece=float("inf")))
     return demonstrations_from_tracks(merge(parts), recipe, "fly pair")
 
 

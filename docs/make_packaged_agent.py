@@ -19,7 +19,7 @@ COLOURS = (to_hex(PURSUERS[2]), to_hex(PURSUERS[3]))  # individual, shared
 
 def main() -> None:
     demos = load_packaged("agent")
-    with style.house_style():
+    with style.figure_style():
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(11, 6.6), layout="constrained")

@@ -11,8 +11,8 @@ import toys
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.gradient_step import evaluate
-from animarl_algos.losses.terms import Evaluation
+from animarl_algos.learner.gradient_step import minibatch_values
+from animarl_algos.losses.terms import MinibatchValues
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.replay.batch import SequenceBatch
 
@@ -101,10 +101,10 @@ def weights(model: SequenceQLearning) -> torch.Tensor:
 
 def evaluated(
     model: SequenceQLearning, batch: SequenceBatch, *, needs_target: bool = True
-) -> Evaluation:
+) -> MinibatchValues:
     """What the online loss terms of ``model`` see of a minibatch."""
     policy = model.policy
-    return evaluate(
+    return minibatch_values(
         batch,
         model.phase("online"),
         policy.q_net,

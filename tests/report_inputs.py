@@ -7,7 +7,8 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation import ReportInputs, Rollouts, evaluate
+from animarl_algos.evaluation import Rollouts, evaluate
+from animarl_algos.report import ReportInputs
 from animarl_algos.report.report import render_report
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -119,7 +120,7 @@ def report_inputs() -> ReportInputs:
     }
     return ReportInputs(
         title="A run",
-        focus="dqdil",
+        learner="dqdil",
         demos=demos,
         rollouts=rollouts,
         evaluation=evaluate(

@@ -15,7 +15,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import Cleaning, clean, fill_gaps, find_jumps, resample, smooth
 from animarl_envs.importing.cutting import Cutting, cut_episodes, most_approached
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.scaling import Scale, Scaling, scale_of
 from animarl_envs.importing.tracks import Tracks, merge
 
@@ -163,17 +163,17 @@ def test_whole_recordings_break_at_gaps_and_end_at_contact() -> None:
 def test_a_lone_long_recording_is_cut_in_pieces_without_losing_a_step() -> None:
     bodies = wave(0.1, 30.0, seconds=60.0)
     scaling = Scaling(width=2.0, centre=(0.0, 0.0))
-    demos = demonstrations_from_tracks([tracks(bodies)], Recipe(scaling=scaling))
+    demos = demonstrations_from_tracks([tracks(bodies)], ImportRecipe(scaling=scaling))
     assert demos.num_episodes == 10 and set(demos.split) == {"train", "val", "test"}
     # Neighbours share a frame; the first frame of each only makes its first velocity.
     np.testing.assert_allclose(demos.positions, bodies[1:] / 1.0)
     thinned = demonstrations_from_tracks(
-        [tracks(bodies)], Recipe(scaling=scaling, decision_rate=10.0)
+        [tracks(bodies)], ImportRecipe(scaling=scaling, decision_rate=10.0)
     )
     np.testing.assert_allclose(thinned.positions, bodies[3::3])
-    whole = Recipe(scaling=scaling, cutting=Cutting(piece=np.inf))
+    whole = ImportRecipe(scaling=scaling, cutting=Cutting(piece=np.inf))
     assert demonstrations_from_tracks([tracks(bodies)], whole).num_episodes == 1
-    given = Recipe(scaling=scaling, cutting=Cutting(piece=4.0))
+    given = ImportRecipe(scaling=scaling, cutting=Cutting(piece=4.0))
     assert demonstrations_from_tracks([tracks(bodies)], given).num_episodes == 15
 
 
@@ -202,7 +202,8 @@ def test_the_one_who_is_approached_is_the_target() -> None:
     bodies = np.stack([pursuers[0], target, pursuers[1]], axis=1)
     assert most_approached([bodies]) == 1
     demos = demonstrations_from_tracks(
-        [tracks(bodies)], Recipe(target="auto", scaling=Scaling(width=20.0, centre=(0.0, 0.0)))
+        [tracks(bodies)],
+        ImportRecipe(target="auto", scaling=Scaling(width=20.0, centre=(0.0, 0.0))),
     )
     assert demos.individuals == ("animal_0", "animal_2", "animal_1")
     assert demos.roles == ("pursuer", "pursuer", "target")
@@ -211,7 +212,7 @@ def test_the_one_who_is_approached_is_the_target() -> None:
 
 def test_the_first_sample_only_makes_the_first_velocity() -> None:
     bodies = wave(0.1, 30.0)
-    recipe = Recipe(decision_rate=10.0, scaling=Scaling(width=2.0, centre=(0.0, 0.0)))
+    recipe = ImportRecipe(decision_rate=10.0, scaling=Scaling(width=2.0, centre=(0.0, 0.0)))
     recipe = replace(recipe, cutting=Cutting(piece=np.inf))
     demos = demonstrations_from_tracks([tracks(bodies)], recipe)
     assert demos.dt == pytest.approx(0.1)
@@ -224,12 +225,12 @@ def test_no_recording_lies_in_two_splits() -> None:
     recordings = [tracks(bodies, recording=f"day{i // 2}_run{i}") for i in range(12)]
     cut = Cutting(mode="approach", farther_than=0.5, closer_than=0.2)
     scaling = Scaling(width=2.0, centre=(0.0, 0.0))
-    recipe = Recipe(target="animal_1", cutting=cut, scaling=scaling)
+    recipe = ImportRecipe(target="animal_1", cutting=cut, scaling=scaling)
     demos = demonstrations_from_tracks(recordings, recipe)
     assert demos.num_episodes == 24
     for name in np.unique(demos.recording):
         assert len(np.unique(demos.split[demos.recording == name])) == 1
-    by_day = Recipe.from_dict(
+    by_day = ImportRecipe.from_dict(
         recipe.to_dict() | {"splitting": {"by": "group", "pattern": r"(day\d)", "seed": 3}}
     )
     grouped = demonstrations_from_tracks(recordings, by_day)
@@ -247,20 +248,20 @@ def test_no_split_stays_empty_with_three_groups_or_more(count: int) -> None:
 
 
 def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None:
-    recipe = Recipe(
+    recipe = ImportRecipe(
         source="sleap", individuals=("a", "b"), rename={"a": "male"}, decision_rate=10.0,
         cleaning=Cleaning(max_gap=0.5, smoothing_cutoff=2.0), splitting=Splitting(seed=4),
         cutting=Cutting(mode="approach", farther_than=0.3, closer_than=0.2, longest=300.0),
     )  # fmt: skip
-    assert Recipe.load(recipe.save(tmp_path / "recipe.yaml")) == recipe
+    assert ImportRecipe.load(recipe.save(tmp_path / "recipe.yaml")) == recipe
     (tmp_path / "list.yaml").write_text("- 1")
     with pytest.raises(InputError, match="no recipe: give one that 'animarl import' wrote beside"):
-        Recipe.load(tmp_path / "list.yaml")
+        ImportRecipe.load(tmp_path / "list.yaml")
     with pytest.raises(InputError, match="entry 'smothing' is unknown"):
-        Recipe.from_dict({"cleaning": {"smothing": 2}})
+        ImportRecipe.from_dict({"cleaning": {"smothing": 2}})
     (tmp_path / "bad.yaml").write_text("a: [1\n")
     with pytest.raises(InputError, match="cannot be read"):
-        Recipe.load(tmp_path / "bad.yaml")
+        ImportRecipe.load(tmp_path / "bad.yaml")
 
 
 def test_files_of_one_recording_are_merged() -> None:
@@ -276,7 +277,7 @@ def test_filled_gaps_are_marked_in_the_episodes_and_their_table() -> None:
 
     bodies = np.concatenate([wave(0.1, 30.0), 0.5 * wave(0.1, 30.0)], axis=1)
     bodies[100:104, 1] = np.nan
-    recipe = Recipe(
+    recipe = ImportRecipe(
         target="animal_0", cleaning=Cleaning(max_gap=0.2), cutting=Cutting(piece=np.inf),
         scaling=Scaling(width=2.0, centre=(0.0, 0.0)),
     )  # fmt: skip
@@ -286,7 +287,10 @@ def test_filled_gaps_are_marked_in_the_episodes_and_their_table() -> None:
     assert marked.tolist() == [[frame - 1, 0] for frame in range(100, 104)]
     (row,) = episode_table(demos)
     assert row["filled_frames_animal_1"] == 4 and row["filled_frames_animal_0"] == 0
-    assert "filled" not in demonstrations_from_tracks([tracks(wave(0.1, 30.0))], Recipe()).signals
+    assert (
+        "filled"
+        not in demonstrations_from_tracks([tracks(wave(0.1, 30.0))], ImportRecipe()).signals
+    )
 
 
 @pytest.mark.parametrize("drop", [False, True])

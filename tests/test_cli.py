@@ -148,7 +148,7 @@ def test_a_command_that_is_stopped_says_how_to_go_on(
     command = ("train", str(small), "--algo", "dqn", *TINY[:4], "--out", "run")
     before = signal.getsignal(signal.SIGTERM)
     with monkeypatch.context() as patched:
-        patched.setattr("animarl_algos.runs.pipeline.train", interrupted)
+        patched.setattr("animarl_algos.runs.pipeline.learn", interrupted)
         done = animarl(*command)
     assert signal.getsignal(signal.SIGTERM) == before
     assert done.returncode == code and "the same command takes up" in done.stderr

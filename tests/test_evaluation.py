@@ -10,8 +10,8 @@ import pytest
 from report_inputs import make_demos, make_rollouts, report_inputs, report_page
 from rich.console import Console
 
-from animarl_algos.evaluation import Evaluation, evaluate, evaluation_table, measure
-from animarl_algos.report import panels
+from animarl_algos.evaluation import Evaluation, evaluate, measure
+from animarl_algos.report import evaluation_table, panels
 from animarl_algos.report.report import render_report
 from animarl_envs.errors import InputError
 
@@ -51,7 +51,7 @@ def test_rollouts_in_another_condition_alone_are_refused() -> None:
 
 def test_examples_are_factual_and_in_order() -> None:
     """A flipped cue, or rollouts in another order, must not mix up paths and their distances."""
-    flipped = dataclasses.replace(report_inputs(), focus="dqcil")
+    flipped = dataclasses.replace(report_inputs(), learner="dqcil")
     rollouts, dtw = panels._factual(flipped)
     assert len(rollouts) == 24 and (rollouts.cue == rollouts.condition).all()
     assert dtw == pytest.approx(measure(rollouts, flipped.demos)["dtw"].to_numpy())
@@ -60,7 +60,7 @@ def test_examples_are_factual_and_in_order() -> None:
 def test_the_terminal_table_names_every_method() -> None:
     console = Console(width=120)
     with console.capture() as printed:
-        console.print(evaluation_table(report_inputs().evaluation, focus="dqdil"))
+        console.print(evaluation_table(report_inputs().evaluation, learner="dqdil"))
     text = printed.get()
     for name in ("demonstrated", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
         assert name in text

@@ -18,7 +18,7 @@ from animarl_algos.cli.importing import import_command
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read
 
 APP = typer.Typer()
@@ -153,7 +153,9 @@ def test_recipes_are_plain_json(tmp_path: Path) -> None:
         default_recipe(get_reader("long-table"), frame_rate=20.0), [write_long(tmp_path)]
     )
     recipe = json.loads(json.dumps(dict(demos.provenance)))["recipe"]
-    assert Recipe.from_dict(recipe) == default_recipe(get_reader("long-table"), frame_rate=20.0)
+    assert ImportRecipe.from_dict(recipe) == default_recipe(
+        get_reader("long-table"), frame_rate=20.0
+    )
 
 
 def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
@@ -173,7 +175,7 @@ def test_import_takes_jumps_out_and_check_names_them(tmp_path: Path) -> None:
         "import", tmp_path / "pair.csv", *words, "--drop-jumps", "--max-gap", 0.2, "--out", dropped
     )
     assert "flagged in" not in said
-    recipe = Recipe.load(tmp_path / "dropped.recipe.yaml")
+    recipe = ImportRecipe.load(tmp_path / "dropped.recipe.yaml")
     assert recipe.cleaning.drop_jumps and recipe.cleaning.max_gap == 0.2
     assert np.ptp(Demonstrations.load(out).positions[:, 0, 0]) > 0.7
     assert np.ptp(Demonstrations.load(dropped).positions[:, 0, 0]) < 0.1

@@ -10,7 +10,7 @@ import pytest
 
 from animarl_envs.demos import Demonstrations
 from animarl_envs.fitting import fit_locomotion
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader
 from tools.packaged_data.moth_comparison import RECORDED_FIT
 
@@ -55,7 +55,7 @@ def test_import_of_termite_pairs_cut_from_three_to_one_body_length(
         }  # fmt: skip
         if as_recorded:
             recipe |= {"decision_rate": None, "cleaning": {}}
-        demos = follow(Recipe.from_dict(recipe), [path])
+        demos = follow(ImportRecipe.from_dict(recipe), [path])
         counts[kind] = demos.num_episodes
         assert demos.roles == ("pursuer", "target") and demos.individuals == ("male", "female")
     assert counts == ({"Cf": 82, "Rs": 58} if as_recorded else {"Cf": 75, "Rs": 57})

@@ -22,7 +22,7 @@ from animarl_algos.losses.losses import (
     treatment_cross_entropy,
 )
 from animarl_algos.losses.quantile_huber import quantile_huber, quantile_huber_definition
-from animarl_algos.losses.terms import Evaluation, Phase
+from animarl_algos.losses.terms import MinibatchValues, Phase
 from animarl_algos.losses.values import (
     ErrorLoss,
     ExpectedValue,
@@ -54,7 +54,7 @@ def double_q_target(
     def with_first(values: torch.Tensor) -> GivenValues:
         return GivenValues(torch.cat([torch.full_like(values[:, :1], 99.0), values], dim=1))
 
-    evaluation = Evaluation(
+    minibatch = MinibatchValues(
         batch=SimpleNamespace(terminated=terminated.float()),  # type: ignore[arg-type]
         phase=Phase("online", gamma, 0.0, 0.0, 0.0, 0.0, None),
         distribution=ExpectedValue(),
@@ -64,7 +64,7 @@ def double_q_target(
         treatment_logits=None,
         parameters=[],
     )
-    return evaluation.double_q_target(rewards)
+    return minibatch.double_q_target(rewards)
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,11 @@ def test_movement_loads_what_this_project_has_no_reader_for(tmp_path: Path) -> N
 
 
 def test_trex_files_of_one_video_become_one_recording(tmp_path: Path) -> None:
-    from animarl_envs.importing.import_recipe import Recipe
+    from animarl_envs.importing.import_recipe import ImportRecipe
 
     write_trex(tmp_path)
     files = sorted(tmp_path.glob("video_fish*.npz"))
-    demos = follow(Recipe(target="fish1"), files)
+    demos = follow(ImportRecipe(target="fish1"), files)
     assert demos.individuals == ("fish0", "fish1") and demos.dt == pytest.approx(0.04)
     assert demos.recording.tolist() == ["video"]
 

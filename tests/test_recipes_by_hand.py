@@ -13,7 +13,7 @@ from animarl_algos.learner.exploration import LinearDecay, boltzmann_nll, fit_bo
 from animarl_algos.learner.gradient_step import sequence_priorities
 from animarl_algos.learner.offline import demonstrated_rank
 from animarl_algos.losses.terms import (
-    Evaluation,
+    MinibatchValues,
     ScoredActionsTemporalDifference,
     TemporalDifference,
     TreatmentAdversary,
@@ -44,21 +44,21 @@ def three_steps() -> SequenceBatch:
     )
 
 
-def three_steps_evaluated() -> Evaluation:
+def three_steps_evaluated() -> MinibatchValues:
     """Values: online (1, 2), (3, 1), (0, 4), (9, 9); the target network's ten times; gamma 0.5."""
     model = DQDIL("MlpPolicy", toys.Recall(2), **SETTINGS, alpha=2.0, gamma=0.5)
-    evaluation = evaluated(model, three_steps())
+    minibatch = evaluated(model, three_steps())
     online = torch.tensor([[1.0, 2.0], [3.0, 1.0], [0.0, 4.0], [9.0, 9.0]]).view(1, 4, 1, 2, 1)
-    evaluation.online, evaluation.target = GivenValues(online), GivenValues(10.0 * online)
-    return evaluation
+    minibatch.online, minibatch.target = GivenValues(online), GivenValues(10.0 * online)
+    return minibatch
 
 
 def test_temporal_difference_by_hand() -> None:
     """Targets: 1 + 15 = 16, 0 + 20 = 20, 2; values of the actions taken 1, 1, 0."""
-    evaluation = three_steps_evaluated()
-    loss = TemporalDifference()(evaluation)
+    minibatch = three_steps_evaluated()
+    loss = TemporalDifference()(minibatch)
     assert loss.item() == pytest.approx((15**2 + 19**2 + 2**2) / 3)
-    priority = sequence_priorities(evaluation)
+    priority = sequence_priorities(minibatch)
     assert priority is not None
     assert priority.item() == pytest.approx(0.9 * 19 + 0.1 * (15 + 19 + 2) / 3)
 
@@ -77,9 +77,9 @@ def test_all_actions_are_scored_by_hand() -> None:
 
 
 def test_masked_steps_enter_no_loss() -> None:
-    evaluation = three_steps_evaluated()
-    evaluation.valid[0, 1] = False
-    assert TemporalDifference()(evaluation).item() == pytest.approx((15**2 + 2**2) / 2)
+    minibatch = three_steps_evaluated()
+    minibatch.valid[0, 1] = False
+    assert TemporalDifference()(minibatch).item() == pytest.approx((15**2 + 2**2) / 2)
 
 
 def test_the_reversal_turns_the_encoders_gradient_alone() -> None:
@@ -90,9 +90,9 @@ def test_the_reversal_turns_the_encoders_gradient_alone() -> None:
         model.policy.q_net.reversal = reversal
         model.learn(40)
         assert model.replay_buffer is not None
-        evaluation = evaluated(model, model.replay_buffer.sample(4), needs_target=False)
+        minibatch = evaluated(model, model.replay_buffer.sample(4), needs_target=False)
         model.policy.optimizer.zero_grad()
-        TreatmentAdversary()(evaluation).sum().backward()  # type: ignore[no-untyped-call]
+        TreatmentAdversary()(minibatch).sum().backward()  # type: ignore[no-untyped-call]
         gradients[reversal] = {
             name: p.grad for name, p in model.policy.q_net.named_parameters() if p.grad is not None
         }

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from report_inputs import HOSTILE, make_demos, make_rollouts, report_inputs, report_page
 
-from animarl_algos.evaluation import ReportInputs, evaluate, write_report
+from animarl_algos.evaluation import evaluate
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.report import ReportInputs, write_report
 from animarl_algos.report.report import render_report
 from animarl_algos.report.sentences import with_interval
 from animarl_envs.errors import InputError
@@ -114,7 +115,7 @@ def test_hostile_names_are_harmless() -> None:
     html = render_report(
         ReportInputs(
             title=HOSTILE,
-            focus=HOSTILE,
+            learner=HOSTILE,
             demos=demos,
             rollouts=rollouts,
             evaluation=result,
@@ -133,7 +134,9 @@ def test_a_bare_run_without_captures_leaves_out_what_it_lacks(tmp_path: Path) ->
     never = dataclasses.replace(make_rollouts(demos, "bc"), outcome=np.zeros(48))
     result = evaluate({"bc": never}, demos, seed=0, resamples=50, distance_resamples=50)
     path = write_report(
-        ReportInputs(title="x", focus="bc", demos=demos, rollouts={"bc": never}, evaluation=result),
+        ReportInputs(
+            title="x", learner="bc", demos=demos, rollouts={"bc": never}, evaluation=result
+        ),
         tmp_path / "deep" / "report.html",
     )
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
@@ -150,7 +153,7 @@ def test_inputs_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(InputError, match="other demonstrations"):
         dataclasses.replace(inputs, demos=inputs.demos.select(condition=0))
     with pytest.raises(InputError, match="no rollouts of 'dqn'"):
-        dataclasses.replace(inputs, focus="dqn")
+        dataclasses.replace(inputs, learner="dqn")
     assert inputs.learning_curves is not None
     with pytest.raises(InputError, match="lack the column 'phase'"):
         dataclasses.replace(inputs, learning_curves=inputs.learning_curves.drop(columns="phase"))

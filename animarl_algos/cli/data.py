@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from animarl_algos.cli.describing import Row, describe, hints
+from animarl_algos.cli.describing import Row, demonstrations_at_a_glance, hints
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import Splitting, deal
@@ -20,7 +20,7 @@ from animarl_envs.demos.summary import episode_table, summarise
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.minari_io import export_minari
 from animarl_envs.importing.readers import available_readers, read
 
@@ -211,7 +211,7 @@ def write_long_table(demos: Demonstrations, out: Path) -> None:
                     writer.writerow([name, frame, who, x, y])
 
 
-def report(demos: Demonstrations, out: Path | None, plan: Recipe | None) -> None:
+def report(demos: Demonstrations, out: Path | None, plan: ImportRecipe | None) -> None:
     """Show the demonstrations; write them, and the recipe that made them, if ``out`` is given."""
     show(demos)
     if out is None:
@@ -226,7 +226,7 @@ def report(demos: Demonstrations, out: Path | None, plan: Recipe | None) -> None
 
 def show(demos: Demonstrations) -> None:
     """Print what demonstrations hold."""
-    show_rows(demos.name, describe(demos))
+    show_rows(demos.name, demonstrations_at_a_glance(demos))
 
 
 def show_rows(title: str, rows: list[Row]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.demos.summary import TRACKING, episode_table, summarise
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 
 Row = tuple[str, str]
 _SPLITS = {
@@ -21,7 +21,7 @@ _SPLITS = {
 }
 
 
-def describe(demos: Demonstrations) -> list[Row]:
+def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     """What a set of demonstrations holds, line by line."""
     found = summarise(demos)
     shortest, median, longest = (
@@ -79,7 +79,7 @@ def describe(demos: Demonstrations) -> list[Row]:
     return [*rows, ("fingerprint", found["fingerprint"])]
 
 
-def understood(recipe: Recipe, source: str, files: Sequence[Path]) -> list[Row]:
+def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
     """What an import is going to do, line by line."""
     clean, scale, cut, split = recipe.cleaning, recipe.scaling, recipe.cutting, recipe.splitting
     cleaning = [f"keypoint {clean.keypoint}"]
@@ -158,7 +158,7 @@ def _flags(cleaning: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _target(recipe: Recipe) -> str:
+def _target(recipe: ImportRecipe) -> str:
     if recipe.searcher:
         return "the source at the origin"
     if recipe.target is None:

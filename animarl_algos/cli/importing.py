@@ -14,7 +14,7 @@ from rich.progress import Progress
 from animarl_algos.cli.data import report, show_rows, wide_console
 from animarl_algos.cli.describing import hints, understood
 from animarl_envs.errors import InputError
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, find_reader, follow, read
 
 
@@ -130,8 +130,8 @@ def import_command(
         pairs = [entry.strip().partition("=") for entry in individuals.split(",")]
         given["individuals"] = [name for name, _, _ in pairs]
         given["rename"] = {name: new for name, _, new in pairs if new} or None
-    base = Recipe.load(recipe) if recipe is not None else default_recipe(reader)
-    plan = Recipe.from_dict(_merged(base.to_dict(), given), "the options given")
+    base = ImportRecipe.load(recipe) if recipe is not None else default_recipe(reader)
+    plan = ImportRecipe.from_dict(_merged(base.to_dict(), given), "the options given")
     with Progress(transient=True, console=Console(stderr=True)) as bar:
         task = bar.add_task(f"Reading {len(files)} file(s)", total=1.0)
 

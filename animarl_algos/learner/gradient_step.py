@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.losses.losses import clip_grad_norm_per_individual
-from animarl_algos.losses.terms import Evaluation, LossTerm, Phase, WeightDecay
+from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
 from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.gru import Packing
 from animarl_algos.networks.networks import StackedQNetwork
@@ -39,7 +39,7 @@ class UpdateResult:
     priorities: NDArray[np.float64] | None
 
 
-def evaluate(
+def minibatch_values(
     batch: SequenceBatch,
     phase: Phase,
     online: StackedQNetwork,
@@ -47,7 +47,7 @@ def evaluate(
     distribution: ValueDistribution,
     *,
     needs_target: bool,
-) -> Evaluation:
+) -> MinibatchValues:
     """Run the networks over a batch; leading ``burn_in`` steps only rebuild the states."""
     online_state, target_state = batch.initial_state, batch.initial_state
     if batch.burn_in and online.recurrent:
@@ -63,7 +63,7 @@ def evaluate(
                 batch.observations, batch.previous_actions, target_state, packing
             )
     logits = output.treatment_logits
-    return Evaluation(
+    return MinibatchValues(
         batch=batch,
         phase=phase,
         distribution=distribution,
@@ -76,7 +76,7 @@ def evaluate(
 
 
 def update(
-    evaluation: Evaluation,
+    minibatch: MinibatchValues,
     terms: Sequence[LossTerm],
     optimizer: torch.optim.Optimizer,
     *,
@@ -91,9 +91,9 @@ def update(
     InputError
         If the sum is not finite: training diverged. Nothing is stepped.
     """
-    phase = evaluation.phase
+    phase = minibatch.phase
     active = [term for term in terms if term.weight(phase) > 0]
-    losses = {term.name: term(evaluation) for term in active}
+    losses = {term.name: term(minibatch) for term in active}
     total = sum(
         term.weight(phase) * losses[term.name].sum()
         for term in active
@@ -103,18 +103,18 @@ def update(
         raise InputError(f"all weights of the {phase.name} loss are 0: give one that is not")
     if not math.isfinite(total.item()):
         raise _diverged(phase, losses)
-    for parameter in evaluation.parameters:
+    for parameter in minibatch.parameters:
         parameter.grad = None
     total.backward()  # type: ignore[no-untyped-call]
     decay = sum(term.weight(phase) for term in active if isinstance(term, WeightDecay))
     if decay:
-        _add_decay_gradient(evaluation.parameters, decay)
+        _add_decay_gradient(minibatch.parameters, decay)
     if phase.max_grad_norm is not None:
-        clip_grad_norm_per_individual(evaluation.parameters, phase.max_grad_norm)
+        clip_grad_norm_per_individual(minibatch.parameters, phase.max_grad_norm)
     optimizer.step()
     return UpdateResult(
         losses={name: loss.detach() for name, loss in losses.items()},
-        priorities=sequence_priorities(evaluation) if prioritized else None,
+        priorities=sequence_priorities(minibatch) if prioritized else None,
     )
 
 
@@ -140,13 +140,13 @@ def _add_decay_gradient(parameters: Sequence[torch.Tensor], weight: float) -> No
     torch._foreach_add_(gradients, list(parameters), alpha=2.0 * weight)  # type: ignore[arg-type]
 
 
-def sequence_priorities(evaluation: Evaluation) -> NDArray[np.float64] | None:
+def sequence_priorities(minibatch: MinibatchValues) -> NDArray[np.float64] | None:
     """``(K, B)``: a mixture of each sequence's largest and mean absolute error over valid steps."""
-    if evaluation.errors is None:
+    if minibatch.errors is None:
         return None
-    errors = torch.where(evaluation.valid, evaluation.errors, 0.0)
+    errors = torch.where(minibatch.valid, minibatch.errors, 0.0)
     largest = errors.amax(dim=1)
-    mean = errors.sum(dim=1) / evaluation.valid.sum(dim=1).clamp(min=1)
+    mean = errors.sum(dim=1) / minibatch.valid.sum(dim=1).clamp(min=1)
     mixed = PRIORITY_MAX_SHARE * largest + (1.0 - PRIORITY_MAX_SHARE) * mean
     return np.asarray(mixed.cpu().numpy(), dtype=np.float64)
 

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
-from animarl_algos.learner.gradient_step import evaluate, update
+from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.learner.online import OnlineLoop
 from animarl_algos.losses.losses import mean_recall, treatment_counts
 from animarl_algos.losses.terms import ScoredActionsTemporalDifference
@@ -189,7 +189,7 @@ def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> F
     totals: dict[str, torch.Tensor] = {}
     updates = 0
     for batch in dataset.batches(model.offline_batch_size, generator):
-        evaluation = evaluate(
+        minibatch = minibatch_values(
             batch.to(model.device),
             phase,
             policy.q_net,
@@ -197,7 +197,7 @@ def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> F
             policy.distribution,
             needs_target=any(term.needs_target for term in terms),
         )
-        for name, loss in update(evaluation, terms, policy.optimizer).losses.items():
+        for name, loss in update(minibatch, terms, policy.optimizer).losses.items():
             totals[name] = totals[name] + loss if name in totals else loss
         updates += 1
     row: Figures = {}
@@ -281,7 +281,7 @@ def demonstrated_values(model: OfflineLearner, dataset: OfflineDataset) -> Demon
     actions: list[list[NDArray[np.int64]]] = [[] for _ in range(count)]
     counts: list[torch.Tensor] = []
     for batch in dataset.batches(model.offline_batch_size):
-        evaluation = evaluate(
+        minibatch = minibatch_values(
             batch.to(model.device),
             model.phase("offline"),
             policy.q_net,
@@ -289,16 +289,16 @@ def demonstrated_values(model: OfflineLearner, dataset: OfflineDataset) -> Demon
             policy.distribution,
             needs_target=False,
         )
-        labels = evaluation.batch.labels
-        shown = (evaluation.valid & (labels >= 0)).cpu().numpy()
-        q_values = evaluation.q_values.double().cpu().numpy()
+        labels = minibatch.batch.labels
+        shown = (minibatch.valid & (labels >= 0)).cpu().numpy()
+        q_values = minibatch.q_values.double().cpu().numpy()
         for k in range(count):
             values[k].append(q_values[k][shown[k]])
             actions[k].append(labels[k].cpu().numpy()[shown[k]])
-        if evaluation.treatment_logits is not None:
+        if minibatch.treatment_logits is not None:
             counts.append(
                 treatment_counts(
-                    evaluation.treatment_logits, evaluation.batch.condition, evaluation.valid
+                    minibatch.treatment_logits, minibatch.batch.condition, minibatch.valid
                 )
             )
     if not all(sum(map(len, actions[k])) for k in range(count)):

@@ -24,7 +24,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.slots import SlotLayout
 from animarl_algos.learner.exploration import LinearDecay
-from animarl_algos.learner.gradient_step import evaluate, update
+from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.learner.progress import ProgressBar
 from animarl_algos.learner.recorder import Recorder, check_environment
 from animarl_algos.losses.losses import mean_recall, treatment_counts
@@ -297,7 +297,7 @@ class OnlineLoop(OffPolicyAlgorithm):
         totals: dict[str, torch.Tensor] = {}
         for _ in range(gradient_steps):
             batch = self.replay_buffer.sample(batch_size, progress)
-            evaluation = evaluate(
+            minibatch = minibatch_values(
                 batch,
                 phase,
                 policy.q_net,
@@ -306,15 +306,15 @@ class OnlineLoop(OffPolicyAlgorithm):
                 needs_target=any(term.needs_target for term in terms),
             )
             result = update(
-                evaluation, terms, policy.optimizer, prioritized=self.replay_buffer.prioritized
+                minibatch, terms, policy.optimizer, prioritized=self.replay_buffer.prioritized
             )
             if result.priorities is not None:
                 self.replay_buffer.update_priorities(batch.indices, result.priorities)
             for name, loss in result.losses.items():
                 totals[name] = totals[name] + loss if name in totals else loss
-            if evaluation.treatment_logits is not None:
+            if minibatch.treatment_logits is not None:
                 self._treatment_counts += treatment_counts(
-                    evaluation.treatment_logits, evaluation.batch.condition, evaluation.valid
+                    minibatch.treatment_logits, minibatch.batch.condition, minibatch.valid
                 )
         self._n_updates += gradient_steps
         for name, total in totals.items():

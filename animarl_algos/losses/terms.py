@@ -1,6 +1,6 @@
 """The loss terms that recipes are made of (paper, "Offline and online policy learning").
 
-A term looks at an :class:`Evaluation`, the networks' view of one minibatch of sequences, and
+A term looks at an :class:`MinibatchValues`, the networks' view of one minibatch of sequences, and
 returns one number per individual, averaged over that individual's valid steps. A recipe's loss is
 the sum of its terms, each with its weight of the phase (offline or online).
 """
@@ -85,7 +85,7 @@ class ActionValues(Protocol):
 
 
 @dataclass
-class Evaluation:
+class MinibatchValues:
     """What the networks say about a batch, from its first trained step on.
 
     Axes (individual K, time T, batch B, action A, quantile Q).
@@ -157,7 +157,7 @@ class LossTerm(Protocol):
         """Its factor in the sum."""
         ...
 
-    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         """``(K,)``, one number per individual."""
         ...
 
@@ -176,14 +176,14 @@ class TemporalDifference:
     def weight(self, phase: Phase) -> float:
         return 1.0
 
-    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
-        batch, rewards = evaluation.batch, evaluation.batch.rewards
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        batch, rewards = minibatch.batch, minibatch.batch.rewards
         if self.shaped:
-            rewards = rewards - evaluation.phase.alpha * batch.penalties
-        target = evaluation.double_q_target(rewards)
-        td = evaluation.distribution.td_loss(evaluation.taken_values(), target)
-        evaluation.errors = td.error
-        return masked_mean(td.loss, evaluation.valid, batch.weights)
+            rewards = rewards - minibatch.phase.alpha * batch.penalties
+        target = minibatch.double_q_target(rewards)
+        td = minibatch.distribution.td_loss(minibatch.taken_values(), target)
+        minibatch.errors = td.error
+        return masked_mean(td.loss, minibatch.valid, batch.weights)
 
 
 @dataclass(frozen=True)
@@ -213,24 +213,24 @@ class ScoredActionsTemporalDifference:
     def weight(self, phase: Phase) -> float:
         return 1.0
 
-    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
-        batch = evaluation.batch
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        batch = minibatch.batch
         if batch.action_penalties is None:
             raise InputError(
                 "the demonstrations carry no penalties of all actions: "
                 "make the dataset with the fitted dynamics of their species"
             )
-        penalty = evaluation.phase.alpha * batch.action_penalties
-        if evaluation.phase.scaled_penalties:
-            unit = masked_mean(batch.action_penalties.mean(-1), evaluation.valid)
+        penalty = minibatch.phase.alpha * batch.action_penalties
+        if minibatch.phase.scaled_penalties:
+            unit = masked_mean(batch.action_penalties.mean(-1), minibatch.valid)
             penalty = penalty / unit.clamp(min=1e-12).view(-1, 1, 1, 1)
         # Valid steps only: there are 13 values to each.
-        valid = evaluation.valid
-        target = evaluation.double_q_target(batch.rewards)[valid].unsqueeze(-2)
-        td = evaluation.distribution.td_loss(
-            evaluation.values[valid], target - penalty[valid].unsqueeze(-1)
+        valid = minibatch.valid
+        target = minibatch.double_q_target(batch.rewards)[valid].unsqueeze(-2)
+        td = minibatch.distribution.td_loss(
+            minibatch.values[valid], target - penalty[valid].unsqueeze(-1)
         )
-        evaluation.errors = _padded(td.error.mean(-1), valid)
+        minibatch.errors = _padded(td.error.mean(-1), valid)
         return masked_mean(_padded(td.loss.mean(-1), valid), valid, batch.weights)
 
 
@@ -256,10 +256,10 @@ class ActionSupervision:
     def weight(self, phase: Phase) -> float:
         return phase.lambda3 if self.weighted else 1.0
 
-    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
-        batch = evaluation.batch
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        batch = minibatch.batch
         return action_cross_entropy(
-            evaluation.q_values, batch.labels, evaluation.valid, batch.weights
+            minibatch.q_values, batch.labels, minibatch.valid, batch.weights
         )
 
 
@@ -273,11 +273,11 @@ class TreatmentAdversary:
     def weight(self, phase: Phase) -> float:
         return phase.lambda2
 
-    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
-        assert evaluation.treatment_logits is not None
-        batch = evaluation.batch
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        assert minibatch.treatment_logits is not None
+        batch = minibatch.batch
         return treatment_cross_entropy(
-            evaluation.treatment_logits, batch.condition, evaluation.valid, batch.weights
+            minibatch.treatment_logits, batch.condition, minibatch.valid, batch.weights
         )
 
 
@@ -296,5 +296,5 @@ class WeightDecay:
         return phase.lambda1
 
     @torch.no_grad()
-    def __call__(self, evaluation: Evaluation) -> torch.Tensor:
-        return squared_l2(evaluation.parameters)
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        return squared_l2(minibatch.parameters)

@@ -45,7 +45,7 @@ def trajectory_pair(
     arena, roles
         The field, whose outline is drawn, and what each individual is.
     """
-    with style.house_style():
+    with style.figure_style():
         from matplotlib.patches import Rectangle
 
         figure, axes = style.new_figure(1.7, 3.6, rows=2)
@@ -136,7 +136,7 @@ def speed_histogram(simulated: ArrayLike, recorded: ArrayLike, title: str = "") 
     """Speeds per step, recorded dark and simulated light, on shared bins; areas sum to one."""
     first, second = np.asarray(simulated, dtype=float), np.asarray(recorded, dtype=float)
     edges = shared_bins(first, second)
-    with style.house_style():
+    with style.figure_style():
         figure, panel = style.new_figure(4.0, 2.4)
         panel.hist(
             second, edges, density=True, color=style.RECORDED_FILL, label="recorded", alpha=0.85
@@ -187,7 +187,7 @@ def metric_distribution(
     names = list(values)
     samples = {name: _finite(value) for name, value in values.items()}
     rule = kde_rule(*(s for s in samples.values() if len(s))) if _any(samples) else None
-    with style.house_style():
+    with style.figure_style():
         figure, panel = style.new_figure(4.6, 0.75 + ROW_HEIGHT * len(names))
         style.light_grid(panel)
         for row, name in enumerate(names):
@@ -241,7 +241,7 @@ def interval_rows(
         By method, the range that nothing but chance would give, drawn as a grey bar.
     """
     names = list(means)
-    with style.house_style():
+    with style.figure_style():
         figure, panel = style.new_figure(4.6, 0.8 + 0.36 * len(names))
         style.light_grid(panel)
         for row, name in enumerate(names):
@@ -303,7 +303,7 @@ def counterfactual_lengths(
             told = int(row["cue"])
             label = conditions[c] if told == c else f"{conditions[c]} \u2192 {conditions[told]}"
             rows.append((label, interval(row, "value"), method, "o" if told == c else "D"))
-    with style.house_style():
+    with style.figure_style():
         figure, panel = style.new_figure(4.6, 0.8 + 0.36 * len(rows))
         style.light_grid(panel)
         for i, (_, value, name, marker) in enumerate(rows):

@@ -79,14 +79,14 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
                 cells.append(with_interval(less, percent))
             if metric is DTW:
                 cells += _dtw_cells(inputs, row)
-            lines.append(Row(cells, strong=row["method"] == inputs.focus))
+            lines.append(Row(cells, strong=row["method"] == inputs.learner))
         groups.append(Group(COUNTING[counting].capitalize() if metric is not RETURN else "", lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
     columns += ["Minus recorded"] if with_recorded else []
     columns += [f"Minus {BASELINE}"] if baseline is not None else []
     note = ""
     if metric is DTW:
-        columns += ["Within starts", f"Minus {method_label(inputs.focus)}", "Per step"]
+        columns += ["Within starts", f"Minus {method_label(inputs.learner)}", "Per step"]
         note = (
             " Within starts: the mean with what all methods share of a start taken out "
             "(Cousineau 2005, Morey 2008), to compare methods where episodes differ much in length."
@@ -101,12 +101,12 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
 
 
 def _dtw_cells(inputs: ReportInputs, row: Any) -> list[str]:
-    """Within starts, minus the method in focus, per step."""
+    """Within starts, minus the learner, per step."""
     evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
     step = comparison_row(evaluation.comparison, name, METRICS[-1], counting)
     return [
         with_interval(interval(row, "within")),
-        with_interval(pair_difference(evaluation.pairs, name, inputs.focus, DTW, counting)),
+        with_interval(pair_difference(evaluation.pairs, name, inputs.learner, DTW, counting)),
         NOTHING if step is None else with_interval(interval(step, "mean")),
     ]
 
@@ -139,7 +139,7 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
                     with_interval(interval(row, "wasserstein")),
                     with_interval(interval(row, "wasserstein_null")),
                 ]
-                lines.append(Row(cells, strong=name == inputs.focus))
+                lines.append(Row(cells, strong=name == inputs.learner))
             title = f"{metric.label} ({metric.unit}), {COUNTING[counting]}"
             groups.append(Group(title, lines))
     yield Table(

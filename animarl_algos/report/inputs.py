@@ -27,7 +27,7 @@ class ReportInputs:
     ----------
     title
         Of the page.
-    focus
+    learner
         The method that the summary, the trajectories and the speeds are about.
     demos
         The evaluated demonstrations.
@@ -40,7 +40,7 @@ class ReportInputs:
     fit
         The fitted locomotion, if it was fitted.
     decisions
-        What the method in focus values along a demonstration, if it has values.
+        What the learner values along a demonstration, if it has values.
     learning_curves
         Tidy, columns ``method, phase, seed, step, quantity, value``; the phase ``"offline"``
         counts epochs, every other one environment steps.
@@ -56,12 +56,12 @@ class ReportInputs:
     Raises
     ------
     InputError
-        If the evaluation is of other demonstrations, the focus has no rollouts, or the learning
+        If the evaluation is of other demonstrations, the learner has no rollouts, or the learning
         curves lack a column.
     """
 
     title: str
-    focus: str
+    learner: str
     demos: Demonstrations
     rollouts: Mapping[str, Rollouts]
     evaluation: Evaluation
@@ -82,9 +82,10 @@ class ReportInputs:
                 f"the evaluation is of other demonstrations than {self.demos.name}: "
                 "evaluate the run again"
             )
-        if self.focus not in self.rollouts:
+        if self.learner not in self.rollouts:
             raise InputError(
-                f"there are no rollouts of {self.focus!r}: choose one of {', '.join(self.rollouts)}"
+                f"there are no rollouts of {self.learner!r}: choose one of "
+                f"{', '.join(self.rollouts)}"
             )
         if self.learning_curves is not None:
             missing = [c for c in CURVE_COLUMNS if c not in self.learning_curves.columns]

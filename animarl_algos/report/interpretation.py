@@ -46,7 +46,7 @@ def values_along_path(
     """
     _check(q, "(steps, 13)", 2)
     time = np.arange(len(q)) * dt
-    with style.house_style():
+    with style.figure_style():
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(6.6, 3.6), layout="constrained")
@@ -111,7 +111,7 @@ def value_map(
         )
     direction = action_directions(q.argmax(axis=-1), focus)
     direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
-    with style.house_style():
+    with style.figure_style():
         figure, panel = style.new_figure(4.2, 3.6)
         mesh = panel.pcolormesh(
             x, y, q.max(axis=-1), cmap=SEQUENTIAL, shading="nearest", rasterized=True

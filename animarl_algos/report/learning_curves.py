@@ -45,11 +45,11 @@ class Curve:
     rows: pd.DataFrame
 
 
-def chosen_curves(curves: pd.DataFrame, focus: str) -> Iterator[Curve]:
+def chosen_curves(curves: pd.DataFrame, learner: str) -> Iterator[Curve]:
     """The panels of one phase, in order.
 
     Quantities that were also logged for each individual are shown by individual where that is a
-    loss of ``focus``, and as their mean elsewhere.
+    loss of ``learner``, and as their mean elsewhere.
     """
     curves = curves.assign(quantity=curves["quantity"].str.removeprefix("offline/"))
     curves = curves[~curves["quantity"].str.startswith(UNSHOWN)]
@@ -60,7 +60,7 @@ def chosen_curves(curves: pd.DataFrame, focus: str) -> Iterator[Curve]:
     for name in order:
         title = QUANTITIES.get(name, name.partition("/")[2].replace("_", " ") or name)
         parts = curves[curves["quantity"].str.startswith(f"{name}/")]
-        own = parts[parts["method"].str.casefold() == focus.casefold()]
+        own = parts[parts["method"].str.casefold() == learner.casefold()]
         if name.startswith("train/") and not own.empty:
             who = own["quantity"].str.removeprefix(f"{name}/")
             yield Curve(title, own.assign(method=who))
@@ -76,7 +76,7 @@ def learning_curve(curves: pd.DataFrame, title: str, x_label: str, y_label: str 
     curves
         Columns ``method, seed, step, value``.
     """
-    with style.house_style():
+    with style.figure_style():
         figure, panel = style.new_figure(3.1, 2.2)
         style.light_grid(panel, "y")
         methods = list(curves.groupby("method", sort=False))

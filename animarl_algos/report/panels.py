@@ -160,22 +160,22 @@ def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
     return images
 
 
-def learning_panels(curves: pd.DataFrame, focus: str, *, offline: bool) -> list[Image]:
+def learning_panels(curves: pd.DataFrame, learner: str, *, offline: bool) -> list[Image]:
     """One panel per quantity."""
     label = "Epoch" if offline else "Environment steps"
     return [
         to_image(learning_curve(curve.rows, curve.title, label), f"{curve.title} over training")
-        for curve in chosen_curves(curves, focus)
+        for curve in chosen_curves(curves, learner)
     ]
 
 
 def _factual(inputs: ReportInputs) -> tuple[Rollouts, NDArray[np.float64]]:
-    """The rollouts in focus that the tables compare, and their DTW distances."""
-    rollouts = inputs.rollouts[inputs.focus]
+    """The rollouts of the learner that the tables compare, and their DTW distances."""
+    rollouts = inputs.rollouts[inputs.learner]
     rows = inputs.evaluation.metrics
-    first = int(np.flatnonzero(rows["method"] == inputs.focus)[0])
+    first = int(np.flatnonzero(rows["method"] == inputs.learner)[0])
     compared = factual(rows)
-    compared = compared[compared["method"] == inputs.focus]
+    compared = compared[compared["method"] == inputs.learner]
     chosen = compared.index.to_numpy() - first  # rows stand in the order of the rollouts
     return rollouts.select(chosen), compared[DTW.key].to_numpy(dtype=np.float64)
 

@@ -34,7 +34,7 @@ def facts(inputs: ReportInputs) -> list[tuple[str, str]]:
     rows = [
         ("Species", demos.species),
         ("Evaluated on", f"{demos.num_episodes} demonstrations"),
-        ("Method", method_label(inputs.focus)),
+        ("Method", method_label(inputs.learner)),
         ("Training seeds", ", ".join(map(str, inputs.seeds)) or NOTHING),
     ]
     return rows + ([("Made", inputs.created)] if inputs.created else [])
@@ -44,8 +44,8 @@ def summary(inputs: ReportInputs) -> Summary:
     """The sentences at the top, worked out from the tables."""
     comparison = inputs.evaluation.comparison
     return Summary(
-        wording.headline(comparison, inputs.evaluation.pairs, inputs.focus),
-        wording.cautions(comparison, inputs.focus, inputs.demos.synthetic),
+        wording.headline(comparison, inputs.evaluation.pairs, inputs.learner),
+        wording.cautions(comparison, inputs.learner, inputs.demos.synthetic),
     )
 
 
@@ -70,7 +70,7 @@ def build_sections(inputs: ReportInputs) -> list[Section]:
 
 
 def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
-    focus = method_label(inputs.focus)
+    learner = method_label(inputs.learner)
     for condition, images in panels.trajectories(inputs):
         where = f" Condition: {condition}." if condition else ""
         marks = "target black"
@@ -78,7 +78,7 @@ def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
             marks = "cross: the source; bar: arena units; paths that leave the window are cut"
         yield Gallery(
             images,
-            f"{focus} above the demonstration that each rollout started from.{where} Chosen by "
+            f"{learner} above the demonstration that each rollout started from.{where} Chosen by "
             "rank, not by eye: from left to right the rollouts nearest to the 10th, 30th, 50th, "
             "70th and 90th percentile of the DTW distance to the demonstration (arena units), so "
             "the first are among the best and the last among the worst. Open circles mark starts, "
@@ -91,7 +91,7 @@ def _speeds(inputs: ReportInputs) -> Iterator[Block]:
     images, steps = panels.speeds(inputs)
     yield Gallery(
         images,
-        f"Speed of every step, recorded (dark) and simulated by {method_label(inputs.focus)} "
+        f"Speed of every step, recorded (dark) and simulated by {method_label(inputs.learner)} "
         f"(light), all episodes, on shared bins; areas sum to one. {steps[1]:,} recorded and "
         f"{steps[0]:,} simulated steps per individual.",
     )
@@ -150,11 +150,11 @@ def _decisions(inputs: ReportInputs) -> Iterator[Block]:
     )
     yield Gallery(
         panels.decision_panels(inputs, decisions),
-        f"What {method_label(inputs.focus)} values for {decisions.individual} along test "
+        f"What {method_label(inputs.learner)} values for {decisions.individual} along test "
         f"demonstration {decisions.demo}, the one of median length, everyone moving as recorded. "
         "Above, the state value (mean of Q over actions) and the best action's; below, the "
         "advantage of each direction of acceleration, angles taken from the direction to the "
-        f"focus; dots: the action found in the recording.{over}",
+        f"learner; dots: the action found in the recording.{over}",
     )
 
 
@@ -165,9 +165,9 @@ def _learning(inputs: ReportInputs) -> Iterator[Block]:
     for phase, rows in curves.groupby("phase", sort=False):
         yield Heading(f"{phase} phase".capitalize())
         yield Gallery(
-            panels.learning_panels(rows, inputs.focus, offline=phase == "offline"),
+            panels.learning_panels(rows, inputs.learner, offline=phase == "offline"),
             "One thin line per training seed, thick their mean; a single seed is drawn thick. "
-            f"Lines by individual are losses of {method_label(inputs.focus)}.",
+            f"Lines by individual are losses of {method_label(inputs.learner)}.",
         )
 
 

@@ -72,12 +72,12 @@ def comparison_row(
     return None if chosen.empty else chosen.iloc[0]
 
 
-def headline(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> list[str]:
-    """What the evaluation of ``focus`` found, in plain sentences."""
+def headline(comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str) -> list[str]:
+    """What the evaluation of ``learner`` found, in plain sentences."""
     return [
-        *_captures(comparison, focus),
-        *_likeness(comparison, focus),
-        *_closeness(comparison, pairs, focus),
+        *_captures(comparison, learner),
+        *_likeness(comparison, learner),
+        *_closeness(comparison, pairs, learner),
     ]
 
 
@@ -96,14 +96,14 @@ def pair_difference(
     return UNDEFINED if chosen.empty else interval(chosen.iloc[0], "difference")
 
 
-def _captures(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
-    simulated = comparison_row(comparison, focus, RETURN)
+def _captures(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
+    simulated = comparison_row(comparison, learner, RETURN)
     recorded = comparison_row(comparison, RECORDED, RETURN)
     if simulated is None or recorded is None:
         return
     gap = interval(simulated, "to_recorded")
     yield (
-        f"{method_label(focus)} reaches the target in {_share(simulated)} of "
+        f"{method_label(learner)} reaches the target in {_share(simulated)} of "
         f"{int(simulated['rollouts'])} rollouts, the recordings in {_share(recorded)} of "
         f"{int(recorded['rollouts'])}: "
         + (
@@ -120,9 +120,9 @@ def _share(row: Any) -> str:
     return f"{_fixed(100 * value.estimate, 0)} % [{low}, {high}]"
 
 
-def _likeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
+def _likeness(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
     for metric in (PATH_LENGTH, DURATION):
-        row = comparison_row(comparison, focus, metric)
+        row = comparison_row(comparison, learner, metric)
         if row is None or not math.isfinite(row["to_recorded"]):
             continue
         gap = interval(row, "to_recorded")
@@ -148,16 +148,16 @@ def _likeness(comparison: pd.DataFrame, focus: str) -> Iterator[str]:
         yield f"{sentence}."
 
 
-def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> Iterator[str]:
-    mine = comparison_row(comparison, focus, DTW)
+def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str) -> Iterator[str]:
+    mine = comparison_row(comparison, learner, DTW)
     if mine is None:
         return
     closer, farther, unclear = [], [], []
     for name in comparison["method"].unique():
         row = comparison_row(comparison, name, DTW)
-        if row is None or name == focus:
+        if row is None or name == learner:
             continue
-        more = pair_difference(pairs, str(name), focus, DTW)
+        more = pair_difference(pairs, str(name), learner, DTW)
         text = f"{method_label(name)} ({number(row['mean'])}, difference {with_interval(more)})"
         if not more.excludes_zero:
             unclear.append(text)
@@ -166,7 +166,7 @@ def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> Ite
         else:
             farther.append(text)
     sentence = (
-        f"Mean DTW distance of {method_label(focus)} to the recordings: "
+        f"Mean DTW distance of {method_label(learner)} to the recordings: "
         f"{with_interval(interval(mine, 'mean'))} {DTW.unit}"
     )
     parts = [
@@ -182,9 +182,9 @@ def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, focus: str) -> Ite
     yield f"{sentence}{paired}{', '.join(parts)}."
 
 
-def cautions(comparison: pd.DataFrame, focus: str, synthetic: bool) -> list[str]:
+def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[str]:
     """What limits the conclusions: few seeds, synthetic demonstrations."""
-    row = comparison_row(comparison, focus, DTW)
+    row = comparison_row(comparison, learner, DTW)
     seeds = 0 if row is None else int(row["seeds"])
     sentences = []
     if synthetic:

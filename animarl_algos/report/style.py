@@ -105,8 +105,8 @@ def individual_colours(roles: Sequence[str]) -> list[str]:
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """Within it, new figures have the house look.
+def figure_style() -> Iterator[None]:
+    """Within it, new figures share one look.
 
     Raises
     ------
@@ -150,7 +150,7 @@ class Image:
 def to_image(figure: Figure, alt: str) -> Image:
     """The figure as SVG inside a data URI; the same figure gives the same bytes."""
     buffer = io.BytesIO()
-    with house_style():
+    with figure_style():
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     drawing = re.sub(r"font-family: [^;\"]+", f"font-family: {FONTS}", buffer.getvalue().decode())
     encoded = base64.b64encode(drawing.encode()).decode()

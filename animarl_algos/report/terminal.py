@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def evaluation_table(
-    evaluation: Evaluation, *, counting: str = "all", focus: str | None = None
+    evaluation: Evaluation, *, counting: str = "all", learner: str | None = None
 ) -> Table:
     """One row per method: means with 95 % intervals, and distances to the demonstrations.
 
@@ -27,7 +27,7 @@ def evaluation_table(
     ----------
     counting
         Which episodes count: ``"all"`` or ``"captures"``; the table says so.
-    focus
+    learner
         A method to print in bold.
 
     Raises
@@ -75,7 +75,7 @@ def evaluation_table(
             "demonstrated" if name == RECORDED else escape(method_label(str(name))),
             "" if count is None else str(int(count["rollouts"])),
             *(escape(cell.replace(" [", "\n[")) for cell in cells),
-            style="bold" if name == focus else "",
+            style="bold" if name == learner else "",
         )
     return table
 

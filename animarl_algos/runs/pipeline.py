@@ -117,7 +117,7 @@ def fit(run: RunFolder) -> LocomotionFit:
     return result
 
 
-def train(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
+def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
     Goes on from the last checkpoint, exactly.
@@ -159,10 +159,10 @@ def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Pol
     env = run.environment(run.species(demos, fit(run)), demos)
     policies: dict[str, Policy] = {}
     untrained = run.learner(settings.algo, env)
-    policies[method_name(settings.algo)] = train(run, settings.algo, progress_bar=False)
+    policies[method_name(settings.algo)] = learn(run, settings.algo, progress_bar=False)
     if settings.baselines:
         if settings.algo != BEHAVIOUR_CLONING:
-            policies[method_name(BEHAVIOUR_CLONING)] = train(
+            policies[method_name(BEHAVIOUR_CLONING)] = learn(
                 run, BEHAVIOUR_CLONING, progress_bar=progress_bar
             )
         policies[UNTRAINED] = untrained
@@ -186,11 +186,11 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
     scenario = make_scenario(species, demos=demos, split="test", drivers=drivers)
     flagged = run.environment(species, demos).condition_flag
     policies = test_policies(run, progress_bar=progress_bar)
-    focus = policies[method_name(settings.algo)]
-    if isinstance(focus, SequenceQLearning):
+    learner = policies[method_name(settings.algo)]
+    if isinstance(learner, SequenceQLearning):
         test = demos.select(split="test")
         along = decide_along(
-            focus.policy, species, test, condition_flag=flagged, focal=settings.focal
+            learner.policy, species, test, condition_flag=flagged, focal=settings.focal
         )
         along.save(run.path / DECISIONS)
     rollouts = {}
@@ -240,13 +240,13 @@ def report(run: RunFolder) -> Path:
     if not files:
         raise InputError(f"{run.path}: it has no rollouts yet: run 'animarl evaluate' first")
     rollouts = {file.stem: Rollouts.load(file) for file in files}
-    focus = method_name(settings.algo)
-    ordered = {focus: rollouts.pop(focus)} | rollouts
+    learner = method_name(settings.algo)
+    ordered = {learner: rollouts.pop(learner)} | rollouts
     species = run.species(demos, fit(run))
     return write_report(
         ReportInputs(
-            title=f"{species.title}: {focus}",
-            focus=focus,
+            title=f"{species.title}: {learner}",
+            learner=learner,
             demos=demos.select(split="test"),
             rollouts=ordered,
             evaluation=Evaluation.load(run.path / "evaluation"),

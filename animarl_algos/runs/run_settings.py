@@ -1,4 +1,4 @@
-"""What a run is asked for: checked at the door, recorded in its folder, found again on resume."""
+"""What a run is asked for: checked, recorded in its folder, found again on resume."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The house colours, shared by the renderer and the figures.
+"""The colours, shared by the renderer and the figures.
 
 The hues are those of Okabe and Ito (2008), distinguishable with every common colour vision
 deficiency; the target is near-black, as in the paper. Colours are RGB triples, 0 to 255, so that

@@ -20,7 +20,7 @@ from animarl_envs.importing.cutting import (
     in_pieces,
     most_approached,
 )
-from animarl_envs.importing.import_recipe import NOT_STATED, Recipe
+from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.scaling import scale_of
 from animarl_envs.importing.tracks import Tracks
 
@@ -29,14 +29,14 @@ SHORTEST_PIECE = 10  # decisions
 
 
 def demonstrations_from_tracks(
-    recordings: Sequence[Tracks], recipe: Recipe, name: str = "tracks"
+    recordings: Sequence[Tracks], recipe: ImportRecipe, name: str = "tracks"
 ) -> Demonstrations:
     """Clean, scale, cut, resample and split; ``name`` is for messages.
 
     Raises
     ------
     InputError
-        One sentence that names the file, the place and the mend.
+        One sentence that names the file, the place and the remedy.
     """
     cleaned, bodies, scales, done = [], [], {}, {}
     for tracks in recordings:
@@ -99,7 +99,7 @@ def demonstrations_from_tracks(
     )
 
 
-def _named(tracks: Tracks, recipe: Recipe) -> Tracks:
+def _named(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
     strangers = sorted(set(recipe.rename) - set(tracks.individuals))
     if strangers:
         raise InputError(
@@ -116,7 +116,7 @@ def _named(tracks: Tracks, recipe: Recipe) -> Tracks:
 def _roles(
     cleaned: Sequence[Tracks],
     bodies: Sequence[NDArray[np.float64]],
-    recipe: Recipe,
+    recipe: ImportRecipe,
     name: str,
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
     """Names and roles, the target last, and the order of the tracks' columns."""
@@ -154,7 +154,7 @@ def _cuts(
     cleaned: Sequence[Tracks],
     bodies: Sequence[NDArray[np.float64]],
     roles: tuple[str, ...],
-    recipe: Recipe,
+    recipe: ImportRecipe,
 ) -> list[list[Cut]]:
     """The episodes of each recording; a lone long recording is cut in pieces, see ``Cutting``."""
     rates = [tracks.frame_rate or 1.0 for tracks in cleaned]
@@ -183,7 +183,7 @@ def _cuts(
 
 
 def _episode(
-    tracks: Tracks, body: NDArray[np.float64], cut: Cut, order: list[int], recipe: Recipe
+    tracks: Tracks, body: NDArray[np.float64], cut: Cut, order: list[int], recipe: ImportRecipe
 ) -> dict[str, Any]:
     """One episode at the decision rate; its first sample only serves to make the first velocity."""
     assert tracks.frame_rate is not None

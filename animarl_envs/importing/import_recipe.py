@@ -20,7 +20,7 @@ NOT_STATED = "not stated"  # the licence, where nobody said
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recipe:
+class ImportRecipe:
     """From files to demonstrations.
 
     Parameters
@@ -83,7 +83,7 @@ class Recipe:
         return {key: _plain(value) for key, value in asdict(self).items()}
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any], name: str = "recipe") -> Recipe:
+    def from_dict(cls, record: Mapping[str, Any], name: str = "recipe") -> ImportRecipe:
         """The inverse of :meth:`to_dict`; unknown entries are refused."""
         parts = {
             "cleaning": Cleaning, "scaling": Scaling, "cutting": Cutting, "splitting": Splitting,
@@ -93,7 +93,7 @@ class Recipe:
             if key in values:
                 values[key] = _build(kind, values[key], f"{name}: {key}")
         built = _build(cls, values, name)
-        assert isinstance(built, Recipe)
+        assert isinstance(built, ImportRecipe)
         return built
 
     def save(self, path: str | Path) -> Path:
@@ -103,7 +103,7 @@ class Recipe:
         return Path(path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Recipe:
+    def load(cls, path: str | Path) -> ImportRecipe:
         """Read YAML written by :meth:`save`."""
         yaml = _yaml()
         try:

@@ -13,7 +13,7 @@ from pettingzoo import ParallelEnv
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import describe, make_scenario
+from animarl_envs.scenario import make_scenario, scenario_as_data
 from animarl_envs.species import Species
 from animarl_envs.views.common import action_space, chosen_demos, observation_space
 from animarl_envs.worlds import make_world
@@ -52,7 +52,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.scenario = make_scenario(species, **options)
         self.world = make_world(self.scenario, 1)
         self._picture = Picture(self.world, render_mode)
-        self._description = json.dumps(describe(self.scenario))  # each reset says it anew
+        self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
         self.render_mode = render_mode
         name = f"animarl_{self.scenario.species.name}_v0"
         self.metadata = {

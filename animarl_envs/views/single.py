@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import describe
+from animarl_envs.scenario import scenario_as_data
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
@@ -79,7 +79,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         )
         self.world = make_world(self.scenario, 1)
         self._picture = Picture(self.world, render_mode)
-        self._description = json.dumps(describe(self.scenario))  # each reset says it anew
+        self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
         self.render_mode = render_mode

@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import describe
+from animarl_envs.scenario import scenario_as_data
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
@@ -84,7 +84,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
             ) from None
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.world = make_world(self.scenario, num_envs)
-        self._description = json.dumps(describe(self.scenario))  # each reset says it anew
+        self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)

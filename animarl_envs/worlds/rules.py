@@ -16,7 +16,7 @@ from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
 from animarl_envs.worlds.compiling import jit
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
-LOOKAHEAD = 6  # [steps] for which the action is held in the mind's eye
+LOOKAHEAD = 6  # [steps] that the target looks ahead, the action held
 WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
 
 

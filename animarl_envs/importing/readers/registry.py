@@ -16,7 +16,7 @@ from typing import Any
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
-from animarl_envs.importing.import_recipe import Recipe
+from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers.guards import refusing
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
 from animarl_envs.importing.tracks import Tracks, merge
@@ -152,9 +152,9 @@ def read(path: str | Path, source: str | None = None, **options: Any) -> Demonst
     return follow(default_recipe(reader, options=own, **options), [path])
 
 
-def default_recipe(reader: Reader, **changes: Any) -> Recipe:
+def default_recipe(reader: Reader, **changes: Any) -> ImportRecipe:
     """The recipe that fits a tracker's files, with changes."""
-    return Recipe.from_dict(
+    return ImportRecipe.from_dict(
         {**reader.defaults, "source": reader.name, **changes}, f"source {reader.name}"
     )
 
@@ -181,7 +181,7 @@ def read_tracks(
 
 
 def follow(
-    recipe: Recipe, files: Sequence[Path], progress: Callable[[float], None] | None = None
+    recipe: ImportRecipe, files: Sequence[Path], progress: Callable[[float], None] | None = None
 ) -> Demonstrations:
     """The demonstrations that a recipe makes of a tracker's files.
 
@@ -190,7 +190,7 @@ def follow(
     Raises
     ------
     InputError
-        One sentence that names the file, the place and the mend.
+        One sentence that names the file, the place and the remedy.
     """
     if not files:
         raise InputError("no file was given: name at least one")
