@@ -1,28 +1,38 @@
-"""Locomotion: v' = (1 - d) v + u a dt, its 13 actions, and the way back from tracks to actions.
+"""Locomotion: v' = (1 - d) v + u a dt, its actions, and the way back from tracks to actions.
 
-One definition serves the simulators, the inverse dynamics and the figures; the kernels' form of the
-equation is :mod:`animarl_envs.worlds.transition`.
+One definition serves the simulators, the fits, the inverse dynamics and the figures:
+:func:`next_velocity`, which :mod:`animarl_envs.worlds.transition` compiles for kernels.
 
 Frames. Positions and velocities are in the arena frame. Each individual has an *egocentric frame*
 towards its focus: x axis along the unit vector ``focus`` (towards the focus), y axis to its left.
-Actions ``k = 0..11`` are unit accelerations at ``-30 deg * k`` in that frame (0 straight at the
-focus, 3 to the right, 6 away, 9 to the left); action 12 is no acceleration ("coasting").
+
+Actions. With M thrust magnitudes there are ``12 M + 1``. Action ``k < 12 M`` accelerates with
+magnitude ``k // 12`` (a multiple of the thrust u, the largest first) in direction ``k % 12``, at
+``-30 deg * (k % 12)`` in the egocentric frame: 0 straight at the focus, 3 to the right, 6 away, 9
+to the left. Action ``12 M`` is no acceleration ("coasting"). The paper has M = 1: 13 actions.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import is_number
 from animarl_envs.errors import InputError
 
-NUM_ACTIONS = 13
-COAST = 12
-ACTION_ANGLES: NDArray[np.float64] = -np.deg2rad(30.0) * np.arange(12)
-"""Angle of actions 0..11 in the egocentric frame, counter-clockwise [rad]."""
+NUM_DIRECTIONS = 12
+NUM_ACTIONS = NUM_DIRECTIONS + 1
+"""Actions of one thrust magnitude, as in the paper; a species has ``num_actions``."""
+COAST = NUM_DIRECTIONS
+"""No acceleration, where there is one thrust magnitude; else it is the last action."""
+ACTION_ANGLES: NDArray[np.float64] = -np.deg2rad(30.0) * np.arange(NUM_DIRECTIONS)
+"""Angle of the directions in the egocentric frame, counter-clockwise [rad]."""
 
 # Exact halves and zeros, so that a mirrored or rotated action is the mirrored or rotated vector.
 _C, _S = math.sqrt(3.0) / 2.0, 0.5
@@ -33,7 +43,20 @@ ACTION_VECTORS: NDArray[np.float64] = np.array(
         (0.0, 0.0),
     ]
 )  # fmt: skip
-"""Accelerations of the 13 actions in the egocentric frame, ``(13, 2)``, unit vectors or zero."""
+"""Accelerations of the 13 actions of one magnitude in the egocentric frame, ``(13, 2)``, unit
+vectors or zero."""
+
+Value = TypeVar("Value", float, NDArray[np.float64])
+
+
+def next_velocity(
+    velocity: Value, acceleration: Value, damping: float, thrust: float, dt: float
+) -> Value:
+    """``v' = (1 - d) v + u a dt`` (paper, eq. 1); the position follows with p' = p + v' dt.
+
+    Of one component or of whole arrays. ``acceleration`` is a multiple of the thrust.
+    """
+    return (1.0 - damping) * velocity + thrust * acceleration * dt
 
 
 @dataclass(frozen=True)
@@ -46,25 +69,67 @@ class Locomotion:
         ``d``, the share of the velocity lost in one step [1], in [0, 1].
     thrust
         ``u``, the amplitude of the acceleration [arena unit / s^2], positive.
+    magnitudes
+        Multiples of ``u`` that the individual chooses among, positive, the largest first.
     """
 
     damping: float
     thrust: float
+    magnitudes: tuple[float, ...] = (1.0,)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.damping <= 1.0:
             raise InputError(f"damping is {self.damping}: it must lie between 0 and 1")
         if not 0.0 < self.thrust < math.inf:
             raise InputError(f"thrust is {self.thrust}: it must be a positive number")
+        object.__setattr__(self, "magnitudes", _checked_magnitudes(self.magnitudes))
+
+    @property
+    def thrusts(self) -> int:
+        """The number of thrust magnitudes, M."""
+        return len(self.magnitudes)
+
+    @property
+    def num_actions(self) -> int:
+        return NUM_DIRECTIONS * self.thrusts + 1
+
+    @property
+    def action_vectors(self) -> NDArray[np.float64]:
+        """``(12 M + 1, 2)``, egocentric frame, in multiples of the thrust; read-only."""
+        return _action_vectors(self.magnitudes)
 
     def terminal_speed(self, dt: float) -> float:
-        """Speed reached under constant thrust, ``u dt / d`` [arena unit / s]."""
-        return math.inf if self.damping == 0 else self.thrust * dt / self.damping
+        """Speed reached under the largest thrust, ``u m dt / d`` [arena unit / s]."""
+        largest = self.thrust * self.magnitudes[0]
+        return math.inf if self.damping == 0 else largest * dt / self.damping
 
     def top_speed(self, dt: float, steps: int, initial: float = 0.0) -> float:
         """Bound of the speed within ``steps``, from a speed of at most ``initial``."""
         reached = max(initial, self.terminal_speed(dt))
-        return min(reached, initial + steps * self.thrust * dt)
+        return min(reached, initial + steps * self.thrust * self.magnitudes[0] * dt)
+
+
+def _checked_magnitudes(given: Sequence[float]) -> tuple[float, ...]:
+    """Positive numbers from the largest to the smallest, each once."""
+    listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+    if not listed or len(given) == 0 or not all(is_number(m) for m in given):
+        raise InputError(f"magnitudes are {given!r}: give one or more multiples of the thrust")
+    numbers = tuple(float(m) for m in given)
+    falling = all(a > b for a, b in zip(numbers, numbers[1:], strict=False))
+    if not falling or not 0.0 < numbers[-1] <= numbers[0] < math.inf:
+        raise InputError(
+            f"magnitudes are {numbers}: give positive multiples of the thrust, the largest first, "
+            "each once"
+        )
+    return numbers
+
+
+@cache
+def _action_vectors(magnitudes: tuple[float, ...]) -> NDArray[np.float64]:
+    pushes = [magnitude * ACTION_VECTORS[:NUM_DIRECTIONS] for magnitude in magnitudes]
+    vectors = np.concatenate([*pushes, ACTION_VECTORS[COAST:]])
+    vectors.setflags(write=False)
+    return vectors
 
 
 def velocities(
@@ -102,7 +167,7 @@ def infer_actions(
     """Inverse dynamics: the action whose acceleration is nearest to the one that was observed.
 
     The observed acceleration is ``(v_{t+1} - (1 - d) v_t) / dt``; it is compared, in the egocentric
-    frame, with the 13 vectors ``u a``, zero included. Ties go to the lower action number.
+    frame, with the 12 M + 1 vectors ``u a``, zero included. Ties go to the lower action number.
 
     Parameters
     ----------
@@ -113,13 +178,13 @@ def infer_actions(
 
     Returns
     -------
-    ``(...,)`` int8, 0 to 12.
+    ``(...,)`` int8, 0 to 12 M.
     """
     acceleration = (next_velocity - (1.0 - locomotion.damping) * velocity) / dt
     ahead = np.sum(acceleration * focus, axis=-1)
     left = acceleration[..., 1] * focus[..., 0] - acceleration[..., 0] * focus[..., 1]
     egocentric = np.stack([ahead, left], axis=-1)
-    error = np.linalg.norm(egocentric[..., None, :] - locomotion.thrust * ACTION_VECTORS, axis=-1)
+    error = np.linalg.norm(egocentric[..., None, :] - locomotion.thrust * locomotion.action_vectors, axis=-1)
     return np.asarray(np.argmin(error, axis=-1), dtype=np.int8)
 
 
@@ -134,17 +199,26 @@ def apply_actions(
 
     The other arrays are those of :func:`infer_actions`.
     """
-    acceleration = locomotion.thrust * action_directions(actions, focus)
-    return (1.0 - locomotion.damping) * velocity + acceleration * dt
+    acceleration = _turned(locomotion.action_vectors[actions], focus)
+    return next_velocity(velocity, acceleration, locomotion.damping, locomotion.thrust, dt)
 
 
 def action_directions(
-    actions: NDArray[np.integer], focus: NDArray[np.floating]
+    actions: NDArray[np.integer], focus: NDArray[np.floating], num_actions: int = NUM_ACTIONS
 ) -> NDArray[np.float64]:
     """Where ``actions`` ``(...,)`` accelerate to: ``(..., 2)``, arena frame, of length 1 or 0.
 
-    ``focus`` ``(..., 2)`` are unit vectors towards the focus, arena frame.
+    ``focus`` ``(..., 2)`` are unit vectors towards the focus, arena frame; the last of
+    ``num_actions`` actions is to coast.
     """
-    ahead, left = np.moveaxis(ACTION_VECTORS[actions], -1, 0)
+    direction = np.where(actions == num_actions - 1, COAST, actions % NUM_DIRECTIONS)
+    return _turned(ACTION_VECTORS[direction], focus)
+
+
+def _turned(
+    egocentric: NDArray[np.floating], focus: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Vectors ``(..., 2)`` of the egocentric frame in the arena frame."""
+    ahead, left = np.moveaxis(egocentric, -1, 0)
     x, y = np.moveaxis(focus, -1, 0)
     return np.stack([ahead * x - left * y, ahead * y + left * x], axis=-1)

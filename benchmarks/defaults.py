@@ -63,7 +63,7 @@ def main(
     lines = [[kind, "", f"{means.iloc[0]:.3g}", "", f"{means.iloc[1]:.3g}", ""]]
     lines[0].append(f"{means.iloc[2]:.2f}")
     seeds = seed or [0]
-    random = RandomPolicy(seeds[0])
+    random = RandomPolicy(seeds[0], spec.num_actions)
     rollouts = collect_rollouts(
         world, random, method="random", seed=seeds[0], repetitions=repetitions
     )

@@ -26,7 +26,7 @@ from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.drawing.markdown import markdown_table
 from animarl_envs.files import write_then_rename
-from animarl_envs.locomotion import ACTION_ANGLES, COAST
+from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, ChaseSpecies, SearchSpecies, Species
 from animarl_envs.worlds import make_world
@@ -57,8 +57,8 @@ def page(species: Species) -> str:
         + ORDER.get(type(species), ""),
         observations(world.observation_components),
         "## Actions",
-        ACTIONS.format(last=COAST, focus=FOCUS[type(species)]),
-        actions(),
+        ACTIONS.format(count=species.num_actions, focus=FOCUS[type(species)]),
+        actions(species),
         "## Rewards",
         rewards(world, species),
         "## Ends of an episode",
@@ -85,7 +85,7 @@ FOCUS = {
 }
 ORDER = {ChaseSpecies: " Others are in this order: the target first, then pursuers by distance."}
 ACTIONS = (
-    "`Discrete(13)`: a unit acceleration in the egocentric frame towards the focus ({focus}), or "
+    "`Discrete({count})`: a unit acceleration in the egocentric frame towards the focus ({focus}), or "
     "none. The velocity follows by v' = (1 - d) v + u a dt, the position by p' = p + v' dt."
 )
 
@@ -164,12 +164,18 @@ def observations(components: Sequence[ObservationComponent]) -> str:
     return markdown_table(("", "component", "frame", "unit", "range"), rows)
 
 
-def actions() -> str:
-    rows = [
-        (str(k), f"{round(math.degrees(angle))}°", TURNS.get(k, ""))
-        for k, angle in enumerate(ACTION_ANGLES)
-    ]
-    rows.append((str(COAST), "", "no acceleration: coasting"))
+def actions(species: Species) -> str:
+    """All actions; with several thrust magnitudes, those of the first individual beside them."""
+    magnitudes = species.locomotion[0].magnitudes
+    rows = []
+    for m, magnitude in enumerate(magnitudes):
+        thrust = "" if len(magnitudes) == 1 else f"{magnitude:.3g} u"
+        rows += [
+            (str(NUM_DIRECTIONS * m + k), f"{round(math.degrees(angle))}°",
+             ", ".join(text for text in (TURNS.get(k, ""), thrust) if text))
+            for k, angle in enumerate(ACTION_ANGLES)
+        ]  # fmt: skip
+    rows.append((str(species.num_actions - 1), "", "no acceleration: coasting"))
     return markdown_table(("action", "angle from the focus, counter-clockwise", ""), rows)
 
 

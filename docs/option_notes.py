@@ -36,8 +36,9 @@ NOTES: dict[str, tuple[str, str]] = {
     "boundary": ("at least the size of the arena", "the virtual boundary around it"),
     "rebound": ("`True`, `False`", "set back on the boundary instead of ending the episode"),
     "locomotion": (
-        "a `Locomotion`; or by name a `Locomotion`, `{'damping': d, 'thrust': u}` or a factor on u",
-        "d and u of the individuals",
+        "a `Locomotion`; or by name a `Locomotion`, `{'damping': d, 'thrust': u, 'magnitudes': "
+        "(1.5, 0.5)}` or a factor on u",
+        "d, u and the multiples of u of the individuals; M multiples make 12 M + 1 actions",
     ),
     "contact_radius": (POSITIVE, "closer is contact"),
     "dt": (POSITIVE, "decision step [s]"),

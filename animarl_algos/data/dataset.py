@@ -15,7 +15,7 @@ from animarl_algos.replay.gather import BatchBuffers
 from animarl_algos.replay.rings import Frames, Sequences
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import NUM_ACTIONS, Locomotion, apply_actions
+from animarl_envs.locomotion import Locomotion, apply_actions
 
 
 class OfflineDataset:
@@ -256,7 +256,7 @@ def dynamics_scored_penalties(
 ) -> NDArray[np.float32]:
     """How far each action would have led from where the animal went next.
 
-    The fitted dynamics predicts the next position for all 13 actions from each demonstrated state,
+    The fitted dynamics predicts the next position for all 12 M + 1 actions from each demonstrated state,
     ``p + v' dt`` with ``v' = (1 - d) v + u a dt``; the penalty is the Euclidean distance to the
     next demonstrated position. The smallest is that of the action that inverse dynamics infers,
     for both compare the same vectors, here times dt^2.
@@ -276,7 +276,7 @@ def dynamics_scored_penalties(
 
     Returns
     -------
-    ``(frames, K, 13)`` float32 [arena unit]; zero at each episode's last frame.
+    ``(frames, K, 12 M + 1)`` float32 [arena unit]; zero at each episode's last frame.
     """
     positions = demos.positions
     if not velocities.shape == focus.shape == positions.shape or len(locomotion) != len(
@@ -288,9 +288,10 @@ def dynamics_scored_penalties(
             "make them from the same demonstrations"
         )
     following = np.concatenate([positions[1:], positions[-1:]])
-    penalties = np.empty((*positions.shape[:2], NUM_ACTIONS), dtype=np.float32)
+    num_actions = locomotion[0].num_actions
+    penalties = np.empty((*positions.shape[:2], num_actions), dtype=np.float32)
     for k, fitted in enumerate(locomotion):
-        for action in range(NUM_ACTIONS):
+        for action in range(num_actions):
             velocity = apply_actions(
                 velocities[:, k], np.full(len(positions), action), focus[:, k], fitted, dt
             )

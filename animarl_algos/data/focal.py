@@ -33,6 +33,7 @@ class FocalPolicy:
     def __init__(self, policy: Any, names: Sequence[str], focal: str) -> None:
         self.policy = policy
         self.observation_space = policy.observation_space
+        self.action_space = policy.action_space
         self.individuals = len(names)
         self.index = tuple(names).index(focal)
 

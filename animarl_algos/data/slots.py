@@ -12,6 +12,21 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize, is_vecenv_wra
 from animarl_envs.errors import InputError
 
 
+def refuse_other_actions(learned: int, here: int) -> None:
+    """A learner of so many actions has no values for those of another world.
+
+    Raises
+    ------
+    InputError
+        If the numbers differ.
+    """
+    if learned != here:
+        raise InputError(
+            f"this learner chooses among {learned} actions, the environment has {here}: give one "
+            "with the thrust magnitudes it was trained with"
+        )
+
+
 @dataclass(frozen=True)
 class SlotLayout:
     """Slot ``s`` of a VecEnv is individual ``s % K`` of copy ``s // K`` of the world.

@@ -12,7 +12,6 @@ from animarl_algos.data.dataset import OfflineDataset, dynamics_scored_penalties
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.fitting.transitions import demonstrated_actions
-from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.species import Species
 from animarl_envs.worlds import demonstration_observations
 
@@ -24,7 +23,7 @@ class SpeciesDemonstrations:
     Parameters
     ----------
     species
-        Its locomotion parameters infer the actions and score all 13.
+        Its locomotion parameters infer the actions and score them all.
     demos
         With their splits.
     learners
@@ -66,7 +65,7 @@ class SpeciesDemonstrations:
             np.ascontiguousarray(observations[:, chosen]),
             demonstrated_actions(demos, species.locomotion)[:, chosen],
             demos.lengths,
-            NUM_ACTIONS,
+            species.num_actions,
             rewards=demonstration_rewards(species, demos)[:, chosen],
             action_penalties=penalties[:, chosen],
             terminated=(demos.outcome != TIME_OUT) & (demos.outcome != UNFINISHED),

@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
+from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -33,8 +35,9 @@ class Policy(Protocol):
 class RandomPolicy:
     """Uniformly random actions from a seeded generator: the floor any learner must leave."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, num_actions: int = NUM_ACTIONS) -> None:
         self._rng = np.random.default_rng(seed)
+        self._num_actions = num_actions
 
     def predict(
         self,
@@ -43,8 +46,8 @@ class RandomPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int64], Any]:
-        """One action of 13 per slot."""
-        return self._rng.integers(NUM_ACTIONS, size=len(observation)), state
+        """One action per slot."""
+        return self._rng.integers(self._num_actions, size=len(observation)), state
 
 
 def collect_rollouts(
@@ -82,7 +85,8 @@ def collect_rollouts(
     Raises
     ------
     InputError
-        If the world has no demonstrations to start from, or ``repetitions`` is not positive.
+        If the world has no demonstrations to start from, ``repetitions`` is not positive, or the
+        policy learned in a world of other thrust magnitudes.
     """
     if repetitions < 1:
         raise InputError(f"repetitions is {repetitions}: collect at least one rollout per start")
@@ -93,6 +97,9 @@ def collect_rollouts(
             "rollouts start from demonstrations but the world has none: "
             "give demos= and start='demo'"
         )
+    learned = getattr(policy, "action_space", None)
+    if isinstance(learned, Discrete):
+        refuse_other_actions(int(learned.n), probe.num_actions)
     tasks = np.stack(
         np.meshgrid(np.arange(demos.num_episodes), np.arange(repetitions), indexing="ij"), axis=-1
     ).reshape(-1, 2)

@@ -14,7 +14,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
-from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.worlds import demonstration_observations
 from animarl_envs.worlds.chase.world import observe
@@ -28,7 +27,7 @@ class QPolicy(Protocol):
     """What is asked of a policy: action values of all individuals, with their memory."""
 
     def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
-        """Q-values ``(slots, 13)``, next memory ``(slots, H)``, and whether there was one slot."""
+        """Q-values ``(slots, actions)``, next memory ``(slots, H)``, and whether there was one slot."""
         ...
 
 
@@ -43,14 +42,14 @@ class Decisions:
     demo
         The demonstration, counted in the evaluated set.
     q, actions
-        ``(steps, 13)`` and ``(steps,)``: values before each recorded step, and the action that
+        ``(steps, actions)`` and ``(steps,)``: values before each recorded step, and the action that
         inverse dynamics finds in it.
     moment
         The frame at which the map is taken.
     x, y
         ``(columns,)`` and ``(rows,)``, where the individual is put, at rest [arena unit].
     map_q, focus
-        ``(rows, columns, 13)`` and ``(rows, columns, 2)``: its values there and the direction
+        ``(rows, columns, actions)`` and ``(rows, columns, 2)``: its values there and the direction
         towards its focus. All four are empty in an open field, where no map is drawn.
     others
         ``(K - 1, 2)``, where the others stand at that moment, the target last if it is one of them.
@@ -128,7 +127,7 @@ def decide_along(
     observations = _flagged(demonstration_observations(species, one), one, condition_flag)
     actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
     own = slots.tolist().index(who)
-    values = np.empty((steps, NUM_ACTIONS))
+    values = np.empty((steps, species.num_actions))
     state: Any = None
     moment, memory = steps // 2, None
     for t in range(steps):
@@ -186,7 +185,7 @@ def _map(
     return {
         "x": side,
         "y": side,
-        "map_q": map_q.reshape(*shape, NUM_ACTIONS),
+        "map_q": map_q.reshape(*shape, species.num_actions),
         "focus": np.asarray(focus[:, who]).reshape(*shape, 2),
         "others": np.delete(one.positions[moment], who, axis=0),
     }

@@ -12,13 +12,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
+from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
 from stable_baselines3.common.utils import configure_logger
 
-from animarl_algos.data.slots import SlotLayout
+from animarl_algos.data.slots import SlotLayout, refuse_other_actions
 from animarl_algos.learner.checked import CheckedLearner
 from animarl_algos.learner.exploration import fit_boltzmann_temperature
 from animarl_algos.learner.offline import (
@@ -267,6 +268,8 @@ class SequenceQLearning(CheckedLearner):
                 f"the environment has {_described(there)}, this learner {_described(here)}: give "
                 "one with the same individuals"
             )
+        if isinstance(slots.action_space, Discrete):
+            refuse_other_actions(self.policy.num_actions, int(slots.action_space.n))
         new, copies = self.replay_buffer is None, self.n_envs
         if new:
             self.n_envs = slots.num_envs

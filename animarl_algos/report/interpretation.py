@@ -13,20 +13,34 @@ from numpy.typing import NDArray
 from animarl_algos.report import style
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import COAST, NUM_ACTIONS, action_directions
+from animarl_envs.locomotion import NUM_ACTIONS, NUM_DIRECTIONS, action_directions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
-DIRECTIONS = {0: "towards focus", 3: "right", 6: "away", 9: "left", COAST: "coast"}
+DIRECTIONS = {0: "towards focus", 3: "right", 6: "away", 9: "left"}
 DIVERGING = "RdBu_r"
 SEQUENTIAL = "cividis"  # readable with every colour vision deficiency, and in grey
 
 
+def action_labels(num_actions: int) -> dict[int, str]:
+    """Actions named on an axis: four directions of each thrust magnitude, and coasting.
+
+    With several magnitudes, the number in front counts them from the largest.
+    """
+    thrusts = (num_actions - 1) // NUM_DIRECTIONS
+    labels = {
+        NUM_DIRECTIONS * m + k: name if thrusts == 1 else f"{m + 1}: {name}"
+        for m in range(thrusts)
+        for k, name in DIRECTIONS.items()
+    }
+    return labels | {num_actions - 1: "coast"}
+
+
 def advantage(q: Floats) -> Floats:
-    """Q minus its mean over actions, ``(..., 13)``: what the choice of action is worth."""
+    """Q minus its mean over actions, ``(..., actions)``: what the choice of action is worth."""
     return np.asarray(q - q.mean(axis=-1, keepdims=True))
 
 
@@ -38,13 +52,13 @@ def values_along_path(
     Parameters
     ----------
     q
-        ``(steps, 13)``, action values before each decision.
+        ``(steps, actions)``, action values before each decision.
     actions
         ``(steps,)``, the actions that were taken, drawn as dots; -1 where unknown.
     dt
         One decision step [s].
     """
-    _check(q, "(steps, 13)", 2)
+    _check(q, "(steps, actions)", 2)
     time = np.arange(len(q)) * dt
     with style.figure_style():
         from matplotlib.figure import Figure
@@ -61,7 +75,7 @@ def values_along_path(
         reach = float(np.abs(table).max()) or 1.0
         edges = np.append(time, time[-1] + dt) - dt / 2
         mesh = below.pcolormesh(
-            edges, np.arange(NUM_ACTIONS + 1) - 0.5, table, cmap=DIVERGING, vmin=-reach,
+            edges, np.arange(q.shape[1] + 1) - 0.5, table, cmap=DIVERGING, vmin=-reach,
             vmax=reach, rasterized=True,
         )  # fmt: skip
         known = actions >= 0
@@ -69,7 +83,8 @@ def values_along_path(
             time[known], actions[known], ".", color=style.RECORDED_COLOUR, markersize=3.5,
             markeredgewidth=0,
         )  # fmt: skip
-        below.set_yticks(list(DIRECTIONS), list(DIRECTIONS.values()))
+        labels = action_labels(q.shape[1])
+        below.set_yticks(list(labels), list(labels.values()))
         below.invert_yaxis()
         below.set(xlabel="Time (s)", ylabel="Acceleration")
         figure.colorbar(mesh, ax=below, label="Advantage", pad=0.01)
@@ -94,7 +109,7 @@ def value_map(
     x, y
         ``(columns,)`` and ``(rows,)``, where the individual is put [arena unit].
     q
-        ``(rows, columns, 13)``, its action values there; NaN outside the arena.
+        ``(rows, columns, actions)``, its action values there; NaN outside the arena.
     focus
         ``(rows, columns, 2)``, unit vectors towards the focus, arena frame: they turn
         an action into a direction in the arena.
@@ -103,13 +118,13 @@ def value_map(
     target_last
         Whether the last of them is the target, which is drawn dark.
     """
-    _check(q, "(rows, columns, 13)", 3)
+    _check(q, "(rows, columns, actions)", 3)
     if q.shape[:2] != (len(y), len(x)) or focus.shape != (*q.shape[:2], 2):
         raise InputError(
             f"q has shape {q.shape} and focus {focus.shape}, but there are {len(y)} rows and "
-            f"{len(x)} columns: give (rows, columns, 13) and (rows, columns, 2)"
+            f"{len(x)} columns: give (rows, columns, actions) and (rows, columns, 2)"
         )
-    direction = action_directions(q.argmax(axis=-1), focus)
+    direction = action_directions(q.argmax(axis=-1), focus, q.shape[-1])
     direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
     with style.figure_style():
         figure, panel = style.new_figure(4.2, 3.6)
@@ -138,5 +153,6 @@ def value_map(
 
 
 def _check(q: Floats, wanted: str, ndim: int) -> None:
-    if q.ndim != ndim or q.shape[-1] != NUM_ACTIONS or q.size == 0:
+    full = q.shape[-1] >= NUM_ACTIONS and (q.shape[-1] - 1) % NUM_DIRECTIONS == 0
+    if q.ndim != ndim or not full or q.size == 0:
         raise InputError(f"q has shape {q.shape}, not {wanted}: give one value per action")

@@ -166,7 +166,7 @@ def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Pol
                 run, BEHAVIOUR_CLONING, progress_bar=progress_bar
             )
         policies[UNTRAINED] = untrained
-        policies[RANDOM] = RandomPolicy(settings.seed)
+        policies[RANDOM] = RandomPolicy(settings.seed, env.world.num_actions)
     for policy in policies.values():
         if isinstance(policy, SequenceQLearning):
             policy.policy.epsilon = settings.test_epsilon

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from gymnasium.spaces import Discrete
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs.errors import InputError
@@ -52,7 +54,7 @@ def check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
     Raises
     ------
     InputError
-        If the individuals or the shape of their observations differ.
+        If the individuals, the shape of their observations or their actions differ.
     """
     mine, here = model.observation_space.shape, env.observation_space.shape
     individuals = len(getattr(env, "individuals", ("agent",)))
@@ -62,3 +64,5 @@ def check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
             f"{mine}, this environment has {individuals} that observe {here}: give the --env and "
             "--algo it was trained with"
         )
+    if isinstance(env.action_space, Discrete):
+        refuse_other_actions(model.policy.num_actions, int(env.action_space.n))

@@ -1,20 +1,23 @@
-"""The joint fit: d and u chosen together so that the 13 actions explain the observed velocities.
+"""The joint fit: d and the thrusts chosen together so that the actions explain the velocities.
 
 What is left of a velocity after damping, ``r = v_{t+1} - (1 - d) v_t``, should be either zero (the
-individual coasts) or have the length ``u dt`` along one of the 12 directions of the egocentric
-frame. The fit minimises the squared distance of ``r`` to the nearest of these 13 points, which is
-the square of the velocity RMSE that Table 1 of the paper reports. Steps that miss by more than
-``FAR`` times what nine tenths of all steps miss by are taken for tracking jumps and left out; a
-Gaussian error loses nothing by that (trimming a fixed share would cost a sixth of the precision).
+individual coasts) or have the length ``m u dt`` along one of the 12 directions of the egocentric
+frame, ``m`` one of the M thrust magnitudes (one, in the paper). The fit minimises the squared
+distance of ``r`` to the nearest of these 12 M + 1 points, which is the square of the velocity RMSE
+that Table 1 of the paper reports. Steps that miss by more than ``FAR`` times what nine tenths of
+all steps miss by are taken for tracking jumps and left out; a Gaussian error loses nothing by that
+(trimming a fixed share would cost a sixth of the precision).
 
 Three moves alternate: every step takes its nearest action (as in k-means), far misses are set
-aside, and with these fixed the optimum (d, u) solves two linear equations. A grid supplies the
-starting points.
+aside, and with these fixed the optimum (d, thrusts) solves linear equations. Where that would leave
+the terminal speed below a given one, the optimum on the line of just that terminal speed takes its
+place. A grid supplies the starting points.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numba as nb
 import numpy as np
@@ -23,6 +26,9 @@ from numpy.typing import NDArray
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import Transitions
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.worlds.transition import next_velocity as after
+
+Floats = NDArray[np.float64]
 
 FAR = 5.0  # a miss beyond so many times the BULK quantile of all misses is a tracking jump
 BULK = 0.9
@@ -37,7 +43,9 @@ CURVATURE_STEP = 0.05  # of the bootstrap's difference quotient; smaller ones ar
 _HALF_SQRT3 = math.sqrt(3.0) / 2.0
 
 
-def fit_joint(data: Transitions, name: str = "the individual") -> Locomotion:
+def fit_joint(
+    data: Transitions, name: str = "the individual", least_speed: float = 0.0
+) -> Locomotion:
     """Damping and thrust of one individual by least squares without tracking jumps.
 
     Parameters
@@ -46,6 +54,8 @@ def fit_joint(data: Transitions, name: str = "the individual") -> Locomotion:
         Its transitions.
     name
         For the message.
+    least_speed
+        What the terminal speed ``u dt / d`` must reach [arena unit / s].
 
     Raises
     ------
@@ -58,18 +68,30 @@ def fit_joint(data: Transitions, name: str = "the individual") -> Locomotion:
             f"{name} has {len(data)} steps, {int(moving.sum())} of them in motion: "
             "a fit needs at least three and some motion; check the track"
         )
-    best, best_loss = (0.0, 0.0), math.inf
-    for start in _starting_points(data):
-        damping, thrust, loss = _alternate(data, *start)
+    starts = [(damping, np.array([thrust])) for damping, thrust in _starting_points(data)]
+    damping, thrusts = best_of(data, starts, least_speed)
+    return Locomotion(damping, float(thrusts[0]))
+
+
+def best_of(
+    data: Transitions, starts: Sequence[tuple[float, Floats]], least_speed: float
+) -> tuple[float, Floats]:
+    """The best (d, thrusts) to which any of several starting points leads.
+
+    Thrusts are ``(M,)`` [arena unit / s^2].
+    """
+    best, best_loss = starts[0], math.inf
+    for start in starts:
+        damping, thrusts, loss = _alternate(data, *start, least_speed)
         if loss < best_loss:
-            best, best_loss = (damping, thrust), loss
-    return Locomotion(*best)
+            best, best_loss = (damping, thrusts), loss
+    return best
 
 
 def bootstrap_joint(
-    data: Transitions, fitted: Locomotion, weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Resampled (d, u), ``(resamples, 2)``, by one Newton step from the fit.
+    data: Transitions, fitted: Locomotion, weights: Floats, least_speed: float = 0.0
+) -> Floats:
+    """Resampled (d, u), ``(resamples, 2)``, by one Newton step from a fit of one thrust magnitude.
 
     Each episode contributes its own gradient g_e of the objective; a resample that draws episode e
     ``w_e`` times moves the optimum by ``-H_w^-1 sum_e w_e g_e``. The curvature H_w is that of all
@@ -77,17 +99,22 @@ def bootstrap_joint(
     the estimating-function bootstrap (Hu and Kalbfleisch 2000): to first order its intervals are
     those of refitting every resample, at a thousandth of the cost.
 
-    ``weights`` ``(resamples, episodes)`` says how often each episode was drawn.
+    ``weights`` ``(resamples, episodes)`` says how often each episode was drawn. Where the fit has
+    just the ``least_speed`` as its terminal speed, it moves along the line of that speed.
     """
     point = np.array([fitted.damping, fitted.thrust])
     steps_drawn = weights @ np.bincount(data.episode, minlength=data.num_episodes)
     slope = (weights @ _gradients(data, point)) * (len(data) / steps_drawn)[:, None]
-    held = _fixed_curvature(data, point)
+    bound = math.isclose(fitted.terminal_speed(data.dt), least_speed, rel_tol=1e-6)
+    free = np.array([[data.dt / least_speed], [1.0]]) if bound else np.eye(2)
+    slope = slope @ free
+    held = free.T @ _fixed_curvature(data, point) @ free
     moved = -np.linalg.solve(held, slope.T).T
     curvature = _curvature(data, point, CURVATURE_STEP * np.array([1.0, fitted.thrust]))
+    curvature = free.T @ curvature @ free
     if (np.linalg.eigvalsh(curvature) > 0).all():
         moved = -np.linalg.solve(curvature, slope.T).T
-    return np.asarray(np.maximum(point + moved, 0.0))
+    return np.asarray(np.maximum(point + moved @ free.T, 0.0))
 
 
 def _starting_points(data: Transitions) -> list[tuple[float, float]]:
@@ -96,49 +123,85 @@ def _starting_points(data: Transitions) -> list[tuple[float, float]]:
     velocity, next_velocity = data.velocity[::every], data.next_velocity[::every]
     focus = np.ascontiguousarray(data.focus[::every])
     velocity, next_velocity = np.ascontiguousarray(velocity), np.ascontiguousarray(next_velocity)
-    error, action = np.empty(len(velocity)), np.empty((len(velocity), 2))
+    error, action, level = _scratch(len(velocity))
     found = []
     for damping in GRID_DAMPING:
         rest = next_velocity - (1 - damping) * velocity
         length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
         for thrust in np.unique(np.quantile(length[length > 0], GRID_QUANTILES)):
-            _assign(velocity, next_velocity, focus, damping, thrust * data.dt, error, action)
+            impulse = np.array([thrust * data.dt])
+            _assign(velocity, next_velocity, focus, damping, impulse, error, action, level)
             found.append((_loss(error), float(damping), float(thrust)))
     found.sort()
     return [(damping, thrust) for _, damping, thrust in found[:STARTS]]
 
 
-def _alternate(data: Transitions, damping: float, thrust: float) -> tuple[float, float, float]:
-    """Assign actions, trim, solve; until nothing changes. Returns d, u and the mean loss."""
-    error, action = np.empty(len(data)), np.empty((len(data), 2))
+def _alternate(
+    data: Transitions, damping: float, thrusts: Floats, least_speed: float
+) -> tuple[float, Floats, float]:
+    """Assign actions, trim, solve; until nothing changes. Returns d, thrusts and the mean loss."""
+    error, action, level = scratch = _scratch(len(data))
+    tracks = (data.velocity, data.next_velocity)
     for _ in range(ITERATIONS):
-        _assign(
-            data.velocity, data.next_velocity, data.focus, damping, thrust * data.dt, error, action
-        )
-        new = _solve(data.velocity, data.next_velocity, action, error, _limit(error), data.dt)
-        new = (min(max(new[0], 0.0), 1.0), new[1])
-        if not new[1] > 0:
-            return damping, thrust, math.inf
-        change = max(abs(new[0] - damping), abs(new[1] - thrust) / thrust)
-        damping, thrust = new
+        _assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
+        sums = _sums(*tracks, action, level, error, _limit(error), data.dt, len(thrusts))
+        new_damping, new_thrusts = _solve(*sums, thrusts, data.dt, least_speed)
+        if not (new_thrusts > 0).all():
+            return damping, thrusts, math.inf
+        change = max(abs(new_damping - damping), np.max(np.abs(new_thrusts - thrusts) / thrusts))
+        damping, thrusts = new_damping, new_thrusts
         if change < TOLERANCE:
             break
-    _assign(data.velocity, data.next_velocity, data.focus, damping, thrust * data.dt, error, action)
-    return damping, thrust, _loss(error)
+    _assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
+    return damping, thrusts, _loss(error)
 
 
-def _limit(error: NDArray[np.float64]) -> float:
+def _solve(
+    vv: float, vn: float, va: Floats, aa: Floats, an: Floats, thrusts: Floats, dt: float,
+    least_speed: float,
+) -> tuple[float, Floats]:
+    """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`_sums`.
+
+    The terminal speed of the largest thrust is at least ``least_speed``. A thrust that no step is
+    nearest to stays what it was.
+    """  # fmt: skip
+    used = aa > 0
+    if not used.any():
+        return 0.0, np.zeros_like(thrusts)
+    va, aa, an = va[used], aa[used], an[used]
+    remainder = vv - float(np.sum(va * va / aa))
+    kept = 0.0
+    if remainder > 1e-12 * vv:
+        kept = (vn - float(np.sum(va * an / aa))) / remainder
+    kept = min(max(kept, 0.0), 1.0)
+    found = thrusts.copy()
+    found[used] = (an - kept * va) / aa
+    top = int(np.argmax(found))
+    if (1.0 - kept) * least_speed > found[top] * dt:
+        # d = u_top dt / least_speed: the regressor of u_top then is dt a_top - share v.
+        share = dt / least_speed
+        own = np.flatnonzero(used) == top
+        gram = np.diag(aa) - share * (np.outer(own, va) + np.outer(va, own))
+        gram += share**2 * vv * np.outer(own, own)
+        right = an - va - share * (vn - vv) * own
+        if own.any():
+            found[used] = np.linalg.solve(gram, right)
+        kept = 1.0 - min(float(found[top]) * share, 1.0)
+    return 1.0 - kept, found
+
+
+def _limit(error: Floats) -> float:
     """Squared error beyond which a step is a tracking jump."""
     rank = math.ceil(BULK * len(error)) - 1
     return FAR**2 * float(np.partition(error, rank)[rank])
 
 
-def _loss(error: NDArray[np.float64]) -> float:
+def _loss(error: Floats) -> float:
     """Mean squared error with jumps counted at the limit."""
     return float(np.minimum(error, _limit(error)).mean())
 
 
-def _gradients(data: Transitions, point: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gradients(data: Transitions, point: Floats) -> Floats:
     """Half the gradient of the loss by (d, u), per episode ``(episodes, 2)``."""
     error, action = _nearest(data, point)
     kept = error <= _limit(error)
@@ -152,8 +215,8 @@ def _gradients(data: Transitions, point: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _curvature(
-    data: Transitions, point: NDArray[np.float64], step: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    data: Transitions, point: Floats, step: Floats
+) -> Floats:
     """Half the Hessian of the loss by (d, u), as a difference quotient over ``step``."""
     rows = []
     for shift in np.diag(step):
@@ -162,7 +225,7 @@ def _curvature(
     return np.asarray(0.5 * (np.array(rows) + np.array(rows).T))
 
 
-def _fixed_curvature(data: Transitions, point: NDArray[np.float64]) -> NDArray[np.float64]:
+def _fixed_curvature(data: Transitions, point: Floats) -> Floats:
     """Half the Hessian of the loss with all actions held fixed, ``(2, 2)``."""
     _, action = _nearest(data, point)
     impulse = data.dt * action
@@ -171,27 +234,34 @@ def _fixed_curvature(data: Transitions, point: NDArray[np.float64]) -> NDArray[n
 
 
 def _nearest(
-    data: Transitions, point: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    data: Transitions, point: Floats
+) -> tuple[Floats, Floats]:
     """Squared errors ``(steps,)`` and nearest action vectors ``(steps, 2)`` at (d, u)."""
-    error, action = np.empty(len(data)), np.empty((len(data), 2))
-    damping, impulse = point[0], point[1] * data.dt
-    _assign(data.velocity, data.next_velocity, data.focus, damping, impulse, error, action)
+    error, action, level = _scratch(len(data))
+    impulse = point[1:] * data.dt
+    _assign(data.velocity, data.next_velocity, data.focus, point[0], impulse, error, action, level)
     return error, action
+
+
+def _scratch(steps: int) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """What :func:`_assign` writes: squared error, vector and thrust of the nearest action."""
+    return np.empty(steps), np.empty((steps, 2)), np.empty(steps, dtype=np.int64)
 
 
 @nb.njit(cache=True)
 def _assign(  # type: ignore[no-untyped-def]
-    velocity, next_velocity, focus, damping, impulse, error, action
+    velocity, next_velocity, focus, damping, impulses, error, action, level
 ):
-    """Nearest of the 13 actions to each observed acceleration.
+    """Nearest of the actions to each observed acceleration.
 
-    ``impulse`` is u dt. Writes the squared error ``(steps,)`` of the rebuilt velocity and the
-    action's vector in the arena frame ``(steps, 2)``. Directions are searched in one quadrant.
+    ``impulses`` ``(M,)`` are the thrusts times dt. Writes the squared error ``(steps,)`` of the
+    rebuilt velocity, the action's unit vector in the arena frame ``(steps, 2)``, zero for coasting,
+    and which thrust it has ``(steps,)``. Directions are searched in one quadrant.
     """
     for t in range(velocity.shape[0]):
-        rest_x = next_velocity[t, 0] - (1.0 - damping) * velocity[t, 0]
-        rest_y = next_velocity[t, 1] - (1.0 - damping) * velocity[t, 1]
+        # what the transition without acceleration leaves unexplained
+        rest_x = next_velocity[t, 0] - after(velocity[t, 0], 0.0, damping, 0.0, 0.0)
+        rest_y = next_velocity[t, 1] - after(velocity[t, 1], 0.0, damping, 0.0, 0.0)
         ahead = rest_x * focus[t, 0] + rest_y * focus[t, 1]
         left = rest_y * focus[t, 0] - rest_x * focus[t, 1]
         x, y = abs(ahead), abs(left)
@@ -203,11 +273,18 @@ def _assign(  # type: ignore[no-untyped-def]
         if y > along:
             along, c, s = y, 0.0, 1.0
         square = x * x + y * y
-        if impulse < 2.0 * along:  # nearer to that direction than to zero
+        nearest, least = -1, 0.0
+        for j in range(len(impulses)):
+            gain = impulses[j] * (impulses[j] - 2.0 * along)
+            if gain < least:
+                nearest, least = j, gain
+        level[t] = nearest
+        if nearest >= 0:  # nearer to that direction than to zero
             c = c if ahead >= 0 else -c
             s = s if left >= 0 else -s
             action[t, 0] = c * focus[t, 0] - s * focus[t, 1]
             action[t, 1] = c * focus[t, 1] + s * focus[t, 0]
+            impulse = impulses[nearest]
             error[t] = max(square - 2.0 * impulse * along + impulse * impulse, 0.0)
         else:
             action[t, 0] = 0.0
@@ -216,22 +293,20 @@ def _assign(  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True)
-def _solve(velocity, next_velocity, action, error, limit, dt):  # type: ignore[no-untyped-def]
-    """Least squares for v' = (1 - d) v + u (dt a) over the steps with ``error <= limit``."""
-    vv, va, aa, vn, an = 0.0, 0.0, 0.0, 0.0, 0.0
+def _sums(velocity, next_velocity, action, level, error, limit, dt, thrusts):  # type: ignore[no-untyped-def]
+    """Inner products over the steps with ``error <= limit``, those with actions per thrust."""
+    vv, vn = 0.0, 0.0
+    va, aa, an = np.zeros(thrusts), np.zeros(thrusts), np.zeros(thrusts)
     for t in range(velocity.shape[0]):
         if error[t] > limit:
             continue
+        j = level[t]
         for axis in range(2):
             v, n, a = velocity[t, axis], next_velocity[t, axis], dt * action[t, axis]
             vv += v * v
-            va += v * a
-            aa += a * a
             vn += v * n
-            an += a * n
-    determinant = vv * aa - va * va
-    if aa == 0.0:
-        return 0.0, 0.0
-    if determinant <= 1e-12 * vv * aa:
-        return 1.0, an / aa
-    return 1.0 - (aa * vn - va * an) / determinant, (vv * an - va * vn) / determinant
+            if j >= 0:
+                va[j] += v * a
+                aa[j] += a * a
+                an[j] += a * n
+    return vv, vn, va, aa, an

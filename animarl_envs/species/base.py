@@ -60,6 +60,13 @@ class Species:
                 f"{len(self.locomotion)} sets of locomotion parameters for "
                 f"{len(self.individuals)} individuals: give one each"
             )
+        counts = {name: m.thrusts for name, m in zip(self.individuals, self.locomotion, strict=True)}
+        if len(set(counts.values())) > 1:
+            told = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise InputError(
+                f"the individuals have different numbers of thrust magnitudes ({told}): give all "
+                "the same number"
+            )
         self._positive("contact_radius", "dt")
         if not is_whole(self.time_limit) or self.time_limit < 1:
             raise InputError(
@@ -81,6 +88,16 @@ class Species:
     @property
     def num_individuals(self) -> int:
         return len(self.individuals)
+
+    @property
+    def thrusts(self) -> int:
+        """Thrust magnitudes that each individual chooses among, M."""
+        return self.locomotion[0].thrusts
+
+    @property
+    def num_actions(self) -> int:
+        """Actions of each individual, ``12 M + 1``; the last is to coast."""
+        return self.locomotion[0].num_actions
 
     @property
     def roles(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ def with_options(species: Species, **options: Any) -> Species:
         the square of starts grow; ``rebound`` and ``boundary`` apply to it.
     locomotion
         One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
-        ``{"female": {"thrust": 0.19}}`` or ``{"female": 1.2}`` (a factor on the thrust).
+        ``{"female": {"thrust": 0.19}}`` (also ``damping``, ``magnitudes``) or ``{"female": 1.2}`` (a factor on the thrust).
     others
         Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """
@@ -146,10 +146,11 @@ def _one_locomotion(old: Locomotion, new: Any, name: str) -> Locomotion:
         return old
     if isinstance(new, Locomotion):
         return new
-    if isinstance(new, Mapping) and set(new) <= {"damping", "thrust"}:
+    if isinstance(new, Mapping) and set(new) <= {"damping", "thrust", "magnitudes"}:
         return replace(old, **new)
     if isinstance(new, int | float) and not isinstance(new, bool):
         return replace(old, thrust=old.thrust * new)
     raise InputError(
-        f"locomotion of {name} is {new!r}: give a Locomotion, damping and thrust, or a factor"
+        f"locomotion of {name} is {new!r}: give a Locomotion, its damping, thrust or magnitudes, "
+        "or a factor on the thrust"
     )

@@ -80,7 +80,7 @@ def observation_space(world: World) -> spaces.Box:
 
 
 def action_space(world: World) -> spaces.Discrete:
-    """The 13 actions of :mod:`animarl_envs.locomotion`."""
+    """The 12 M + 1 actions of :mod:`animarl_envs.locomotion`."""
     return spaces.Discrete(world.num_actions)
 
 

@@ -70,7 +70,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """The 13 actions, the same object each time."""
+        """The actions of all, the same object each time."""
         return self.action_spaces[agent]
 
     def reset(

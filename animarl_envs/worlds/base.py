@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.scenario import DRIVERS, Scenario
 from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
@@ -122,7 +121,7 @@ class World(ABC):
 
     @property
     def num_actions(self) -> int:
-        return NUM_ACTIONS
+        return self.scenario.species.num_actions
 
     @property
     def demos(self) -> Demonstrations | None:
@@ -166,7 +165,7 @@ class World(ABC):
             tracker.started(self, mask)
 
     def step(self, actions: NDArray[np.integer]) -> None:
-        """Advance every copy by one decision step; ``actions`` is ``(B, K)``, 0 to 12.
+        """Advance every copy by one decision step; ``actions`` is ``(B, K)``, 0 to 12 M.
 
         A copy whose episode has ended is advanced as well: reset it first.
         """

@@ -1,7 +1,7 @@
 """Simple scripted rules, for individuals that no learner drives.
 
 A pursuer accelerates straight at the target. The target looks a few steps ahead along
-each of its 13 actions and takes the one that leaves it farthest from pursuers and walls.
+each of its actions and takes the one that leaves it farthest from pursuers and walls.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import numba as nb
 import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
 from animarl_envs.worlds.compiling import jit
+from animarl_envs.worlds.transition import next_velocity
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 LOOKAHEAD = 6  # [steps] that the target looks ahead, the action held
@@ -35,8 +35,13 @@ def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
 
 
 @jit
-def decide(i, position, velocity, towards, damping, thrust, dt, shape, size, actions):  # type: ignore[no-untyped-def]
-    """Put what the rule of individual ``i`` does in each copy into ``actions[i]``, ``(B,)``."""
+def decide(  # type: ignore[no-untyped-def]
+    i, position, velocity, towards, damping, thrust, pushes, dt, shape, size, actions
+):
+    """Put what the rule of individual ``i`` does in each copy into ``actions[i]``, ``(B,)``.
+
+    ``pushes`` ``(K, 2, A)`` are the actions' vectors in multiples of the thrust, ahead and left.
+    """
     K, _, B = position.shape
     target = K - 1
     for b in range(B):
@@ -44,9 +49,9 @@ def decide(i, position, velocity, towards, damping, thrust, dt, shape, size, act
     if i != target:
         return
     px, py, cost, lowest = np.empty(B), np.empty(B), np.empty(B), np.full(B, math.inf)
-    for k in range(NUM_ACTIONS):
-        ahead = ACTION_VECTORS[k, 0]
-        left = ACTION_VECTORS[k, 1]
+    for k in range(pushes.shape[2]):
+        ahead = pushes[i, 0, k]
+        left = pushes[i, 1, k]
         for b in range(B):
             ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
             ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
@@ -55,8 +60,8 @@ def decide(i, position, velocity, towards, damping, thrust, dt, shape, size, act
             vx = velocity[i, 0, b]
             vy = velocity[i, 1, b]
             for _ in range(LOOKAHEAD):
-                vx = (1.0 - damping) * vx + thrust * ax * dt
-                vy = (1.0 - damping) * vy + thrust * ay * dt
+                vx = next_velocity(vx, ax, damping, thrust, dt)
+                vy = next_velocity(vy, ay, damping, thrust, dt)
                 x += vx * dt
                 y += vy * dt
             px[b] = x

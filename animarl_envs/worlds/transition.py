@@ -1,12 +1,12 @@
-"""The velocity transition as kernels call it; see :mod:`animarl_envs.locomotion`.
+"""The velocity transition as kernels call it: :func:`animarl_envs.locomotion.next_velocity`.
 
 It stands apart so that importing the package, which needs the parameters alone, leaves numba out.
+Fits and worlds compile it alike, so this module imports nothing above :mod:`animarl_envs.locomotion`.
 """
 
 import numba as nb
 
+from animarl_envs import locomotion
 
-@nb.njit(inline="always")
-def next_velocity(velocity, acceleration, damping, thrust, dt):  # type: ignore[no-untyped-def]
-    """One component of ``v' = (1 - d) v + u a dt`` (paper, eq. 1); the position follows with v'."""
-    return (1.0 - damping) * velocity + thrust * acceleration * dt
+next_velocity = nb.njit(inline="always")(locomotion.next_velocity)
+"""One component of ``v' = (1 - d) v + u a dt``."""

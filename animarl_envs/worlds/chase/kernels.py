@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
-from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.senses import observe
 from animarl_envs.worlds.compiling import jit, part
@@ -27,9 +25,6 @@ from animarl_envs.worlds.transition import next_velocity
 
 SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
-
-AHEAD = np.ascontiguousarray(ACTION_VECTORS[:, 0])
-LEFT = np.ascontiguousarray(ACTION_VECTORS[:, 1])
 
 
 # -- starting -------------------------------------------------------------------------------------
@@ -83,7 +78,8 @@ class ChaseState(structref.StructRefProxy):  # type: ignore[misc]
     """What a step reads and writes, in one object: handing arrays to a kernel one by one would
     take longer than the step of a single copy.
 
-    ``actions``, ``others``, ``nearest`` and ``code`` are scratch. ``sharing`` is the condition
+    ``actions``, ``others``, ``nearest`` and ``code`` are scratch. ``pushes`` ``(K, 2, A)`` are the
+    actions' vectors in multiples of the thrust, ahead and left. ``sharing`` is the condition
     where condition 1 shares the reward, else zeros. ``driven``: somebody ignores the caller.
     """
 
@@ -92,8 +88,8 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     ChaseState,
     _ChaseStateType,
     [
-        "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "numbers",
-        "position", "velocity", "towards", "others", "nearest", "code", "components", "reward",
+        "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
+        "numbers", "position", "velocity", "towards", "others", "nearest", "code", "components", "reward",
         "outcome", "terminated", "truncated", "step_count", "warming", "observation",
     ],
 )  # fmt: skip
@@ -101,13 +97,13 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 
 @jit
 def bundle(  # type: ignore[no-untyped-def]
-    actions, drivers, driven, demos, demo, sharing, damping, thrust, numbers, position, velocity,
+    actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position, velocity,
     towards, others, nearest, code, components, reward, outcome, terminated, truncated, step_count,
     warming, observation,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
-        actions, drivers, driven, demos, demo, sharing, damping, thrust, numbers, position,
+        actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
         velocity, towards, others, nearest, code, components, reward, outcome, terminated,
         truncated, step_count, warming, observation,
     )  # fmt: skip
@@ -130,10 +126,10 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         step_count[b] += 1
     if state.driven:
         drive(
-            state.drivers, actions, position, velocity, towards, state.damping, state.thrust, dt,
-            field,
+            state.drivers, actions, position, velocity, towards, state.damping, state.thrust,
+            state.pushes, dt, field,
         )  # fmt: skip
-    move(actions, towards, state.damping, state.thrust, dt, position, velocity)
+    move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
     if state.driven or warmup > 0:
         replay(
             state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
@@ -156,27 +152,30 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
 
 
 @part
-def drive(drivers, actions, position, velocity, towards, damping, thrust, dt, field):  # type: ignore[no-untyped-def]
+def drive(  # type: ignore[no-untyped-def]
+    drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field
+):
     """Put the actions of those whom the caller does not drive into ``actions`` ``(K, B)``."""
+    coast = pushes.shape[2] - 1
     for i in range(len(drivers)):
         if drivers[i] == COASTING or drivers[i] == REPLAY:
             for b in range(actions.shape[1]):
-                actions[i, b] = COAST
+                actions[i, b] = coast
         elif drivers[i] == SCRIPTED:
             decide(
-                i, position, velocity, towards, damping[i], thrust[i], dt, field[0], field[1],
-                actions,
+                i, position, velocity, towards, damping[i], thrust[i], pushes, dt, field[0],
+                field[1], actions,
             )  # fmt: skip
 
 
 @part
-def move(actions, towards, damping, thrust, dt, position, velocity):  # type: ignore[no-untyped-def]
+def move(actions, towards, damping, thrust, pushes, dt, position, velocity):  # type: ignore[no-untyped-def]
     """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all individuals."""
     K, _, B = position.shape
     for i in range(K):
         for b in range(B):
-            ahead = AHEAD[actions[i, b]]
-            left = LEFT[actions[i, b]]
+            ahead = pushes[i, 0, actions[i, b]]
+            left = pushes[i, 1, actions[i, b]]
             ax = ahead * towards[i, 0, b] - left * towards[i, 1, b]
             ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
             vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)

@@ -44,6 +44,7 @@ class ChaseWorld(World):
         self._others = np.zeros((K - 1, senses.RELATIVE, B))
         damping = np.array([m.damping for m in species.locomotion])
         thrust = np.array([m.thrust for m in species.locomotion])
+        pushes = np.stack([np.ascontiguousarray(m.action_vectors.T) for m in species.locomotion])
         self._fixed_start = (
             np.zeros((0, 2)) if isinstance(scenario.start, str) else np.asarray(scenario.start)
         )
@@ -58,7 +59,7 @@ class ChaseWorld(World):
         )  # fmt: skip
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
-            sharing, damping, thrust, numbers, self._position, self._velocity, self._towards,
+            sharing, damping, thrust, pushes, numbers, self._position, self._velocity, self._towards,
             self._others, np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward,
             self.outcome, self.terminated, self.truncated, self.step_count, self.warming,
             self._sensed,

@@ -16,7 +16,6 @@ from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.demos.episode import TIME_OUT
-from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.plume.plume import is_hit
 from animarl_envs.worlds.streams import next_below
@@ -199,7 +198,7 @@ def bundle(  # type: ignore[no-untyped-def]
 @nb.njit(cache=True)
 def step(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, 1)``."""
-    damping, thrust, contact_radius, time_limit, warmup = state.numbers
+    damping, thrust, pushes, contact_radius, time_limit, warmup = state.numbers
     driver, senses, table = state.driver, state.senses, state.table
     demo, demo_hits, demo_start = state.demo, state.demo_hits, state.demos.start
     demo_position, demo_velocity = state.demos.position, state.demos.velocity
@@ -226,10 +225,10 @@ def step(asked, state):  # type: ignore[no-untyped-def]
                 velocity[x, b] = demo_velocity[frame, 0, x]
                 position[x, b] = demo_position[frame, 0, x]
         else:
-            action = asked[b, 0] if driver == ACTION else COAST
+            action = asked[b, 0] if driver == ACTION else len(pushes) - 1
             for x in range(2):  # the focus is (-1, 0), left of it is (0, -1)
                 velocity[x, b] = next_velocity(
-                    velocity[x, b], -ACTION_VECTORS[action, x], damping, thrust, dt
+                    velocity[x, b], -pushes[action, x], damping, thrust, dt
                 )
                 position[x, b] += velocity[x, b] * dt
 

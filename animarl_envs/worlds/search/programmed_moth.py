@@ -14,7 +14,7 @@ now and then, as recorded moths do.
 long a path it finds the source, and the same of recorded moths.
 
 The policy sees observations only. It plans in its body's frame, and uses the body angle only to
-say its plan in the world's 13 actions, never as a compass: with wind blocked it does not know where
+say its plan in the world's actions, never as a compass: with wind blocked it does not know where
 upwind is. Without any contact it stands still.
 
 References
@@ -34,7 +34,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import ACTION_VECTORS
 from animarl_envs.species import SILKMOTH, SearchSpecies
 
 AHEAD, LEFT, BODY_ANGLE, ODOUR_LEFT, ODOUR_RIGHT, FLOW = range(6)
@@ -175,6 +174,6 @@ class ProgrammedMoth:
         """The action whose next velocity is nearest to the wanted one; both in the upwind frame."""
         loco = self.species.locomotion[0]
         coasting = (1.0 - loco.damping) * velocity
-        reachable = coasting[:, None] + loco.thrust * self.species.dt * ACTION_VECTORS
+        reachable = coasting[:, None] + loco.thrust * self.species.dt * loco.action_vectors
         error = np.linalg.norm(reachable - wanted[:, None], axis=-1)
         return np.asarray(error.argmin(axis=1), dtype=np.int64)

@@ -81,7 +81,8 @@ class SearchWorld(World):
         self._senses = _senses(species)
         loco = species.locomotion[0]
         numbers = (
-            loco.damping, loco.thrust, species.contact_radius, species.time_limit, self._warmup,
+            loco.damping, loco.thrust, np.array(loco.action_vectors), species.contact_radius,
+            species.time_limit, self._warmup,
         )  # fmt: skip
         self._state = kernels.bundle(
             int(self._drivers[0]), self._demos, self._episodes.hits, self._table, self._senses,
