@@ -18,6 +18,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -31,6 +32,8 @@ NUM_ACTIONS = NUM_DIRECTIONS + 1
 """Actions of one thrust magnitude, as in the paper; a species has ``num_actions``."""
 COAST = NUM_DIRECTIONS
 """No acceleration, where there is one thrust magnitude; else it is the last action."""
+MOST_THRUSTS = 10
+"""Thrust magnitudes at most: actions are stored as int8."""
 ACTION_ANGLES: NDArray[np.float64] = -np.deg2rad(30.0) * np.arange(NUM_DIRECTIONS)
 """Angle of the directions in the egocentric frame, counter-clockwise [rad]."""
 
@@ -112,10 +115,12 @@ class Locomotion:
 def _checked_magnitudes(given: Sequence[float]) -> tuple[float, ...]:
     """Positive numbers from the largest to the smallest, each once."""
     listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
-    if not listed or len(given) == 0 or not all(is_number(m) for m in given):
-        raise InputError(f"magnitudes are {given!r}: give one or more multiples of the thrust")
+    if not listed or not 1 <= len(given) <= MOST_THRUSTS or not all(is_number(m) for m in given):
+        raise InputError(
+            f"magnitudes are {given!r}: give 1 to {MOST_THRUSTS} multiples of the thrust"
+        )
     numbers = tuple(float(m) for m in given)
-    falling = all(a > b for a, b in zip(numbers, numbers[1:], strict=False))
+    falling = all(a > b for a, b in pairwise(numbers))
     if not falling or not 0.0 < numbers[-1] <= numbers[0] < math.inf:
         raise InputError(
             f"magnitudes are {numbers}: give positive multiples of the thrust, the largest first, "
@@ -184,7 +189,9 @@ def infer_actions(
     ahead = np.sum(acceleration * focus, axis=-1)
     left = acceleration[..., 1] * focus[..., 0] - acceleration[..., 0] * focus[..., 1]
     egocentric = np.stack([ahead, left], axis=-1)
-    error = np.linalg.norm(egocentric[..., None, :] - locomotion.thrust * locomotion.action_vectors, axis=-1)
+    error = np.linalg.norm(
+        egocentric[..., None, :] - locomotion.thrust * locomotion.action_vectors, axis=-1
+    )
     return np.asarray(np.argmin(error, axis=-1), dtype=np.int8)
 
 
@@ -215,9 +222,7 @@ def action_directions(
     return _turned(ACTION_VECTORS[direction], focus)
 
 
-def _turned(
-    egocentric: NDArray[np.floating], focus: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def _turned(egocentric: NDArray[np.floating], focus: NDArray[np.floating]) -> NDArray[np.float64]:
     """Vectors ``(..., 2)`` of the egocentric frame in the arena frame."""
     ahead, left = np.moveaxis(egocentric, -1, 0)
     x, y = np.moveaxis(focus, -1, 0)

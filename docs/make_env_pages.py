@@ -85,8 +85,8 @@ FOCUS = {
 }
 ORDER = {ChaseSpecies: " Others are in this order: the target first, then pursuers by distance."}
 ACTIONS = (
-    "`Discrete({count})`: a unit acceleration in the egocentric frame towards the focus ({focus}), or "
-    "none. The velocity follows by v' = (1 - d) v + u a dt, the position by p' = p + v' dt."
+    "`Discrete({count})`: a unit acceleration in the egocentric frame towards the focus ({focus}), "
+    "or none. The velocity follows by v' = (1 - d) v + u a dt, the position by p' = p + v' dt."
 )
 
 

@@ -13,10 +13,16 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_algos.cli.data import load
+from animarl_algos.cli.thrusts import (
+    format_thrust_table,
+    parse_thrusts,
+    save_thrust_rows,
+    thrust_rows,
+)
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
-from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.fitting import IndividualFit, LocomotionFit, choose_thrusts, fit_locomotion
 from animarl_envs.species import get_species
 
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
@@ -43,6 +49,10 @@ def fit_command(
     method: Annotated[
         MethodChoice, typer.Option(help="joint (default), the paper's onset rule, or both.")
     ] = MethodChoice.joint,
+    thrusts: Annotated[
+        list[str] | None,
+        typer.Option(help="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit)."),
+    ] = None,
     onset_threshold: Annotated[
         float | None, typer.Option(help="th_acc of the onset rule, in arena unit / s^2.")
     ] = None,
@@ -61,6 +71,8 @@ def fit_command(
 
       animarl fit demos.npz
 
+      animarl fit demos.npz --thrusts 1,2,3,5
+
       animarl fit episodes_share.npz --method both --split all --out fit.csv
     """
     if out is not None and out.suffix not in {".csv", ".json"}:
@@ -70,6 +82,12 @@ def fit_command(
         onset_threshold = get_species(species).recording.onset_threshold
     console = Console()
     console.width = max(console.width, TABLE_WIDTH)
+    chosen = None if split == "all" else split
+    if thrusts:
+        if method is not MethodChoice.joint:
+            raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
+        compare_thrusts(demos, parse_thrusts(thrusts), chosen, seed, console, out)
+        return
     fits: list[LocomotionFit] = []
     methods = ("joint", "onset") if method is MethodChoice.both else (method.value,)
     for name in methods:
@@ -78,7 +96,7 @@ def fit_command(
                 demos,
                 "onset" if name == "onset" else "joint",
                 onset_threshold=onset_threshold,
-                split=None if split == "all" else split,
+                split=chosen,
                 bootstrap=bootstrap,
                 seed=seed,
             )
@@ -91,6 +109,34 @@ def fit_command(
         console.print(format_fit_table(fit, demos))
     if out is not None:
         save_fits(fits, out)
+        console.print(f"Saved {out}", highlight=False, soft_wrap=True)
+
+
+def compare_thrusts(
+    demos: Demonstrations,
+    numbers: tuple[int, ...],
+    split: str | None,
+    seed: int,
+    console: Console,
+    out: Path | None,
+) -> None:
+    """Fit each number of thrust magnitudes and print how closely it follows the episodes."""
+    if out is not None and out.suffix == ".json" and len(numbers) > 1:
+        raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
+    seen = demos if split is None else demos.select(split=split)
+    fits = [
+        fit_locomotion(demos, thrusts=number, split=split, bootstrap=0, seed=seed)
+        for number in numbers
+    ]
+    rows = thrust_rows(fits, seen)
+    console.print(format_thrust_table(rows, seen, split or "all"))
+    if len(numbers) > 1:
+        console.print(f"Chosen on training episodes: {choose_thrusts(demos)}", highlight=False)
+    if out is not None:
+        if out.suffix == ".json":
+            fits[0].save(out)
+        else:
+            save_thrust_rows(rows, out)
         console.print(f"Saved {out}", highlight=False, soft_wrap=True)
 
 

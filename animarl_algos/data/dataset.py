@@ -256,9 +256,9 @@ def dynamics_scored_penalties(
 ) -> NDArray[np.float32]:
     """How far each action would have led from where the animal went next.
 
-    The fitted dynamics predicts the next position for all 12 M + 1 actions from each demonstrated state,
-    ``p + v' dt`` with ``v' = (1 - d) v + u a dt``; the penalty is the Euclidean distance to the
-    next demonstrated position. The smallest is that of the action that inverse dynamics infers,
+    The fitted dynamics predicts the next position for all 12 M + 1 actions from each demonstrated
+    state, ``p + v' dt`` with ``v' = (1 - d) v + u a dt``; the penalty is the Euclidean distance to
+    the next demonstrated position. The smallest is that of the action that inverse dynamics infers,
     for both compare the same vectors, here times dt^2.
 
     Parameters

@@ -27,7 +27,7 @@ class QPolicy(Protocol):
     """What is asked of a policy: action values of all individuals, with their memory."""
 
     def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
-        """Q-values ``(slots, actions)``, next memory ``(slots, H)``, and whether there was one slot."""
+        """Q-values ``(slots, actions)``, next memory ``(slots, H)``, whether there was one slot."""
         ...
 
 

@@ -83,13 +83,10 @@ def fitted_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
     """
     key = demos.fingerprint()
     if key not in _FITS:
-        from animarl_envs.fitting import fit_joint, transitions
+        from animarl_envs.fitting.magnitudes import joint_locomotion
 
         seen = demos.select(split="train") if (demos.split == "train").any() else demos
-        _FITS[key] = tuple(
-            fit_joint(transitions(seen, i), f"{demos.name}: {name}")
-            for i, name in enumerate(demos.individuals)
-        )
+        _FITS[key] = joint_locomotion(seen)
     return _FITS[key]
 
 

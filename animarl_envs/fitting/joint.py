@@ -74,15 +74,19 @@ def fit_joint(
 
 
 def best_of(
-    data: Transitions, starts: Sequence[tuple[float, Floats]], least_speed: float
+    data: Transitions,
+    starts: Sequence[tuple[float, Floats]],
+    least_speed: float,
+    tolerance: float = TOLERANCE,
 ) -> tuple[float, Floats]:
     """The best (d, thrusts) to which any of several starting points leads.
 
-    Thrusts are ``(M,)`` [arena unit / s^2].
+    Thrusts are ``(M,)`` [arena unit / s^2]; ``tolerance`` is the relative change of d and of the
+    thrusts at which the search ends.
     """
     best, best_loss = starts[0], math.inf
     for start in starts:
-        damping, thrusts, loss = _alternate(data, *start, least_speed)
+        damping, thrusts, loss = _alternate(data, *start, least_speed, tolerance)
         if loss < best_loss:
             best, best_loss = (damping, thrusts), loss
     return best
@@ -137,7 +141,7 @@ def _starting_points(data: Transitions) -> list[tuple[float, float]]:
 
 
 def _alternate(
-    data: Transitions, damping: float, thrusts: Floats, least_speed: float
+    data: Transitions, damping: float, thrusts: Floats, least_speed: float, tolerance: float
 ) -> tuple[float, Floats, float]:
     """Assign actions, trim, solve; until nothing changes. Returns d, thrusts and the mean loss."""
     error, action, level = scratch = _scratch(len(data))
@@ -150,14 +154,20 @@ def _alternate(
             return damping, thrusts, math.inf
         change = max(abs(new_damping - damping), np.max(np.abs(new_thrusts - thrusts) / thrusts))
         damping, thrusts = new_damping, new_thrusts
-        if change < TOLERANCE:
+        if change < tolerance:
             break
     _assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
     return damping, thrusts, _loss(error)
 
 
 def _solve(
-    vv: float, vn: float, va: Floats, aa: Floats, an: Floats, thrusts: Floats, dt: float,
+    vv: float,
+    vn: float,
+    va: Floats,
+    aa: Floats,
+    an: Floats,
+    thrusts: Floats,
+    dt: float,
     least_speed: float,
 ) -> tuple[float, Floats]:
     """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`_sums`.
@@ -214,9 +224,7 @@ def _gradients(data: Transitions, point: Floats) -> Floats:
     return out
 
 
-def _curvature(
-    data: Transitions, point: Floats, step: Floats
-) -> Floats:
+def _curvature(data: Transitions, point: Floats, step: Floats) -> Floats:
     """Half the Hessian of the loss by (d, u), as a difference quotient over ``step``."""
     rows = []
     for shift in np.diag(step):
@@ -233,9 +241,7 @@ def _fixed_curvature(data: Transitions, point: Floats) -> Floats:
     return np.array([[np.sum(data.velocity**2), mixed], [mixed, np.sum(impulse**2)]])
 
 
-def _nearest(
-    data: Transitions, point: Floats
-) -> tuple[Floats, Floats]:
+def _nearest(data: Transitions, point: Floats) -> tuple[Floats, Floats]:
     """Squared errors ``(steps,)`` and nearest action vectors ``(steps, 2)`` at (d, u)."""
     error, action, level = _scratch(len(data))
     impulse = point[1:] * data.dt

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.joint import bootstrap_joint, fit_joint
+from animarl_envs.fitting.joint import bootstrap_joint
+from animarl_envs.fitting.magnitudes import fast_speed, joint_locomotion
 from animarl_envs.fitting.onset import bootstrap_onset, fit_onset, onset_data, top_speed
 from animarl_envs.fitting.transitions import transitions, velocity_rmse
 from animarl_envs.locomotion import Locomotion
@@ -31,7 +32,8 @@ SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species co
 class IndividualFit:
     """Fitted locomotion of one individual.
 
-    Intervals are 95 % percentile intervals over resampled episodes, ``None`` with one episode.
+    Intervals are 95 % percentile intervals over resampled episodes, ``None`` with one episode or
+    with several thrust magnitudes.
     ``onsets`` is the number of rest-to-motion transitions (onset fit only);
     ``resamples_without_onset`` were left out of the intervals.
     """
@@ -44,14 +46,15 @@ class IndividualFit:
     velocity_rmse: float  # on the validation episodes [arena unit / s]
     steps: int  # transitions the parameters come from
     top_speed: float  # median of the recorded speeds above their 99th percentile [arena unit / s]
-    terminal_speed: float  # u dt / d: what constant thrust would lead to [arena unit / s]
+    terminal_speed: float  # what the largest thrust, held, would lead to [arena unit / s]
     braking_time: float  # until coasting has lost all but 1/e of the speed [s]
+    magnitudes: tuple[float, ...] = (1.0,)  # multiples of the thrust, the largest first
     onsets: int | None = None
     resamples_without_onset: int = 0
 
     @property
     def locomotion(self) -> Locomotion:
-        return Locomotion(self.damping, self.thrust)
+        return Locomotion(self.damping, self.thrust, self.magnitudes)
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,8 @@ class LocomotionFit:
                 key: None if fit[key] is None else (fit[key][0], fit[key][1])
                 for key in ("damping_interval", "thrust_interval")
             }
-            individuals.append(IndividualFit(**{**fit, **pairs}))
+            magnitudes = tuple(fit.get("magnitudes", (1.0,)))  # older files have none
+            individuals.append(IndividualFit(**{**fit, **pairs, "magnitudes": magnitudes}))
         return cls(**{**record, "individuals": tuple(individuals)})
 
     def save(self, path: str | Path) -> Path:
@@ -116,12 +120,13 @@ def fit_locomotion(
     demos: Demonstrations,
     method: Method = "joint",
     *,
+    thrusts: int = 1,
     onset_threshold: float | None = None,
     split: str | None = "train",
     bootstrap: int = BOOTSTRAP,
     seed: int = 0,
 ) -> LocomotionFit:
-    """Fit damping and thrust of every individual.
+    """Fit damping, thrust and its magnitudes of every individual.
 
     Parameters
     ----------
@@ -129,6 +134,8 @@ def fit_locomotion(
         Recorded episodes, with their splits.
     method
         ``"joint"`` (see :mod:`animarl_envs.fitting.joint`) or ``"onset"``, the paper's rule.
+    thrusts
+        Number of thrust magnitudes (see :mod:`animarl_envs.fitting.magnitudes`).
     onset_threshold
         th_acc of the onset fit [arena unit / s^2]; by default that of the species.
     split
@@ -156,15 +163,19 @@ def fit_locomotion(
     elif onset_threshold is None:
         onset_threshold = default_onset_threshold(demos)
     weights = _resampling_weights(training.num_episodes, bootstrap, seed)
-    fits = []
-    for i in range(demos.num_individuals):
-        locomotion, samples, onsets = _fit_one(training, i, method, onset_threshold, weights)
-        fits.append(_summary(training, validation, i, locomotion, samples, onsets))
+    if onset_threshold is None:
+        fits = _joint_fits(training, validation, thrusts, weights)
+    else:
+        if thrusts != 1:
+            raise InputError(
+                f"thrusts is {thrusts!r} but the onset rule fits one thrust: use method joint"
+            )
+        fits = _onset_fits(training, validation, onset_threshold, weights)
     return LocomotionFit(
         method=method,
         species=demos.species,
         dt=demos.dt,
-        individuals=tuple(fits),
+        individuals=fits,
         fitted_on=split or "all",
         validated_on="all" if without_validation else "val",
         episodes=training.num_episodes,
@@ -202,23 +213,36 @@ def _resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.
     return counts.reshape(resamples, episodes).astype(np.float64)
 
 
-def _fit_one(
-    demos: Demonstrations,
-    individual: int,
-    method: Method,
-    onset_threshold: float | None,
+def _joint_fits(
+    training: Demonstrations,
+    validation: Demonstrations,
+    thrusts: int,
     weights: NDArray[np.float64] | None,
-) -> tuple[Locomotion, NDArray[np.float64] | None, int | None]:
-    """Parameters, their resamples ``(resamples, 2)`` and the number of onsets of one individual."""
-    if onset_threshold is None:
-        data = transitions(demos, individual)
-        locomotion = fit_joint(data, f"{demos.name}: {demos.individuals[individual]}")
-        samples = None if weights is None else bootstrap_joint(data, locomotion, weights)
-        return locomotion, samples, None
-    starts = onset_data(demos, individual, onset_threshold)
-    locomotion = fit_onset(demos, individual, onset_threshold)
-    samples = None if weights is None else bootstrap_onset(starts, weights)
-    return locomotion, samples, len(starts.onset_speed)
+) -> tuple[IndividualFit, ...]:
+    fits = []
+    for i, locomotion in enumerate(joint_locomotion(training, thrusts)):
+        samples = None
+        if weights is not None and thrusts == 1:
+            data = transitions(training, i)
+            samples = bootstrap_joint(data, locomotion, weights, fast_speed(data))
+        fits.append(_summary(training, validation, i, locomotion, samples, None))
+    return tuple(fits)
+
+
+def _onset_fits(
+    training: Demonstrations,
+    validation: Demonstrations,
+    onset_threshold: float,
+    weights: NDArray[np.float64] | None,
+) -> tuple[IndividualFit, ...]:
+    fits = []
+    for i in range(training.num_individuals):
+        starts = onset_data(training, i, onset_threshold)
+        locomotion = fit_onset(training, i, onset_threshold)
+        samples = None if weights is None else bootstrap_onset(starts, weights)
+        onsets = len(starts.onset_speed)
+        fits.append(_summary(training, validation, i, locomotion, samples, onsets))
+    return tuple(fits)
 
 
 def _summary(
@@ -249,6 +273,7 @@ def _summary(
         top_speed=top_speed(training, individual),
         terminal_speed=locomotion.terminal_speed(training.dt),
         braking_time=braking_time(locomotion.damping, training.dt),
+        magnitudes=locomotion.magnitudes,
         onsets=onsets,
         resamples_without_onset=lost,
     )

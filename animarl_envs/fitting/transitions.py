@@ -88,7 +88,7 @@ def demonstrated_actions(
 def velocity_rmse(demos: Demonstrations, individual: int, locomotion: Locomotion) -> float:
     """Velocity RMSE of the paper's Table 1, for one individual [arena unit / s].
 
-    The velocity rebuilt from the nearest of the 13 actions is compared with the next observed one;
+    The velocity rebuilt from the nearest of the actions is compared with the next observed one;
     the error is the Euclidean length of their difference, and its root mean square over all steps
     is returned.
     """

@@ -60,7 +60,9 @@ class Species:
                 f"{len(self.locomotion)} sets of locomotion parameters for "
                 f"{len(self.individuals)} individuals: give one each"
             )
-        counts = {name: m.thrusts for name, m in zip(self.individuals, self.locomotion, strict=True)}
+        counts = {
+            name: m.thrusts for name, m in zip(self.individuals, self.locomotion, strict=True)
+        }
         if len(set(counts.values())) > 1:
             told = ", ".join(f"{name} {count}" for name, count in counts.items())
             raise InputError(

@@ -24,7 +24,8 @@ def with_options(species: Species, **options: Any) -> Species:
         the square of starts grow; ``rebound`` and ``boundary`` apply to it.
     locomotion
         One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
-        ``{"female": {"thrust": 0.19}}`` (also ``damping``, ``magnitudes``) or ``{"female": 1.2}`` (a factor on the thrust).
+        ``{"female": {"thrust": 0.19}}`` (also ``damping``, ``magnitudes``) or
+        ``{"female": 1.2}`` (a factor on the thrust).
     others
         Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """

@@ -1,7 +1,7 @@
 """The velocity transition as kernels call it: :func:`animarl_envs.locomotion.next_velocity`.
 
 It stands apart so that importing the package, which needs the parameters alone, leaves numba out.
-Fits and worlds compile it alike, so this module imports nothing above :mod:`animarl_envs.locomotion`.
+Fits and worlds use it alike, so it imports nothing above :mod:`animarl_envs.locomotion`.
 """
 
 import numba as nb

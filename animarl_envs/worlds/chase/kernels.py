@@ -89,17 +89,17 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     _ChaseStateType,
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "towards", "others", "nearest", "code", "components", "reward",
-        "outcome", "terminated", "truncated", "step_count", "warming", "observation",
+        "numbers", "position", "velocity", "towards", "others", "nearest", "code", "components",
+        "reward", "outcome", "terminated", "truncated", "step_count", "warming", "observation",
     ],
 )  # fmt: skip
 
 
 @jit
 def bundle(  # type: ignore[no-untyped-def]
-    actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position, velocity,
-    towards, others, nearest, code, components, reward, outcome, terminated, truncated, step_count,
-    warming, observation,
+    actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
+    velocity, towards, others, nearest, code, components, reward, outcome, terminated, truncated,
+    step_count, warming, observation,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]

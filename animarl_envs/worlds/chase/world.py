@@ -59,7 +59,8 @@ class ChaseWorld(World):
         )  # fmt: skip
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
-            sharing, damping, thrust, pushes, numbers, self._position, self._velocity, self._towards,
+            sharing, damping, thrust, pushes, numbers, self._position, self._velocity,
+            self._towards,
             self._others, np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward,
             self.outcome, self.terminated, self.truncated, self.step_count, self.warming,
             self._sensed,

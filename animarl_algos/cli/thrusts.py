@@ -1,0 +1,108 @@
+"""``animarl fit --thrusts``: how closely so many thrust magnitudes can follow recorded episodes."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from animarl_envs.demos import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting import LocomotionFit, track
+from animarl_envs.fitting.magnitudes import FAST
+from animarl_envs.fitting.tracking import speed_distances, tracking_errors
+from animarl_envs.locomotion import MOST_THRUSTS
+
+
+@dataclass(frozen=True)
+class ThrustRow:
+    """One individual under one number of magnitudes; a further column is a further field."""
+
+    thrusts: int
+    individual: str
+    damping: float
+    thrust: float  # [arena unit / s^2]
+    magnitudes: str  # multiples of the thrust
+    tracking_error: float  # median over steps [arena unit]
+    speed_distance: float  # Wasserstein distance over the mean recorded speed
+    terminal_speed: float  # [arena unit / s]
+    fast_speed: float  # 99 % quantile of the recorded speed [arena unit / s]
+
+
+def parse_thrusts(given: Sequence[str]) -> tuple[int, ...]:
+    """Numbers of magnitudes from ``1,2,3`` or from several such texts, each once, in order.
+
+    Raises
+    ------
+    InputError
+        If one is no whole number from 1 to 10.
+    """
+    texts = [text.strip() for part in given for text in part.split(",")]
+    if not all(text.isdecimal() and 1 <= int(text) <= MOST_THRUSTS for text in texts):
+        raise InputError(
+            f"--thrusts is {','.join(given)!r}: give whole numbers of thrust magnitudes from 1 to "
+            f"{MOST_THRUSTS}, such as 1,2,3"
+        )
+    return tuple(sorted({int(text) for text in texts}))
+
+
+def thrust_rows(fits: Sequence[LocomotionFit], seen: Demonstrations) -> list[ThrustRow]:
+    """What each fit makes of the episodes ``seen``, followed in closed loop."""
+    steps = np.delete(np.arange(len(seen.positions)), seen.offsets[:-1])
+    speed = np.linalg.norm(seen.velocities()[steps], axis=2)
+    fast = np.quantile(speed, FAST, axis=0)
+    rows = []
+    for fit in fits:
+        tracking = track(seen, fit.locomotion)
+        errors, speeds = tracking_errors(seen, tracking), speed_distances(seen, tracking)
+        for i, one in enumerate(fit.individuals):
+            multiples = " ".join(f"{m:.3g}" for m in one.magnitudes)
+            rows.append(
+                ThrustRow(
+                    len(one.magnitudes), one.name, one.damping, one.thrust, multiples,
+                    float(errors[i]), float(speeds[i]), one.terminal_speed, float(fast[i]),
+                )
+            )  # fmt: skip
+    return rows
+
+
+def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: str) -> Table:
+    """A line per number of magnitudes and individual."""
+    kind = "synthetic" if seen.synthetic else "recorded"
+    caption = (
+        f"{len(seen)} {kind} episodes ({which}) followed in closed loop. Tracking error: median "
+        "distance over steps. Speed distance: Wasserstein distance of tracked and recorded speeds "
+        "over the mean recorded speed. Lengths in arena units."
+    )
+    table = Table(
+        title=f"Thrust magnitudes of {seen.species}", caption=caption, box=SIMPLE_HEAD,
+        padding=(0, 1),
+    )  # fmt: skip
+    table.add_column("thrusts", justify="right")
+    table.add_column("individual", no_wrap=True)
+    for heading in (
+        "d", "u", "multiples of u", "tracking\nerror", "speed\ndistance", "terminal\nspeed",
+        "99 %\nspeed",
+    ):  # fmt: skip
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            str(row.thrusts), row.individual, f"{row.damping:.4f}", f"{row.thrust:.3g}",
+            row.magnitudes, f"{row.tracking_error:.2g}", f"{row.speed_distance:.1%}",
+            f"{row.terminal_speed:.3g}", f"{row.fast_speed:.3g}",
+        )  # fmt: skip
+    return table
+
+
+def save_thrust_rows(rows: Sequence[ThrustRow], out: Path) -> None:
+    """Write all rows as ``.csv``."""
+    with write_then_rename(out) as part, part.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow([field.name for field in fields(ThrustRow)])
+        writer.writerows(astuple(row) for row in rows)

@@ -1,0 +1,158 @@
+"""Fitting M thrust magnitudes to every individual, and choosing M.
+
+With one magnitude this is the joint fit. With more, d and all thrusts are fitted together from
+several starting points, and then held against fixed multiples of the one-magnitude thrust which did
+well on moths, termites and flies: what follows the recordings more closely in closed loop
+(:mod:`animarl_envs.fitting.tracking`) is taken, individual by individual. ``u`` stays the thrust of
+the joint fit, of which the magnitudes are multiples.
+
+In every fit the terminal speed of the largest thrust is at least the recorded 99 % quantile of
+speed: a model that cannot go as fast as the animal cannot move like it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.checks import is_whole
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.joint import best_of, fit_joint
+from animarl_envs.fitting.tracking import speed_distances, track, tracking_errors
+from animarl_envs.fitting.transitions import Transitions, transitions
+from animarl_envs.locomotion import MOST_THRUSTS, Locomotion
+
+Floats = NDArray[np.float64]
+
+FAST = 0.99  # quantile of recorded speed that the terminal speed reaches
+MULTIPLES: dict[int, tuple[float, ...]] = {
+    2: (1.45, 0.65),
+    3: (1.75, 1.0, 0.5),
+    8: (2.3, 1.7, 1.3, 1.0, 0.75, 0.5, 0.3, 0.15),
+}
+"""Measured best of fixed multiples of u, by the number of magnitudes."""
+TOLERANCE = 1e-5  # relative change of d and magnitudes at which a fit of several has converged
+CHOICE = (1, 2, 3, 4, 5)  # numbers of magnitudes that are tried
+CLOSE = 0.05  # speed distance that will do
+GAIN = 0.2  # share of the speed distance that one more magnitude must take away ...
+LEAST_GAIN = 0.005  # ... and the least that counts
+
+
+def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
+    """Damping, thrust and magnitudes of every individual, from all episodes of ``demos``.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes, those to fit only.
+    thrusts
+        The number of magnitudes, M.
+
+    Raises
+    ------
+    InputError
+        If ``thrusts`` is none of 1 to 10, or an individual has too few steps or never moves.
+    """
+    if not is_whole(thrusts) or not 1 <= thrusts <= MOST_THRUSTS:
+        raise InputError(
+            f"thrusts is {thrusts!r}: give a whole number of thrust magnitudes, 1 to {MOST_THRUSTS}"
+        )
+    return _richer(demos, _one_magnitude(demos), thrusts)
+
+
+def choose_thrusts(demos: Demonstrations) -> int:
+    """How many magnitudes the training episodes ask for (all episodes, if none are for training).
+
+    The smallest number under which closed-loop tracking moves at the recorded speeds (speed
+    distance below ``CLOSE``, on average over individuals) and one more magnitude would take away
+    less than ``GAIN`` of that distance, or less than ``LEAST_GAIN``.
+    """
+    seen = demos.select(split="train") if (demos.split == "train").any() else demos
+    ones = _one_magnitude(seen)
+
+    def distance(thrusts: int) -> float:
+        fit = _richer(seen, ones, thrusts)
+        return float(speed_distances(seen, track(seen, fit)).mean())
+
+    here = distance(CHOICE[0])
+    for thrusts, following in pairwise(CHOICE):
+        if here < LEAST_GAIN:
+            return thrusts
+        there = distance(following)
+        if here < CLOSE and here - there < max(GAIN * here, LEAST_GAIN):
+            return thrusts
+        here = there
+    return CHOICE[-1]
+
+
+def fast_speed(data: Transitions) -> float:
+    """The speed that a fit must be able to reach [arena unit / s]."""
+    speed = np.hypot(data.next_velocity[:, 0], data.next_velocity[:, 1])
+    return float(np.quantile(speed, FAST)) if len(speed) else 0.0
+
+
+def fixed_multiples(thrusts: int) -> tuple[float, ...]:
+    """Multiples of u that need no fit, the largest first: measured, or a geometric ladder."""
+    if thrusts in MULTIPLES:
+        return MULTIPLES[thrusts]
+    return tuple(float(m) for m in np.geomspace(2.3, 0.25, thrusts))
+
+
+def _one_magnitude(demos: Demonstrations) -> tuple[Locomotion, ...]:
+    """The joint fit of every individual, whatever terminal speed it has."""
+    return tuple(
+        fit_joint(transitions(demos, i), f"{demos.name}: {name}")
+        for i, name in enumerate(demos.individuals)
+    )
+
+
+def _richer(
+    demos: Demonstrations, ones: Sequence[Locomotion], thrusts: int
+) -> tuple[Locomotion, ...]:
+    """``thrusts`` magnitudes for every individual, given its joint fit."""
+    every = [transitions(demos, i) for i in range(demos.num_individuals)]
+    if thrusts == 1:
+        return tuple(_fast_enough(data, one) for data, one in zip(every, ones, strict=True))
+    multiples = fixed_multiples(thrusts)
+    fitted = [_fit_magnitudes(data, one, thrusts) for data, one in zip(every, ones, strict=True)]
+    fixed = [_with_multiples(data, one, multiples) for data, one in zip(every, ones, strict=True)]
+    errors = [tracking_errors(demos, track(demos, each)) for each in (fitted, fixed)]
+    return tuple(
+        own if own_error < other_error else other
+        for own, other, own_error, other_error in zip(fitted, fixed, *errors, strict=True)
+    )
+
+
+def _fast_enough(data: Transitions, one: Locomotion) -> Locomotion:
+    """The joint fit, or the best one that reaches the fast speed."""
+    fast = fast_speed(data)
+    return one if one.terminal_speed(data.dt) >= fast else fit_joint(data, least_speed=fast)
+
+
+def _with_multiples(data: Transitions, one: Locomotion, multiples: Sequence[float]) -> Locomotion:
+    """The one-magnitude fit with fixed multiples, damped little enough to reach the fast speed."""
+    fast = fast_speed(data)
+    largest = one.thrust * multiples[0] * data.dt
+    damping = one.damping if one.damping * fast <= largest else largest / fast
+    return Locomotion(damping, one.thrust, tuple(multiples))
+
+
+def _fit_magnitudes(data: Transitions, one: Locomotion, thrusts: int) -> Locomotion:
+    """d and all thrusts of one individual by least squares."""
+    rest = data.next_velocity - (1.0 - one.damping) * data.velocity
+    length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
+    length = length[length > 0.5 * min(fixed_multiples(thrusts)) * one.thrust]
+    spread = (np.arange(thrusts) + 0.5) / thrusts
+    guesses = [one.thrust * np.array(fixed_multiples(thrusts))]
+    if len(length):
+        guesses.append(np.quantile(length, spread))
+    starts = [(one.damping, guess) for guess in guesses]
+    damping, found = best_of(data, starts, fast_speed(data), TOLERANCE)
+    ordered = np.unique(found)[::-1] / one.thrust
+    if len(ordered) < thrusts:  # some coincide: exact tracks of fewer magnitudes
+        return _with_multiples(data, one, fixed_multiples(thrusts))
+    return Locomotion(damping, one.thrust, tuple(ordered.tolist()))

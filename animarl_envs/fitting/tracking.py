@@ -1,0 +1,218 @@
+"""Closed-loop tracking: how near the actions of a locomotion model can stay to recorded tracks.
+
+From the *simulated* state each individual takes, step by step, the action whose next state is
+nearest to the recorded one. The result is what a perfect learner of those actions would do: the
+floor of every comparison of a simulation with its recordings, and labels that suit the states which
+a simulation visits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.arena import SHAPE_CODES, Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.transitions import step_frames
+from animarl_envs.focus import FALLBACK, UPWIND, focus_directions
+from animarl_envs.locomotion import Locomotion, apply_actions
+from animarl_envs.worlds.transition import next_velocity
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """Recorded episodes as the locomotion model can follow them.
+
+    ``positions`` and ``velocities`` are ``(frames, K, 2)`` in the arena frame [arena unit; arena
+    unit / s], ``actions`` ``(frames, K)`` int64: the action taken at each frame, -1 at last frames.
+    """
+
+    positions: Floats
+    velocities: Floats
+    actions: NDArray[np.int64]
+
+
+def track(
+    demos: Demonstrations, locomotion: Sequence[Locomotion], arena: Arena | None = None
+) -> Tracking:
+    """Follow every recorded episode from its first state, all individuals together.
+
+    Each step takes the action that minimises ``|p' - p_rec'|^2 / dt^2 + |v' - v_rec'|^2`` (ties:
+    the lower number); focus directions are those of the simulated positions.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes of K individuals.
+    locomotion
+        Parameters of each of them, with equally many thrust magnitudes.
+    arena
+        Whose walls hold, if it has ``rebound``; by default that of ``demos``.
+
+    Raises
+    ------
+    InputError
+        If there are not K equally rich sets of parameters.
+    """
+    _check(demos, locomotion)
+    arena = demos.arena if arena is None else arena
+    recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
+    starts = demos.offsets.astype(np.int64)
+    state = [np.ascontiguousarray(a[starts[:-1]].transpose(1, 2, 0)) for a in (recorded, velocity)]
+    paths, speeds = np.empty_like(recorded), np.empty_like(velocity)
+    actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
+    candidates, otherwise = _foci(demos.roles)
+    damping = np.array([own.damping for own in locomotion])
+    thrust = np.array([own.thrust for own in locomotion])
+    pushes = np.stack([own.action_vectors for own in locomotion])
+    for t in range(int(demos.lengths.max())):
+        _follow(
+            t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
+            *state, paths, speeds, actions,
+        )  # fmt: skip
+        if arena.rebound:
+            _hold_by_walls(arena, *state)
+    return Tracking(paths, speeds, actions)
+
+
+def one_step_misses(
+    demos: Demonstrations, locomotion: Sequence[Locomotion], tracking: Tracking | None = None
+) -> Floats:
+    """How far each action leads from where the animal went next, ``(frames, K, 12 M + 1)``.
+
+    The states are those of ``tracking``, by default the recorded ones. A miss is
+    ``dt sqrt((|p' - p_rec'|^2 / dt^2 + |v' - v_rec'|^2) / 2)`` [arena unit]: from a recorded state,
+    where both terms are equal, the distance from the next recorded position. Zero at last frames.
+    """
+    _check(demos, locomotion)
+    steps, dt = step_frames(demos), demos.dt
+    recorded, recorded_velocity = demos.positions, demos.velocities()
+    positions = recorded if tracking is None else tracking.positions
+    velocities = recorded_velocity if tracking is None else tracking.velocities
+    focus = focus_directions(positions, demos.roles)
+    misses = np.zeros((*positions.shape[:2], locomotion[0].num_actions))
+    for i, own in enumerate(locomotion):
+        for action in range(own.num_actions):
+            taken = np.full(len(steps), action)
+            reached = apply_actions(velocities[steps, i], taken, focus[steps, i], own, dt)
+            ahead = positions[steps, i] + reached * dt - recorded[steps + 1, i]
+            faster = reached - recorded_velocity[steps + 1, i]
+            squares = np.sum(ahead**2, axis=1) + dt**2 * np.sum(faster**2, axis=1)
+            misses[steps, i, action] = np.sqrt(squares / 2)
+    return misses
+
+
+def tracking_errors(demos: Demonstrations, tracking: Tracking) -> Floats:
+    """Median distance from the recorded position over all steps, ``(K,)`` [arena unit]."""
+    reached = step_frames(demos) + 1
+    apart = tracking.positions[reached] - demos.positions[reached]
+    return np.asarray(np.median(np.hypot(apart[..., 0], apart[..., 1]), axis=0))
+
+
+def speed_distances(demos: Demonstrations, tracking: Tracking) -> Floats:
+    """Wasserstein distance of tracked and recorded speeds over the mean recorded speed, ``(K,)``.
+
+    Zero for an individual that never moves, in the recording and in the tracking.
+    """
+    reached = step_frames(demos) + 1
+    speeds = [
+        np.sort(np.hypot(v[reached, :, 0], v[reached, :, 1]), axis=0)
+        for v in (tracking.velocities, demos.velocities())
+    ]
+    distance, mean = np.abs(speeds[0] - speeds[1]).mean(axis=0), speeds[1].mean(axis=0)
+    still = (distance == 0) & (mean == 0)
+    with np.errstate(divide="ignore"):
+        return np.asarray(distance / np.where(still, 1.0, mean))
+
+
+def _check(demos: Demonstrations, locomotion: Sequence[Locomotion]) -> None:
+    if len(locomotion) != demos.num_individuals or len({own.thrusts for own in locomotion}) != 1:
+        counts = [own.thrusts for own in locomotion]
+        raise InputError(
+            f"{demos.name}: locomotion parameters with {counts} thrust magnitudes for "
+            f"{demos.num_individuals} individuals: give one set each, all with the same number"
+        )
+
+
+def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
+    """Of whom the nearest is each individual's focus ``(K, K)``, and its direction without any.
+
+    The rules of :func:`animarl_envs.focus.focus_directions`, as the kernel reads them.
+    """
+    count, pursuer = len(roles), np.array([role == "pursuer" for role in roles])
+    candidates = np.zeros((count, count), dtype=bool)
+    otherwise = np.tile(FALLBACK, (count, 1))
+    for i, role in enumerate(roles):
+        if role == "searcher":
+            otherwise[i] = UPWIND
+        elif role == "pursuer" and "target" in roles:
+            candidates[i, -1] = True
+        else:
+            candidates[i] = pursuer & (np.arange(count) != i)
+    return candidates, otherwise
+
+
+def _hold_by_walls(arena: Arena, position: Floats, velocity: Floats) -> None:
+    """The walls of the worlds, which are above this package: imported where they are needed."""
+    from animarl_envs.worlds.chase.kernels import rebound
+
+    field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
+    rebound(field, position, velocity)
+
+
+@nb.njit(cache=True)
+def _follow(  # type: ignore[no-untyped-def]
+    t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
+    position, velocity, paths, speeds, actions,
+):  # fmt: skip
+    """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``."""
+    K = position.shape[0]
+    towards = np.empty((K, 2))
+    for b in range(len(starts) - 1):
+        frame = starts[b] + t
+        if frame >= starts[b + 1]:
+            continue
+        for i in range(K):
+            for x in range(2):
+                paths[frame, i, x] = position[i, x, b]
+                speeds[frame, i, x] = velocity[i, x, b]
+        if frame + 1 == starts[b + 1]:
+            continue
+        for i in range(K):  # all look before anyone moves
+            nearest = np.inf
+            towards[i] = otherwise[i]
+            for j in range(K):
+                dx = position[j, 0, b] - position[i, 0, b]
+                dy = position[j, 1, b] - position[i, 1, b]
+                distance = np.hypot(dx, dy)
+                if candidates[i, j] and distance < nearest:
+                    nearest = distance
+                    towards[i, 0] = dx / distance if distance > 0.0 else otherwise[i, 0]
+                    towards[i, 1] = dy / distance if distance > 0.0 else otherwise[i, 1]
+        for i in range(K):
+            least, action, best_x, best_y = np.inf, 0, 0.0, 0.0
+            for k in range(pushes.shape[1]):
+                ahead, left = pushes[i, k, 0], pushes[i, k, 1]
+                ax = ahead * towards[i, 0] - left * towards[i, 1]
+                ay = ahead * towards[i, 1] + left * towards[i, 0]
+                vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
+                vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
+                px = (position[i, 0, b] + vx * dt - recorded[frame + 1, i, 0]) / dt
+                py = (position[i, 1, b] + vy * dt - recorded[frame + 1, i, 1]) / dt
+                qx = vx - recorded_velocity[frame + 1, i, 0]
+                qy = vy - recorded_velocity[frame + 1, i, 1]
+                cost = px * px + py * py + qx * qx + qy * qy
+                if cost < least:
+                    least, action, best_x, best_y = cost, k, vx, vy
+            actions[frame, i] = action
+            velocity[i, 0, b] = best_x
+            velocity[i, 1, b] = best_y
+            position[i, 0, b] += best_x * dt
+            position[i, 1, b] += best_y * dt
