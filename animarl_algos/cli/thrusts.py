@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ class ThrustRow:
     individual: str
     damping: float
     thrust: float  # [arena unit / s^2]
-    magnitudes: str  # multiples of the thrust
+    magnitudes: tuple[float, ...]  # multiples of the thrust
     tracking_error: float  # median over steps [arena unit]
     speed_distance: float  # Wasserstein distance over the mean recorded speed
     terminal_speed: float  # [arena unit / s]
@@ -62,10 +62,9 @@ def thrust_rows(fits: Sequence[LocomotionFit], seen: Demonstrations) -> list[Thr
         tracking = track(seen, fit.locomotion)
         errors, speeds = tracking_errors(seen, tracking), speed_distances(seen, tracking)
         for i, one in enumerate(fit.individuals):
-            multiples = " ".join(f"{m:.3g}" for m in one.magnitudes)
             rows.append(
                 ThrustRow(
-                    len(one.magnitudes), one.name, one.damping, one.thrust, multiples,
+                    len(one.magnitudes), one.name, one.damping, one.thrust, one.magnitudes,
                     float(errors[i]), float(speeds[i]), one.terminal_speed, float(fast[i]),
                 )
             )  # fmt: skip
@@ -94,7 +93,8 @@ def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: 
     for row in rows:
         table.add_row(
             str(row.thrusts), row.individual, f"{row.damping:.4f}", f"{row.thrust:.3g}",
-            row.magnitudes, f"{row.tracking_error:.2g}", f"{row.speed_distance:.1%}",
+            " ".join(f"{m:.2f}" for m in row.magnitudes),
+            f"{row.tracking_error:.2g}", f"{row.speed_distance:.1%}",
             f"{row.terminal_speed:.3g}", f"{row.fast_speed:.3g}",
         )  # fmt: skip
     return table
@@ -105,4 +105,6 @@ def save_thrust_rows(rows: Sequence[ThrustRow], out: Path) -> None:
     with write_then_rename(out) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow([field.name for field in fields(ThrustRow)])
-        writer.writerows(astuple(row) for row in rows)
+        for row in rows:
+            multiples = " ".join(str(m) for m in row.magnitudes)
+            writer.writerow((asdict(row) | {"magnitudes": multiples}).values())
