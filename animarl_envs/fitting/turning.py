@@ -4,7 +4,7 @@ The three numbers persistence, gain and slip of :class:`animarl_envs.species.tur
 minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
 recorded step, on the recorded velocities. (A fit to single steps foretells the next turn a little
 better and drifts away sooner.) The error is a chord, ``2 sin(difference / 2)``, so that headings
-that are lost altogether do not decide. The fourth number, ``speed``, is the median of the recorded speeds.
+that are lost altogether do not decide. The fourth number, ``speed``, is the median recorded speed.
 
 The optimum is found by damped Gauss-Newton steps (Levenberg 1944) from one start.
 """
@@ -25,6 +25,7 @@ HORIZON = 2.0  # of the free running in the fit [s]
 START = (0.2, 0.8, 0.0)  # persistence, gain, slip
 LOWEST, HIGHEST = np.array([0.0, 1e-3, -3.1]), np.array([0.95, 3.1, 3.1])
 NUDGE = 1e-5  # of a number, for its difference quotient
+NUDGES = NUDGE * np.eye(len(START))
 ITERATIONS, TOLERANCE = 60, 1e-9
 
 
@@ -94,11 +95,8 @@ def free_running(demos: Demonstrations, turning: Turning) -> NDArray[np.float64]
     return out
 
 
-def heading_errors(
-    demos: Demonstrations, rule: Turning | NDArray[np.float64]
-) -> HeadingErrors:
-    """Errors of a turning, or of headings ``(frames,)`` [rad] that need none, at all but first
-    frames."""
+def heading_errors(demos: Demonstrations, rule: Turning | NDArray[np.float64]) -> HeadingErrors:
+    """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
     heading, velocity = _recorded(demos)
     steps = _steps(demos)
     if isinstance(rule, Turning):
@@ -172,7 +170,8 @@ def _least_squares(turning: Turning, data: _Data) -> Turning:
     residuals, damping = _residuals(turning, data), 1e-3
     for _ in range(ITERATIONS):
         nudged = [
-            _residuals(_with(turning, numbers + NUDGE * unit), data) for unit in np.eye(len(numbers))
+            _residuals(_with(turning, numbers + NUDGE * unit), data)
+            for unit in np.eye(len(numbers))
         ]
         slope = (np.stack(nudged, axis=1) - residuals[:, None]) / NUDGE
         square, downhill = slope.T @ slope, -slope.T @ residuals
