@@ -75,7 +75,7 @@ def along_travel(demos: Demonstrations) -> NDArray[np.float64]:
     """Heading of a body that points where it walks ``(frames,)`` [rad]; at rest it is kept."""
     heading, velocity = _recorded(demos)
     out = np.arctan2(velocity[:, 1], velocity[:, 0])
-    moving = velocity.any(axis=1)
+    moving = np.hypot(velocity[:, 0], velocity[:, 1]) > 0
     for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
         for t in range(start, stop):
             if not moving[t]:

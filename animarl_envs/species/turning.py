@@ -1,8 +1,8 @@
 """How a body turns that does not point where it walks.
 
 A silkmoth walks sideways as well as ahead: its body is 0.75 rad off its direction of travel (median
-of recorded runs at 2 Hz, ``docs/plume.md``). The body is drawn towards the direction of travel, the more so the faster it
-walks, and keeps a share of its last turn:
+of recorded runs at 2 Hz, ``docs/plume.md``). The body is drawn towards the direction of travel, the
+more so the faster it walks, and keeps a share of its last turn:
 
     turn'    = persistence * turn + gain * tanh(|v'| / speed) * sin(travel' + slip - heading)
     heading' = heading + turn'

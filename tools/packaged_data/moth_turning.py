@@ -3,8 +3,8 @@
     python -m tools.packaged_data.moth_turning DATA_DIR
 
 prints the table of ``docs/plume.md``: six-fold cross-validation over the runs, against a heading
-that is held and one along the direction of travel; then how often an antenna is hit, in a step and in a
-frame; then the fit to all runs, which is ``RECORDED_TURNING`` of
+that is held and one along the direction of travel; then how often an antenna is hit, in a step and
+in a frame; then the fit to all runs, which is ``RECORDED_TURNING`` of
 :mod:`animarl_envs.species.silkmoth`. ``DATA_DIR`` holds ``raw/case*.csv``.
 """
 
@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.markdown import markdown_table
@@ -39,6 +40,7 @@ def held_out_errors(demos: Demonstrations) -> dict[str, HeadingErrors]:
         turning = fit_turning(seen)
         if turning is None:
             raise InputError(f"{demos.name}: its bodies point where they walk: nothing is fitted")
+        rules: dict[str, Turning | NDArray[np.float64]]
         rules = {"held": HELD, "along travel": along_travel(unseen), "fitted turning": turning}
         for name, rule in rules.items():
             found.setdefault(name, []).append(heading_errors(unseen, rule))
