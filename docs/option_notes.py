@@ -46,6 +46,7 @@ NOTES: dict[str, tuple[str, str]] = {
     "warmup": ("a whole number of steps", "steps replayed from the demonstration at the start"),
     "conditions": ("none or two names", "names of conditions 0 and 1"),
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
+    "observation": ("`'full'`, `'paper'`", "which components are observed"),
     "name": ("a word", "its name"),
     "title": ("text", "shown in pictures"),
     "individuals": ("different names", "pursuers first, the target last"),
@@ -72,9 +73,14 @@ SEARCH_ONLY: dict[str, tuple[str, str]] = {
     "antenna_radius": (NOT_NEGATIVE, "within which an antenna meets the plume"),
     "odour_decay": (POSITIVE, "time constant of the signal after the last hit [s]"),
     "odour_baseline": ("0 to below 1", "signal without odour"),
+    "trace_decay": (POSITIVE, "time constant of the slow trace of hits [s]"),
+    "turning": (
+        "a `Turning`, `{'persistence': p, 'gain': g, 'slip': s, 'speed': v}`, `None`",
+        "how the body turns; `None`: it points where it walks",
+    ),
     "flow_threshold": (NOT_NEGATIVE, "yaw rates below it give no visual flow [rad/s]"),
     "flow_limit": (POSITIVE, "visual flow is clipped here [rad/s]"),
-    "rest_speed": (NOT_NEGATIVE, "the body keeps its heading when slower"),
+    "rest_speed": (NOT_NEGATIVE, "without `turning`, the heading is kept when slower"),
     "plume": (
         "`'model'`, `'off'`, `'continuous'`, or a `Plume` from an array or a movie",
         "the odour",

@@ -6,7 +6,7 @@ Property-based: starts, velocities, actions, numbers of pursuers and arenas are 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 from animarl_envs.demos.demonstrations import TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import SPECIES
+from animarl_envs.species import SILKMOTH, SPECIES
+from animarl_envs.species.silkmoth import RECORDED_TURNING
+from animarl_envs.species.turning import Turning
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.plume.plume import Plume
+from animarl_envs.worlds.search.layout import observation_components
 from animarl_envs.worlds.search.world import SearchWorld
 
 Array = NDArray[Any]
@@ -258,13 +261,20 @@ def test_invariance_a_moth_starting_later_meets_the_same_plume(seed: int, later:
 
 
 @often
-@given(seeds, st.integers(0, 11))
-def test_invariance_a_mirrored_moth_walks_the_mirrored_path(seed: int, phase: int) -> None:
+@given(seeds, st.integers(0, 11), st.sampled_from([None, RECORDED_TURNING]))
+def test_invariance_a_mirrored_moth_walks_the_mirrored_path(
+    seed: int, phase: int, turning: Turning | None
+) -> None:
+    """Antennae and wind sides change places, and a body that slips to one side slips to the
+    other."""
     actions, (movie, _, flipped) = runs_of_actions(seed), plumes()
-    one, two = search(movie, actions, phase), search(flipped, MIRRORED[actions], phase)
-    swap, odd = [0, 1, 2, 4, 3, 5, 6, 8, 7, 9], [1, 2, 5]  # antennae and wind sides; left is right
-    sign = np.ones(10)
-    sign[odd] = -1.0
+    other_way = None if turning is None else replace(turning, slip=-turning.slip)
+    one = search(movie, actions, phase, turning=turning)
+    two = search(flipped, MIRRORED[actions], phase, turning=other_way)
+    components = observation_components(SILKMOTH)
+    names = [c.name for c in components]
+    swap = [names.index(c.mirror or c.name) for c in components]
+    sign = np.array([c.sign for c in components])
     for (p, seen, *end), (q, other, *ends) in zip(one, two, strict=True):
         assert q == pytest.approx(p * [1.0, -1.0], abs=1e-12)
         around = np.isclose(np.abs(seen[2]), math.pi, atol=1e-5)  # straight downwind has no side

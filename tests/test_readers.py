@@ -118,7 +118,22 @@ def test_silkmoth_runs(tmp_path: Path) -> None:
     assert demos.outcome.tolist() == [1] and demos.dt == 0.5
     # 91 frames: 0, 15, ..., 90; the first only makes the first velocity.
     np.testing.assert_allclose(demos.positions[:, 0, 0], 0.3 - 0.25 * np.arange(15, 91, 15) / 90)
-    assert demos.signals["odour_left"].tolist() == [t % 4 in (2, 3) for t in range(15, 91, 15)]
+    assert demos.signals["odour_left"].all()  # a step of 15 frames, of which every fourth is hit
+    assert demos.signals["wind"].tolist() == [t // 4 % 4 for t in range(15, 91, 15)]
+
+
+def test_a_hit_counts_in_the_step_of_its_frame_and_in_no_other(tmp_path: Path) -> None:
+    """Frames 16 to 30 lead to the second sample, 30 included; frame 0 leads to none."""
+    path = write_mothvr(tmp_path)
+    hits = {0: "L", 16: "L", 30: "R", 31: "R", 89: "B"}
+    lines = path.read_text().splitlines()
+    for t in range(91):
+        columns = lines[t + 1].split(",")
+        lines[t + 1] = ",".join([*columns[:4], hits.get(t, "N"), *columns[5:]])
+    path.write_text("\n".join(lines))
+    demos = read(path)
+    assert demos.signals["odour_left"].tolist() == [False, True, False, False, False, True]
+    assert demos.signals["odour_right"].tolist() == [False, True, True, False, False, True]
 
 
 def test_silkmoth_keeps_the_final_frame(tmp_path: Path) -> None:

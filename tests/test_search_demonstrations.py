@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH
+from animarl_envs.species.silkmoth import RECORDED_TURNING
+from animarl_envs.worlds.search.layout import Seen
 from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
 
 
@@ -36,10 +39,18 @@ def test_known_plume_of_a_demonstration_is_used() -> None:
         search_world(demos=recorded(plume=np.full(240, 9)))
 
 
-def test_warm_up_replays_positions_and_recorded_odour() -> None:
-    demos = recorded()
-    world = search_world(6, demos=demos, condition=0)
-    offline = demonstration_observations(SILKMOTH, demos, condition=0)
+def wandering() -> np.ndarray:
+    """Headings of 240 frames that have nothing to do with the way the moth walks."""
+    return np.asarray(np.cumsum(np.random.default_rng(1).normal(0.0, 0.6, 240)))
+
+
+@pytest.mark.parametrize("turning", [None, RECORDED_TURNING])
+@pytest.mark.parametrize("signals", [{}, {"heading": wandering()}])
+def test_warm_up_replays_positions_and_recorded_odour(turning: Any, signals: Any) -> None:
+    demos = recorded(**signals)
+    world = search_world(6, demos=demos, condition=0, turning=turning)
+    species = replace(SILKMOTH, turning=turning)
+    offline = demonstration_observations(species, demos, condition=0)
     first = demos.offsets[world.demo]
     np.testing.assert_array_equal(world.observation, offline[first])
     for step in range(1, SILKMOTH.warmup + 1):
@@ -58,12 +69,44 @@ def test_warm_up_replays_positions_and_recorded_odour() -> None:
 def test_offline_observations_follow_the_recorded_condition() -> None:
     demos = recorded()
     seen = demonstration_observations(SILKMOTH, demos)
-    assert seen.shape == (240, 1, 10) and seen.dtype == np.float32
+    assert seen.shape == (240, 1, len(Seen)) and seen.dtype == np.float32
     reduced = np.repeat(demos.condition == 1, 40)
-    assert not seen[reduced][..., 5:].any()
+    assert not seen[reduced][..., Seen.FLOW : Seen.WIND_BACK + 1].any()
     assert (seen[~reduced][..., WIND].sum(axis=-1) == 1.0).all()
     hit = demos.signals["odour_left"]
     assert (seen[hit, 0, 3] == 1.0).all() and (seen[~hit, 0, 3] < 1.0).all()
+
+
+def test_recorded_headings_are_the_body_s_where_it_turns_by_itself() -> None:
+    """Wind, visual flow and body angle are then those of the recorded heading."""
+    heading = wandering()
+    demos = recorded(heading=heading)
+    species = replace(SILKMOTH, turning=RECORDED_TURNING)
+    seen = demonstration_observations(species, demos, condition=0)[:, 0]
+    angle = (heading % (2 * np.pi)) - np.pi  # from upwind, to the left
+    np.testing.assert_allclose(seen[:, Seen.BODY_ANGLE], angle, atol=1e-6)
+    quarter = np.round(angle / (np.pi / 2)).astype(int) % 4  # faces upwind, left of it, ...
+    sides = [Seen.WIND_FRONT, Seen.WIND_RIGHT, Seen.WIND_BACK, Seen.WIND_LEFT]
+    assert (seen[np.arange(240), np.array(sides)[quarter]] == 1.0).all()
+    later = np.arange(240) % 40 > 0
+    turned = np.diff(heading, prepend=heading[0])
+    turned = (turned + np.pi) % (2 * np.pi) - np.pi
+    np.testing.assert_allclose(seen[later, Seen.YAW_RATE], turned[later] / 0.5, atol=1e-5)
+    follows = demonstration_observations(SILKMOTH, demos, condition=0)[:, 0]
+    assert np.abs(follows[:, Seen.BODY_ANGLE] - angle).mean() > 0.5
+
+
+def test_after_the_warm_up_the_body_turns_on_from_its_recorded_heading() -> None:
+    demos = recorded(heading=wandering())
+    world = search_world(6, demos=demos, turning=RECORDED_TURNING)
+    for _ in range(SILKMOTH.warmup):
+        world.step(np.full((6, 1), COAST))
+    frame = demos.offsets[world.demo] + SILKMOTH.warmup
+    heading, turn = demos.signals["heading"][frame], world.turn.copy()
+    world.step(np.full((6, 1), 4))
+    wanted = RECORDED_TURNING.next_turn(turn, heading, world.velocity[:, 0])
+    np.testing.assert_allclose(world.turn, wanted, atol=1e-12)
+    np.testing.assert_allclose(world.heading[:, 0], np.cos(heading + wanted), atol=1e-12)
 
 
 def test_initial_heading_at_rest_comes_from_the_recording() -> None:

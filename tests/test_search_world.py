@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,10 @@ from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
+from animarl_envs.species.silkmoth import RECORDED_TURNING
+from animarl_envs.species.turning import Turning
 from animarl_envs.worlds.plume.plume import ModelPlume, hit_table
+from animarl_envs.worlds.search.layout import PAPER, Seen
 from animarl_envs.worlds.search.world import SearchWorld, antennae_at
 
 
@@ -27,6 +31,7 @@ def reference(
     position, velocity = world.position[0, 0].copy(), world.velocity[0, 0].copy()
     heading, odour = np.array([-1.0, 0.0]), np.full(2, species.odour_baseline)
     loco, upwind = species.locomotion[0], np.array([-1.0, 0.0])
+    trace, turned = np.zeros(2), 0.0
     angle = 0.0
     rows = []
     for step in range(len(actions) + 1):
@@ -35,7 +40,11 @@ def reference(
             action = np.asarray(actions[step - 1, 0])
             velocity = apply_actions(velocity, action, upwind, loco, species.dt)
             position = position + velocity * species.dt
-        if np.linalg.norm(velocity) > species.rest_speed:
+        if species.turning is not None and step > 0:
+            direction = math.atan2(heading[1], heading[0])
+            direction += float(species.turning.next_turn(turned, direction, velocity))
+            heading = np.array([math.cos(direction), math.sin(direction)])
+        elif species.turning is None and np.linalg.norm(velocity) > species.rest_speed:
             heading = velocity / np.linalg.norm(velocity)
         angle = math.atan2(-heading[1], -heading[0])  # from upwind, to the left
         field = table.unpack(0, (phase + step) % table.bits.shape[1])
@@ -49,9 +58,11 @@ def reference(
             -species.dt / species.odour_decay
         )
         odour = np.where(since_hit, 1.0, decayed)
+        trace = np.where(since_hit, 1.0, trace * math.exp(-species.dt / species.trace_decay))
         turned = math.remainder(angle - old, 2 * math.pi)
         about_face = abs(turned) > math.pi - 1e-6  # has no side
-        yaw_rate = 0.0 if about_face else turned / species.dt
+        turned = 0.0 if about_face else turned
+        yaw_rate = turned / species.dt
         flow = 0.0 if abs(yaw_rate) < species.flow_threshold else -yaw_rate
         flow = float(np.clip(flow, -species.flow_limit, species.flow_limit))
         air_from = math.degrees(-angle)  # upwind, seen from the body, to the left
@@ -64,23 +75,50 @@ def reference(
             ]
         )
         open_senses = float(condition == 0)
+        strides = -velocity / (loco.thrust * species.dt)
         rows.append(
-            [-velocity[0], -velocity[1], angle, *odour, open_senses * flow, *(open_senses * sector)]
-        )
+            [
+                *(-velocity), angle, *odour, open_senses * flow, *(open_senses * sector),
+                *since_hit, odour[0] - odour[1], odour.sum(), *trace, math.cos(angle),
+                math.sin(angle), *np.tanh(strides), *np.tanh(strides / 3),
+                math.log(np.linalg.norm(strides) + 0.3), yaw_rate,
+            ]
+        )  # fmt: skip
     return np.array(rows)
 
 
+@pytest.mark.parametrize("turning", [None, RECORDED_TURNING])
 @pytest.mark.parametrize("condition", [0, 1])
 @pytest.mark.parametrize("seed", range(4))
-def test_kernel_agrees_with_the_reference(condition: int, seed: int) -> None:
-    world = search_world(condition=condition)
+def test_kernel_agrees_with_the_reference(
+    turning: Turning | None, condition: int, seed: int
+) -> None:
+    world = search_world(condition=condition, turning=turning)
     world.seed([seed])
     world.reset()
     actions = random_actions(120, 1, seed)
     actions[::3] = STRAIGHT_UPWIND if seed % 2 else COAST
-    wanted = reference(SILKMOTH, world, actions, condition)
+    wanted = reference(replace(SILKMOTH, turning=turning), world, actions, condition)
     seen = rollout(world, actions)[:, 0]
     np.testing.assert_allclose(seen, wanted, atol=1e-5)
+
+
+def test_the_paper_s_observation_is_the_beginning_of_the_full_one() -> None:
+    actions = random_actions(80, 3)
+    full, paper = (rollout(search_world(3, observation=o), actions) for o in ("full", "paper"))
+    assert paper.shape[-1] == 10 == PAPER and full.shape[-1] == len(Seen)
+    np.testing.assert_array_equal(full[..., :10], paper)
+
+
+def test_no_component_of_the_full_observation_is_dead() -> None:
+    world = search_world(64, turning=RECORDED_TURNING)
+    seen = rollout(world, random_actions(120, 64))
+    assert (seen.std(axis=(0, 1)) > 1e-3).all()
+    low, high = (
+        np.array([getattr(c, edge) for c in world.observation_components], dtype=np.float32)
+        for edge in ("low", "high")
+    )
+    assert (seen >= low).all() and (seen <= high).all()
 
 
 def test_time_limit_truncates_and_never_terminates() -> None:
@@ -127,7 +165,7 @@ def test_saved_state_goes_on_alike() -> None:
 
 def test_position_is_not_observed() -> None:
     names = [c.name for c in search_world().observation_components]
-    assert len(names) == search_world().observation.shape[-1] == 10
+    assert len(names) == search_world().observation.shape[-1] == len(Seen)
     assert not any("position" in name or "distance" in name for name in names)
 
 
@@ -152,6 +190,11 @@ def test_scene_details_show_the_present_plume() -> None:
         ({"antenna_angle": 120.0}, "antenna_angle"),
         ({"antenna_radius": -1.0}, "antenna_radius"),
         ({"train_plumes": ()}, "train_plumes"),
+        ({"observation": "most"}, "'full' or 'paper'"),
+        ({"trace_decay": 0.0}, "trace_decay"),
+        ({"turning": 0.3}, "give a Turning"),
+        ({"turning": {"gain": 1.0}}, "persistence, gain, slip and speed"),
+        ({"turning": {"persistence": 1.0, "gain": 1.0, "slip": 0.0, "speed": 0.1}}, "below 1"),
     ],
 )
 def test_bad_options_are_refused(options: dict[str, Any], says: str) -> None:

@@ -17,16 +17,19 @@ import numpy as np
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.turning import HEADING, fit_turning
 from animarl_envs.focus import distances_to_target
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import CUSTOM, SILKMOTH, SPECIES, get_species
 from animarl_envs.species.base import ChaseSpecies, Recording, SearchSpecies, Species
 from animarl_envs.species.options import with_options
+from animarl_envs.species.turning import Turning
 
 LARGEST_CONTACT, SMALLEST_CONTACT = 0.1, 0.001  # shares of the arena's size
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 
 _FITS: dict[str, tuple[Locomotion, ...]] = {}
+_TURNINGS: dict[str, Turning | None] = {}
 
 
 def species_of(
@@ -55,6 +58,8 @@ def species_of(
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
         - a searcher has the silkmoth's senses, plume and conditions.
 
+        A searcher whose headings are recorded turns as they do, see :func:`fitted_turning`.
+
     Raises
     ------
     InputError
@@ -65,6 +70,9 @@ def species_of(
     _check_roles(demos, numbers)
     longest = int(demos.lengths.max()) - 1
     conditions = numbers.conditions or _conditions(demos)
+    own: dict[str, Any] = {}
+    if isinstance(numbers, SearchSpecies) and HEADING in demos.signals:
+        own["turning"] = fitted_turning(demos)
     return with_options(
         numbers,
         individuals=demos.individuals,
@@ -73,6 +81,7 @@ def species_of(
         locomotion=fitted_locomotion(demos) if fit is None else tuple(fit),
         time_limit=max(numbers.time_limit, longest, numbers.warmup + 1),
         conditions=conditions,
+        **own,
     )
 
 
@@ -85,9 +94,24 @@ def fitted_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
     if key not in _FITS:
         from animarl_envs.fitting.magnitudes import joint_locomotion
 
-        seen = demos.select(split="train") if (demos.split == "train").any() else demos
-        _FITS[key] = joint_locomotion(seen)
+        _FITS[key] = joint_locomotion(_training(demos))
     return _FITS[key]
+
+
+def fitted_turning(demos: Demonstrations) -> Turning | None:
+    """Turning of a lone individual, fitted as :func:`fitted_locomotion` is.
+
+    ``None`` where its body points where it walks, or no headings are recorded.
+    """
+    key = demos.fingerprint()
+    if key not in _TURNINGS:
+        _TURNINGS[key] = fit_turning(_training(demos))
+    return _TURNINGS[key]
+
+
+def _training(demos: Demonstrations) -> Demonstrations:
+    """The training episodes; all, if there are none."""
+    return demos.select(split="train") if (demos.split == "train").any() else demos
 
 
 def contact_radius_of(demos: Demonstrations) -> float:

@@ -185,7 +185,10 @@ def _cuts(
 def _episode(
     tracks: Tracks, body: NDArray[np.float64], cut: Cut, order: list[int], recipe: ImportRecipe
 ) -> dict[str, Any]:
-    """One episode at the decision rate; its first sample only serves to make the first velocity."""
+    """One episode at the decision rate; its first sample only serves to make the first velocity.
+
+    Events are united over the frames of the step that led to each sample.
+    """
     assert tracks.frame_rate is not None
     rate = recipe.decision_rate or tracks.frame_rate
     every = tracks.frame_rate / rate
@@ -210,6 +213,8 @@ def _episode(
     signals = {}
     for key, value in tracks.signals.items():
         taken = value[frames][index][1:]
+        if key in tracks.events and len(index) > 1:
+            taken = np.maximum.reduceat(value[frames][: index[-1] + 1], index[:-1] + 1)
         own = taken.ndim > 1 and taken.shape[1] == several
         signals[key] = taken[:, order] if own else taken
     condition = cut.condition if cut.condition is not None else tracks.condition

@@ -37,6 +37,9 @@ class Tracks:
         ``(frames, individuals, keypoints)`` or ``None``.
     signals
         Further channels by name, ``(frames, ...)``.
+    events
+        Names of the signals that tell of something that happened in the frame, such as a hit: a
+        longer step has it if any of its frames has. The others are sampled.
     condition, outcome
         Of the whole recording where it is one episode and the file says; see ``Demonstrations``.
     """
@@ -50,6 +53,7 @@ class Tracks:
     y_down: bool = False
     confidence: NDArray[np.float64] | None = None
     signals: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    events: tuple[str, ...] = ()
     condition: int = 0
     outcome: int | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -158,4 +162,5 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
         positions=positions,
         confidence=None,
         signals={},
+        events=(),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,9 @@ from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.species.turning import Turning
+
+OBSERVATIONS = ("full", "paper")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +47,7 @@ class Species:
     warmup: int = 0  # steps replayed from the demonstration
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
     boundary_penalty: float = -10.0
+    observation: str = "full"  # or "paper": the components of the paper
     recording: Recording
     source: str = ""
     version_history: tuple[str, ...] = field(default=("v0: first release",))
@@ -86,6 +90,11 @@ class Species:
         if not is_number(penalty) or not abs(penalty) < float("inf"):
             raise InputError(f"boundary_penalty is {penalty!r}: it must be a number")
         object.__setattr__(self, "boundary_penalty", float(penalty))
+        if self.observation not in OBSERVATIONS:
+            raise InputError(
+                f"observation is {self.observation!r}: "
+                f"choose {' or '.join(map(repr, OBSERVATIONS))}"
+            )
 
     @property
     def num_individuals(self) -> int:
@@ -174,9 +183,13 @@ class SearchSpecies(Species):
     antenna_radius: float = 0.0025  # an antenna senses the plume within this radius [arena unit]
     odour_decay: float = 1.96  # time constant after the last hit [s]
     odour_baseline: float = 0.07
+    trace_decay: float = 10.0  # time constant of the slow trace of hits [s]
     flow_threshold: float = 0.1  # yaw rates below it give no visual flow [rad/s]
     flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
-    rest_speed: float = 1e-4  # the body keeps its heading when slower [arena unit / s]
+    turning: Turning | None = None  # of the body; None: it points where it walks
+    rest_speed: float = (
+        1e-4  # a body without turning keeps its heading when slower [arena unit / s]
+    )
     plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
     train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
     test_plumes: tuple[int, ...] = (3, 4)  # ... and held out
@@ -189,8 +202,9 @@ class SearchSpecies(Species):
                 "or Arena('open', size)"
             )
         self._positive(
-            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "flow_limit"
-        )
+            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "trace_decay",
+            "flow_limit",
+        )  # fmt: skip
         self._positive(
             "antenna_radius", "flow_threshold", "rest_speed", "odour_baseline", "antenna_angle",
             or_zero=True,
@@ -200,6 +214,17 @@ class SearchSpecies(Species):
         if not self.antenna_angle <= 90:
             raise InputError(
                 f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
+            )
+        if isinstance(self.turning, Mapping):
+            try:
+                object.__setattr__(self, "turning", Turning(**self.turning))
+            except TypeError as error:
+                raise InputError(
+                    f"turning is {dict(self.turning)!r}: name persistence, gain, slip and speed"
+                ) from error
+        elif not isinstance(self.turning, Turning | None):
+            raise InputError(
+                f"turning is {self.turning!r}: give a Turning, its numbers by name, or None"
             )
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)

@@ -3,12 +3,21 @@
 The published d and u imply a terminal speed of 0.050 m/s, where recorded moths stay below 0.036;
 they are kept as the defaults. Fit your own.
 
+The packaged demonstrations are of a programmed moth, whose body points where it walks, and so does
+that of this species. Recorded moths walk sideways as well: ``turning=RECORDED_TURNING`` gives the
+species their bodies, and a species made from recorded headings turns as fitted to them.
+
 The packaged demonstrations are synthetic, not recorded: see ``docs/data/packaged_silkmoth.md``.
 """
 
 from animarl_envs.arena import Arena
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species.base import Recording, SearchSpecies
+from animarl_envs.species.turning import Turning
+
+RECORDED_TURNING = Turning(persistence=0.231, gain=0.779, slip=0.308, speed=0.00882)
+"""Fitted to the headings of all 24 public runs of the set-up of Yamada et al. (2021); figures and
+command are in ``docs/plume.md``."""
 
 SILKMOTH = SearchSpecies(
     name="silkmoth",

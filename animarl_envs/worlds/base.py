@@ -22,13 +22,19 @@ from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
 
 class ObservationComponent(NamedTuple):
-    """One entry of an observation vector, for spaces and documentation."""
+    """One entry of an observation vector, for spaces, documentation and mirror images.
+
+    In a world mirrored about the x axis it is ``sign`` times the component named ``mirror``, its
+    own by default.
+    """
 
     name: str
     frame: str
     unit: str
     low: float
     high: float
+    sign: float = 1.0
+    mirror: str = ""
 
 
 class Tracker(Protocol):

@@ -3,8 +3,8 @@
 30 frames a second, source at the origin, start at (300, 0) mm, one run per file. The set-up stopped
 a run at 50 mm from the source or after 300 s; seven of the 24 public runs end 0.04 to 0.23 mm
 outside the 50, so a run that ends within one frame's walk of it counts as having reached the
-source. Decisions are taken at 2 Hz; the final
-recorded frame is kept as the last sample.
+source. Decisions are taken at 2 Hz; the final recorded frame is kept as the last sample. An antenna
+is hit in a step if it is hit in any of its frames.
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ def read_mothvr(path: Path) -> list[Tracks]:
             frame_rate=FRAME_RATE,
             unit="mm",
             signals=signals,
+            events=("odour_left", "odour_right"),
             outcome=outcome,
             provenance={
                 "source": "nhat-14/CPT-IRL, MothVR",

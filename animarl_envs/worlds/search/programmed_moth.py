@@ -35,9 +35,11 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 from animarl_envs.species import SILKMOTH, SearchSpecies
+from animarl_envs.worlds.search.layout import Seen
 
-AHEAD, LEFT, BODY_ANGLE, ODOUR_LEFT, ODOUR_RIGHT, FLOW = range(6)
-WIND_FRONT, WIND_RIGHT, WIND_LEFT, WIND_BACK = range(6, 10)
+AHEAD, LEFT, BODY_ANGLE = Seen.VELOCITY_AHEAD, Seen.VELOCITY_LEFT, Seen.BODY_ANGLE
+ODOUR_LEFT, ODOUR_RIGHT, FLOW = Seen.ODOUR_LEFT, Seen.ODOUR_RIGHT, Seen.FLOW
+WIND_FRONT, WIND_RIGHT, WIND_LEFT, WIND_BACK = range(Seen.WIND_FRONT, Seen.WIND_BACK + 1)
 _NEVER = 1_000_000  # steps since the last contact, before the first
 
 
@@ -120,7 +122,7 @@ class ProgrammedMoth:
         self.turned[mask] = 0.0
 
     def act(self, observation: NDArray[np.floating]) -> NDArray[np.int64]:
-        """Actions ``(copies, 1)`` for observations ``(copies, 1, 10)`` of the search world."""
+        """Actions ``(copies, 1)`` for observations ``(copies, 1, n)`` of the search world."""
         seen = np.asarray(observation, dtype=np.float64)[:, 0]
         programme, dt, count = self.programme, self.species.dt, self.copies
         draw_side = np.where(self.generator.random(count) < 0.5, 1.0, -1.0)
@@ -142,7 +144,7 @@ class ProgrammedMoth:
         speed = np.where(surging, programme.surge_speed, programme.turn_speed)
 
         # Wind: fast with it from ahead; otherwise slowly, and into it.
-        wind = seen[:, WIND_FRONT:]
+        wind = seen[:, WIND_FRONT : WIND_BACK + 1]
         felt = wind.any(axis=1)
         into = seen[:, WIND_LEFT] - seen[:, WIND_RIGHT] + seen[:, WIND_BACK] * self._side
         turn = np.where(felt & surging, turn + programme.wind_turn * into, turn)

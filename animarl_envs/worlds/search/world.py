@@ -3,8 +3,9 @@
 The source lies at the origin and the air flows towards +x. The searcher is never told where it is:
 the focus of its egocentric frame is the fixed upwind direction (-1, 0), "left" is then -y.
 
-State beside position and velocity: the heading of the body, the signals of the two antennae, and
-the plume's pattern and phase. All readings are those of the step that led to the present state.
+State beside position and velocity: the heading of the body and its last turn, the signals of the
+two antennae, and the plume's pattern and phase. All readings are those of the step that led to the
+present state.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
-from animarl_envs.worlds.base import ObservationComponent, World, recorded_speed
+from animarl_envs.worlds.base import World, recorded_speed
 from animarl_envs.worlds.plume.plume import ModelPlume, PlumeField, as_plume, hit_table
 from animarl_envs.worlds.search import kernels as kernels
-from animarl_envs.worlds.search.kernels import Senses
+from animarl_envs.worlds.search.layout import observation_components as observation_components
+from animarl_envs.worlds.search.senses import Body, senses_of
 
 HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
 
@@ -35,17 +37,23 @@ class SearchWorld(World):
     Further attributes
     ------------------
     heading
-        ``(B, 2)`` unit vector, arena frame: the direction of the velocity, kept at rest.
-    body_angle
-        ``(B,)``, the heading from upwind, counter-clockwise (to the left) [rad].
-    odour
-        ``(B, 2)``, signals of the left and right antenna: 1 when hit, then decaying.
+        ``(B, 2)`` unit vector, arena frame: a state with the dynamics ``species.turning``, and as
+        recorded where a demonstration with headings is replayed; without ``turning`` the direction
+        of the velocity, kept at rest.
+    body_angle, turn
+        ``(B,)``, the heading from upwind, and how far the last step turned it; counter-clockwise
+        (to the left) [rad].
+    odour, trace
+        ``(B, 2)``, signals of the left and right antenna: 1 when hit, then decaying, fast to the
+        baseline and slowly to zero.
     pattern, phase
         ``(B,)``: index into ``patterns``, and the plume's step at the start of the episode.
     """
 
     reward_components = ("touch",)
-    _state_names = (*World._state_names, "heading", "body_angle", "odour", "pattern", "phase")
+    _state_names = (
+        *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "pattern", "phase",
+    )  # fmt: skip
 
     def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
         species = scenario.species
@@ -62,12 +70,9 @@ class SearchWorld(World):
         self.observation_components = observation_components(species, recorded_speed(scenario))
         super().__init__(scenario, num_copies)
         B = num_copies
-        self._heading = np.zeros((2, B))
-        self._heading[0] = -1.0
-        self.heading = self._heading.T
-        self.body_angle = np.zeros(B)
-        self._odour = np.full((2, B), species.odour_baseline)
-        self.odour = self._odour.T
+        self._body = body = Body.of(B, species.odour_baseline)
+        self.heading, self.odour, self.trace = body.heading.T, body.odour.T, body.trace.T
+        self.body_angle, self.turn = body.angle, body.turn
         self.pattern = np.zeros(B, dtype=np.int64)
         self.phase = np.zeros(B, dtype=np.int64)
 
@@ -78,18 +83,18 @@ class SearchWorld(World):
         table = hit_table(self.plume, self.patterns, species.dt, species.antenna_radius * scale)
         self._table = table._replace(cell=table.cell / scale)  # from here on in arena units
         self._episodes = _recorded_senses(scenario.demos, self.patterns, groups, self._own_patterns)
-        self._senses = _senses(species)
+        self._senses = senses_of(species)
         loco = species.locomotion[0]
         numbers = (
             loco.damping, loco.thrust, np.array(loco.action_vectors), species.contact_radius,
             species.time_limit, self._warmup,
         )  # fmt: skip
         self._state = kernels.bundle(
-            int(self._drivers[0]), self._demos, self._episodes.hits, self._table, self._senses,
-            numbers, self.demo, self.condition, self.pattern, self.phase, self._position[0],
-            self._velocity[0], self._heading, self.body_angle, self._odour,
-            self._components[0, 0], self._reward[0], self.terminated, self.truncated,
-            self.outcome, self.step_count, self.warming, self._sensed[0],
+            int(self._drivers[0]), self._demos, self._episodes.hits, self._episodes.heading,
+            self._table, self._senses, numbers, self.demo, self.condition, self.pattern, self.phase,
+            self._position[0], self._velocity[0], self._body, self._components[0, 0],
+            self._reward[0], self.terminated, self.truncated, self.outcome, self.step_count,
+            self.warming, self._sensed[0],
         )  # fmt: skip
         fixed = scenario.start
         self._first = np.array(
@@ -105,8 +110,8 @@ class SearchWorld(World):
         kernels.start(
             mask, self._demos.position, self._demos.velocity, self._demos.start, *self._episodes,
             self._first, self._table, self._senses, self.random_state, self.demo, self.condition,
-            self._position[0], self._velocity[0], self._heading, self.body_angle, self._odour,
-            self.pattern, self.phase, self._sensed[0],
+            self._position[0], self._velocity[0], self._body, self.pattern, self.phase,
+            self._sensed[0],
         )  # fmt: skip
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
@@ -146,41 +151,16 @@ def antennae_at(
     return np.stack([position + ahead + left, position + ahead - left], axis=-2)
 
 
-def observation_components(
-    species: SearchSpecies, fastest: float = 0.0
-) -> tuple[ObservationComponent, ...]:
-    """What each entry of an observation means, in order. The position is not among them.
-
-    The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are.
-    """
-    limit = species.time_limit + 1
-    top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
-    ego = "egocentric, x upwind, y to the left"
-    entries = [
-        ObservationComponent("velocity ahead", ego, "arena unit / s", -top, top),
-        ObservationComponent("velocity left", ego, "arena unit / s", -top, top),
-        ObservationComponent("body angle", ego, "rad", -math.pi, math.pi),
-        ObservationComponent("odour left", "body", "1", 0.0, 1.0),
-        ObservationComponent("odour right", "body", "1", 0.0, 1.0),
-        ObservationComponent(
-            "visual flow", "body", "rad / s", -species.flow_limit, species.flow_limit
-        ),
-    ]
-    entries += [
-        ObservationComponent(f"wind from {side}", "body", "1", 0.0, 1.0)
-        for side in ("front", "right", "left", "back")
-    ]
-    return tuple(entries)
-
-
 def demonstration_observations(
     species: SearchSpecies, demos: Demonstrations, condition: int | None = None
 ) -> NDArray[np.float32]:
     """Observations of recorded episodes, ``(frames, 1, n)``, for offline learning.
 
-    The kernel is that of the simulation, so both mean the same: the heading is the direction of the
-    recorded velocity. The odour is what was recorded: signals ``odour_left`` and ``odour_right``,
-    hit or not in the step that led to each frame. ``condition`` replaces the recorded one.
+    The kernel is that of the simulation, so both mean the same. A species with its own ``turning``
+    has the recorded heading (signal ``heading``), where there is one; without ``turning`` the
+    heading is the direction of the recorded velocity. The odour is what was recorded: signals
+    ``odour_left`` and ``odour_right``, hit or not in the step that led to each frame.
+    ``condition`` replaces the recorded one.
 
     Raises
     ------
@@ -197,21 +177,12 @@ def demonstration_observations(
     conditions = demos.condition if condition is None else np.full_like(demos.condition, condition)
     kernels.sense_recorded(
         demos.velocities(), demos.offsets.astype(np.int64), conditions, recorded.hits,
-        recorded.heading, _senses(species), out,
+        recorded.heading, senses_of(species), Body.of(1), out,
     )  # fmt: skip
     return np.ascontiguousarray(out.T)[:, None]
 
 
 # -- numbers and recordings for the kernels ---------------------------------------------------
-
-
-def _senses(species: SearchSpecies) -> Senses:
-    angle = math.radians(species.antenna_angle)
-    return Senses(
-        species.dt, species.rest_speed, species.antenna_length * math.cos(angle),
-        species.antenna_length * math.sin(angle), math.exp(-species.dt / species.odour_decay),
-        species.odour_baseline, species.flow_threshold, species.flow_limit,
-    )  # fmt: skip
 
 
 class _RecordedSenses(NamedTuple):

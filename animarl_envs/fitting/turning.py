@@ -1,0 +1,206 @@
+"""How a body turns, fitted to recorded headings; and how well headings are then foretold.
+
+The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
+minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
+recorded step, on the recorded velocities. (A fit to single steps foretells the next turn a little
+better and drifts away sooner.) The error is a chord, ``2 sin(difference / 2)``, so that headings
+that are lost altogether do not decide. The fourth number, ``speed``, is the median recorded speed.
+
+The optimum is found by damped Gauss-Newton steps (Levenberg 1944) from one start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.species.turning import Turning
+
+HEADING = "heading"  # the signal that holds it [rad, arena frame]
+HORIZON = 2.0  # of the free running in the fit [s]
+START = (0.2, 0.8, 0.0)  # persistence, gain, slip
+LOWEST, HIGHEST = np.array([0.0, 1e-3, -3.1]), np.array([0.95, 3.1, 3.1])
+NUDGE = 1e-5  # of a number, for its difference quotient
+NUDGES = NUDGE * np.eye(len(START))
+ITERATIONS, TOLERANCE = 60, 1e-9
+
+
+@dataclass(frozen=True)
+class HeadingErrors:
+    """How far foretold headings are from recorded ones.
+
+    ``one_step``: median of the absolute difference after one step from the recorded state [rad].
+    ``free_running``: the same when only the first heading of an episode is given [rad].
+    ``sectors``: share of free-running steps whose wind sector (90 deg about front, left, back and
+    right) is that of the recorded heading.
+    """
+
+    one_step: float
+    free_running: float
+    sectors: float
+
+
+def fit_turning(demos: Demonstrations) -> Turning | None:
+    """Turning of the one recorded individual by least squares.
+
+    ``None`` where no headings are recorded, where it never moves, or where the body points where it
+    walks: there the direction of travel foretells the next heading better.
+
+    Raises
+    ------
+    InputError
+        If the headings are not one number per frame.
+    """
+    if HEADING not in demos.signals:
+        return None
+    heading, velocity = _recorded(demos)
+    speeds = np.hypot(velocity[:, 0], velocity[:, 1])
+    if not (speeds > 0).any():
+        return None
+    first = Turning(*START, speed=float(np.median(speeds[speeds > 0])))
+    data = _starts(demos, heading, velocity, max(1, round(HORIZON / demos.dt)))
+    if len(data[0]) <= len(START):
+        return None
+    found = _least_squares(first, data)
+    travel = along_travel(demos)
+    better = heading_errors(demos, found).one_step < heading_errors(demos, travel).one_step
+    return found if better else None
+
+
+def along_travel(demos: Demonstrations) -> NDArray[np.float64]:
+    """Heading of a body that points where it walks ``(frames,)`` [rad]; at rest it is kept."""
+    heading, velocity = _recorded(demos)
+    out = np.arctan2(velocity[:, 1], velocity[:, 0])
+    moving = np.hypot(velocity[:, 0], velocity[:, 1]) > 0
+    for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
+        for t in range(start, stop):
+            if not moving[t]:
+                out[t] = out[t - 1] if t > start else heading[t]
+    return out
+
+
+def free_running(demos: Demonstrations, turning: Turning) -> NDArray[np.float64]:
+    """Headings ``(frames,)`` [rad] by the recorded velocities and each episode's first heading."""
+    heading, velocity = _recorded(demos)
+    out = heading.copy()
+    for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
+        turn = np.zeros(())
+        for t in range(start + 1, stop):
+            turn = turning.next_turn(turn, out[t - 1], velocity[t])
+            out[t] = out[t - 1] + turn
+    return out
+
+
+def heading_errors(demos: Demonstrations, rule: Turning | NDArray[np.float64]) -> HeadingErrors:
+    """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
+    heading, velocity = _recorded(demos)
+    steps = _steps(demos)
+    if isinstance(rule, Turning):
+        free = free_running(demos, rule)
+        turn = np.zeros(len(heading))
+        turn[steps] = _between(heading[steps], heading[steps - 1])
+        told = heading[steps - 1] + rule.next_turn(
+            turn[steps - 1], heading[steps - 1], velocity[steps]
+        )
+    else:
+        free, told = rule, rule[steps]
+    return HeadingErrors(
+        one_step=float(np.median(np.abs(_between(told, heading[steps])))),
+        free_running=float(np.median(np.abs(_between(free[steps], heading[steps])))),
+        sectors=float(np.mean(_sector(free[steps]) == _sector(heading[steps]))),
+    )
+
+
+# -- the data and the optimum -----------------------------------------------------------------
+
+_Data = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def _recorded(demos: Demonstrations) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Headings ``(frames,)`` and velocities ``(frames, 2)``."""
+    heading = np.asarray(demos.signals[HEADING], dtype=np.float64).reshape(len(demos.positions), -1)
+    if demos.num_individuals != 1 or heading.shape[1] != 1:
+        raise InputError(
+            f"{demos.name}: signal {HEADING!r} has {heading.shape[1]} columns for "
+            f"{demos.num_individuals} individuals: turning is fitted to one of each"
+        )
+    return heading[:, 0], demos.velocities()[:, 0]
+
+
+def _steps(demos: Demonstrations) -> NDArray[np.int64]:
+    """All frames but the first of each episode."""
+    later = np.ones(len(demos.positions), dtype=bool)
+    later[demos.offsets[:-1]] = False
+    return np.flatnonzero(later)
+
+
+def _starts(
+    demos: Demonstrations,
+    heading: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    horizon: int,
+) -> _Data:
+    """Heading and last turn ``(n,)`` at all steps that ``horizon`` steps of an episode follow;
+    velocities ``(horizon, n, 2)`` and headings ``(horizon, n)`` of those."""
+    last = np.repeat(demos.offsets[1:], demos.lengths) - 1
+    at = _steps(demos)
+    at = at[at + horizon <= last[at]]
+    ahead = at + np.arange(1, horizon + 1)[:, None]
+    return heading[at], _between(heading[at], heading[at - 1]), velocity[ahead], heading[ahead]
+
+
+def _residuals(turning: Turning, data: _Data) -> NDArray[np.float64]:
+    """Chords between foretold and recorded headings, ``(horizon * n,)``."""
+    heading, turn, velocity, wanted = data
+    out = np.empty(wanted.shape)
+    for j in range(len(wanted)):
+        turn = turning.next_turn(turn, heading, velocity[j])
+        heading = heading + turn
+        out[j] = 2.0 * np.sin(0.5 * _between(heading, wanted[j]))
+    return out.ravel()
+
+
+def _least_squares(turning: Turning, data: _Data) -> Turning:
+    """Damped Gauss-Newton."""
+    numbers = np.array([turning.persistence, turning.gain, turning.slip])
+    residuals, damping = _residuals(turning, data), 1e-3
+    for _ in range(ITERATIONS):
+        nudged = [
+            _residuals(_with(turning, numbers + NUDGE * unit), data)
+            for unit in np.eye(len(numbers))
+        ]
+        slope = (np.stack(nudged, axis=1) - residuals[:, None]) / NUDGE
+        square, downhill = slope.T @ slope, -slope.T @ residuals
+        before = residuals @ residuals
+        while damping < 1e6:
+            step = np.linalg.solve(square + damping * np.diag(np.diag(square) + 1e-12), downhill)
+            tried = np.clip(numbers + step, LOWEST, HIGHEST)
+            other = _residuals(_with(turning, tried), data)
+            if other @ other <= before:
+                break
+            damping *= 10.0
+        else:
+            break
+        numbers, residuals, damping = tried, other, max(1e-9, 0.1 * damping)
+        if before - residuals @ residuals <= TOLERANCE * before:
+            break
+    return _with(turning, numbers)
+
+
+def _with(turning: Turning, numbers: NDArray[np.float64]) -> Turning:
+    persistence, gain, slip = map(float, numbers)
+    return replace(turning, persistence=persistence, gain=gain, slip=slip)
+
+
+def _between(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``one - two`` by the shorter way, in [-pi, pi)."""
+    return np.asarray((one - two + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _sector(heading: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Quarter of the circle about front, left, back and right of upwind, 0 to 3."""
+    return np.asarray(np.floor((heading - np.pi) / (0.5 * np.pi) + 0.5) % 4, dtype=np.int64)

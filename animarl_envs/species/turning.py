@@ -1,0 +1,78 @@
+"""How a body turns that does not point where it walks.
+
+A silkmoth walks sideways as well as ahead: its body is 0.75 rad off its direction of travel (median
+of recorded runs at 2 Hz, ``docs/plume.md``). The body is drawn towards the direction of travel, the
+more so the faster it walks, and keeps a share of its last turn:
+
+    turn'    = persistence * turn + gain * tanh(|v'| / speed) * sin(travel' + slip - heading)
+    heading' = heading + turn'
+
+with ``v'`` the velocity of the step and ``travel'`` its direction. Angles count counter-clockwise
+in the arena frame. The kernels' form is in :mod:`animarl_envs.worlds.search.senses`, the fit in
+:mod:`animarl_envs.fitting.turning`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.checks import is_number
+from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Turning of one individual, per decision step.
+
+    Parameters
+    ----------
+    persistence
+        Share of the last turn that goes on, in [0, 1).
+    gain
+        Turn of a fast body that walks at right angles to itself [rad], positive.
+    slip
+        Angle from the direction of travel to the heading that a straight walk ends in [rad];
+        mirrored animals have the opposite slip.
+    speed
+        Speed about which walking begins to turn the body in full [arena unit / s], positive.
+    """
+
+    persistence: float
+    gain: float
+    slip: float
+    speed: float
+
+    def __post_init__(self) -> None:
+        ranges = {
+            "persistence": (0.0, 1.0), "gain": (0.0, math.pi), "slip": (-math.pi, math.pi),
+            "speed": (0.0, math.inf),
+        }  # fmt: skip
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            zero_will_do = name in ("persistence", "slip")
+            if not is_number(value) or not low <= value < high or (value == 0 and not zero_will_do):
+                raise InputError(
+                    f"{name} of turning is {value!r}: it must be a number from {low:.4g} to below "
+                    f"{high:.4g}{'' if zero_will_do else ', and not zero'}"
+                )
+            object.__setattr__(self, name, float(value))
+
+    def next_turn(
+        self,
+        turn: NDArray[np.float64],
+        heading: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """The turn of a step [rad], ``(...)``.
+
+        ``turn`` and ``heading`` ``(...)`` are those before the step [rad], ``velocity``
+        ``(..., 2)`` is that of the step [arena unit / s].
+        """
+        vx, vy = velocity[..., 0], velocity[..., 1]
+        off = np.sin(np.arctan2(vy, vx) + self.slip - heading)
+        pull = np.tanh(np.hypot(vx, vy) / self.speed) * off
+        return np.asarray(self.persistence * turn + self.gain * pull)

@@ -1,0 +1,237 @@
+"""What a searcher's body does and senses, scalar by scalar, for copy ``b``."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.species import SearchSpecies
+from animarl_envs.worlds.plume.plume import is_hit
+from animarl_envs.worlds.search.layout import PAPER, REST, Seen
+
+HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
+
+
+class Senses(NamedTuple):
+    """Numbers of the body and its senses, as the kernels need them."""
+
+    dt: float
+    rest_speed: float
+    ahead: float  # of the antennae [arena unit]
+    beside: float
+    remains: float  # share of the odour signal above baseline after a step without a hit
+    baseline: float
+    trace_remains: float  # share of the slow trace
+    flow_threshold: float
+    flow_limit: float
+    stride: float  # u dt [arena unit / s]
+    turns: bool  # by the four numbers below; otherwise the body points where it walks
+    persistence: float
+    gain: float
+    slip_cosine: float
+    slip_sine: float
+    turning_speed: float
+
+
+class Body(NamedTuple):
+    """State of the bodies beside position and velocity; ``B`` copies."""
+
+    heading: NDArray[np.float64]  # (2, B), unit vector, arena frame
+    angle: NDArray[np.float64]  # (B,), of the heading from upwind, to the left [rad]
+    turn: NDArray[np.float64]  # (B,), of the last step, to the left [rad]
+    odour: NDArray[np.float64]  # (2, B), signal of the left and right antenna
+    trace: NDArray[np.float64]  # (2, B), the same, decaying slowly to zero
+
+    @classmethod
+    def of(cls, copies: int, baseline: float = 0.0) -> Body:
+        """Bodies that face upwind and smell nothing."""
+        heading = np.zeros((2, copies))
+        heading[0] = -1.0
+        odour = np.full((2, copies), baseline)
+        return cls(heading, np.zeros(copies), np.zeros(copies), odour, np.zeros((2, copies)))
+
+
+def senses_of(species: SearchSpecies) -> Senses:
+    """The senses of a species."""
+    angle, dt, turning = math.radians(species.antenna_angle), species.dt, species.turning
+    own = (0.0, 0.0, 1.0, 0.0, 1.0)
+    if turning is not None:
+        slip = math.cos(turning.slip), math.sin(turning.slip)
+        own = (turning.persistence, turning.gain, *slip, turning.speed)
+    return Senses(
+        dt, species.rest_speed, species.antenna_length * math.cos(angle),
+        species.antenna_length * math.sin(angle), math.exp(-dt / species.odour_decay),
+        species.odour_baseline, math.exp(-dt / species.trace_decay), species.flow_threshold,
+        species.flow_limit, species.locomotion[0].thrust * dt, turning is not None, *own,
+    )  # fmt: skip
+
+
+# -- the body ---------------------------------------------------------------------------------
+
+
+@nb.njit(inline="always")
+def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
+    """Point the body at ``angle`` from upwind, its unit vector given; note how far it turned."""
+    body.heading[0, b] = cosine
+    body.heading[1, b] = sine
+    turned = angle - body.angle[b]
+    body.angle[b] = angle
+    if turned > math.pi:
+        turned -= 2.0 * math.pi
+    elif turned < -math.pi:
+        turned += 2.0 * math.pi
+    body.turn[b] = 0.0 if abs(turned) > HALF_TURN else turned
+
+
+@nb.njit(inline="always")
+def face(b, direction, body):  # type: ignore[no-untyped-def]
+    """Point the body in a direction of the arena frame [rad]."""
+    cosine = math.cos(direction)
+    sine = math.sin(direction)
+    _face(b, cosine, sine, math.atan2(-sine, -cosine), body)
+
+
+@nb.njit(inline="always")
+def follow(b, velocity_x, velocity_y, rest_speed, body):  # type: ignore[no-untyped-def]
+    """Point the body along the velocity; at rest it stays as it is."""
+    speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
+    body.turn[b] = 0.0
+    if speed > rest_speed:
+        angle = math.atan2(-velocity_y, -velocity_x)
+        _face(b, velocity_x / speed, velocity_y / speed, angle, body)
+
+
+@nb.njit(inline="always")
+def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-def]
+    """Turn by the equation of :mod:`animarl_envs.species.turning`."""
+    speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
+    turn = senses.persistence * body.turn[b]
+    if speed > 0.0:
+        x = velocity_x * senses.slip_cosine - velocity_y * senses.slip_sine
+        y = velocity_x * senses.slip_sine + velocity_y * senses.slip_cosine
+        off = (body.heading[0, b] * y - body.heading[1, b] * x) / speed  # a sine
+        turn += senses.gain * math.tanh(speed / senses.turning_speed) * off
+    angle = body.angle[b] + turn
+    angle -= 2.0 * math.pi * math.floor(0.5 + angle / (2.0 * math.pi))
+    body.heading[0, b] = -math.cos(angle)
+    body.heading[1, b] = -math.sin(angle)
+    body.angle[b] = angle
+    body.turn[b] = turn
+
+
+@nb.njit(inline="always")
+def orient(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
+    """The body after a step: as ``recorded`` in ``frame``, by its own turning, or as it walks."""
+    if not senses.turns:
+        follow(b, velocity_x, velocity_y, senses.rest_speed, body)
+    elif recorded and len(demo_heading) > 0:
+        face(b, demo_heading[frame], body)
+    else:
+        _swing(b, velocity_x, velocity_y, senses, body)
+
+
+@nb.njit(inline="always")
+def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body):  # type: ignore[no-untyped-def]
+    """The body at the start of an episode: as recorded; else as it walks, upwind at rest."""
+    known = recorded and len(demo_heading) > 0
+    if known:
+        face(b, demo_heading[frame], body)
+    else:
+        _face(b, -1.0, 0.0, -0.0, body)
+    if not (senses.turns and known):
+        follow(b, velocity_x, velocity_y, senses.rest_speed, body)
+    body.turn[b] = 0.0
+    for side in range(2):
+        body.odour[side, b] = senses.baseline
+        body.trace[side, b] = 0.0
+
+
+# -- the senses -------------------------------------------------------------------------------
+
+
+@nb.njit(inline="always")
+def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-untyped-def]
+    """Hits of the left and right antenna."""
+    bits, rows, columns, source_row, source_column, cell = table
+    heading = body.heading
+    front_x = position[0, b] + senses.ahead * heading[0, b]
+    front_y = position[1, b] + senses.ahead * heading[1, b]
+    side_x = -senses.beside * heading[1, b]
+    side_y = senses.beside * heading[0, b]
+    step = step % bits.shape[1]
+    left = is_hit(
+        bits, rows, columns, source_row, source_column, cell, pattern, step,
+        front_x + side_x, front_y + side_y,
+    )  # fmt: skip
+    right = is_hit(
+        bits, rows, columns, source_row, source_column, cell, pattern, step,
+        front_x - side_x, front_y - side_y,
+    )  # fmt: skip
+    return left, right
+
+
+@nb.njit(inline="always")
+def sense(b, velocity_x, velocity_y, hit_left, hit_right, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
+    """Update the odour signals and write the observation into ``out[:, column]``."""
+    odour, trace = body.odour, body.trace
+    base = senses.baseline
+    odour[0, b] = 1.0 if hit_left else base + (odour[0, b] - base) * senses.remains
+    odour[1, b] = 1.0 if hit_right else base + (odour[1, b] - base) * senses.remains
+    trace[0, b] = 1.0 if hit_left else trace[0, b] * senses.trace_remains
+    trace[1, b] = 1.0 if hit_right else trace[1, b] * senses.trace_remains
+    out[Seen.VELOCITY_AHEAD, column] = -velocity_x
+    out[Seen.VELOCITY_LEFT, column] = -velocity_y
+    out[Seen.BODY_ANGLE, column] = body.angle[b]
+    out[Seen.ODOUR_LEFT, column] = odour[0, b]
+    out[Seen.ODOUR_RIGHT, column] = odour[1, b]
+    _sense_air(b, condition, senses, body, out, column)
+    if out.shape[0] > PAPER:
+        _sense_more(b, velocity_x, velocity_y, hit_left, hit_right, senses, body, out, column)
+
+
+@nb.njit(inline="always")
+def _sense_air(b, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
+    """Visual flow and the side the wind comes from; nothing of either in condition 1."""
+    for row in range(Seen.FLOW, Seen.WIND_BACK + 1):
+        out[row, column] = 0.0
+    if condition != 0:
+        return
+    flow = -body.turn[b] / senses.dt
+    if abs(flow) < senses.flow_threshold:
+        flow = 0.0
+    out[Seen.FLOW, column] = min(senses.flow_limit, max(-senses.flow_limit, flow))
+    ahead = -body.heading[0, b]  # cosine and sine of the body angle
+    left = -body.heading[1, b]
+    if ahead >= abs(left):
+        out[Seen.WIND_FRONT, column] = 1.0
+    elif -ahead >= abs(left):
+        out[Seen.WIND_BACK, column] = 1.0
+    elif left > 0.0:  # facing left of upwind, the air comes from the right
+        out[Seen.WIND_RIGHT, column] = 1.0
+    else:
+        out[Seen.WIND_LEFT, column] = 1.0
+
+
+@nb.njit(inline="always")
+def _sense_more(b, velocity_x, velocity_y, hit_left, hit_right, senses, body, out, column):  # type: ignore[no-untyped-def]
+    """The same things said so that a network can use them, and a longer memory of hits."""
+    out[Seen.HIT_LEFT, column] = 1.0 if hit_left else 0.0
+    out[Seen.HIT_RIGHT, column] = 1.0 if hit_right else 0.0
+    out[Seen.ODOUR_DIFFERENCE, column] = body.odour[0, b] - body.odour[1, b]
+    out[Seen.ODOUR_SUM, column] = body.odour[0, b] + body.odour[1, b]
+    out[Seen.TRACE_LEFT, column] = body.trace[0, b]
+    out[Seen.TRACE_RIGHT, column] = body.trace[1, b]
+    out[Seen.ANGLE_COSINE, column] = -body.heading[0, b]
+    out[Seen.ANGLE_SINE, column] = -body.heading[1, b]
+    ahead = -velocity_x / senses.stride
+    left = -velocity_y / senses.stride
+    out[Seen.FINE_AHEAD, column] = math.tanh(ahead)
+    out[Seen.FINE_LEFT, column] = math.tanh(left)
+    out[Seen.COARSE_AHEAD, column] = math.tanh(ahead / 3.0)
+    out[Seen.COARSE_LEFT, column] = math.tanh(left / 3.0)
+    out[Seen.LOG_SPEED, column] = math.log(math.sqrt(ahead * ahead + left * left) + REST)
+    out[Seen.YAW_RATE, column] = body.turn[b] / senses.dt
