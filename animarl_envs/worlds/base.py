@@ -23,13 +23,19 @@ from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
 
 class ObservationComponent(NamedTuple):
-    """One entry of an observation vector, for spaces and documentation."""
+    """One entry of an observation vector, for spaces, documentation and mirror images.
+
+    In a world mirrored about the x axis it is ``sign`` times the component named ``mirror``, its
+    own by default.
+    """
 
     name: str
     frame: str
     unit: str
     low: float
     high: float
+    sign: float = 1.0
+    mirror: str = ""
 
 
 class Tracker(Protocol):
@@ -252,6 +258,11 @@ def recorded_speed(scenario: Scenario) -> float:
     if scenario.demos is None:
         return 0.0
     return float(np.linalg.norm(scenario.demos.velocities(), axis=-1).max())
+
+
+def recorded_reach(scenario: Scenario) -> float:
+    """How far out the scenario's demonstrations lie in x or y [arena unit], 0 without any."""
+    return 0.0 if scenario.demos is None else float(np.abs(scenario.demos.positions).max())
 
 
 def _flat_demonstrations(scenario: Scenario) -> FlatDemos:
