@@ -57,6 +57,7 @@ def observe(position, velocity, towards, others, senses, observation):  # type: 
     """
     K = position.shape[0]
     target = K - 1
+    first, stride, near, shape, edge = senses
     for i in range(K):
         ranks = 0
         if i != target:
@@ -70,10 +71,10 @@ def observe(position, velocity, towards, others, senses, observation):  # type: 
         for last in range(ranks - 1, sorted_from, -1):  # stable bubble sort, without branches
             for rank in range(sorted_from, last):
                 _order(rank, others)
-        _observe_own(i, position, velocity, others, towards, senses, observation)
+        _observe_own(i, position, velocity, others, towards, first, stride[i], observation)
         for rank in range(ranks):
-            _observe_other(i, rank, position, velocity, others, towards, senses, observation)
-        _observe_field(i, position, towards, senses, observation)
+            _observe_other(i, rank, position, velocity, others, towards, first, near, observation)
+        _observe_field(i, position, towards, first, shape, edge, observation)
 
 
 @part
@@ -102,9 +103,8 @@ def _order(rank, others):  # type: ignore[no-untyped-def]
 
 
 @part
-def _observe_own(i, position, velocity, others, towards, senses, observation):  # type: ignore[no-untyped-def]
+def _observe_own(i, position, velocity, others, towards, first, stride, observation):  # type: ignore[no-untyped-def]
     """Own position, direction of the focus, and own velocity on several scales."""
-    first = senses.first
     place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
     B = position.shape[2]
     for x in range(2):
@@ -125,16 +125,15 @@ def _observe_own(i, position, velocity, others, towards, senses, observation):  
             observation[i, at, b] = velocity[i, 0, b]
             observation[i, at + 1, b] = velocity[i, 1, b]
     if first[0, layout.FINE] != ABSENT:
-        _observe_scales(i, velocity, towards, senses, observation)
+        _observe_scales(i, velocity, towards, first, stride, observation)
 
 
 @part
-def _observe_scales(i, velocity, towards, senses, observation):  # type: ignore[no-untyped-def]
+def _observe_scales(i, velocity, towards, first, stride, observation):  # type: ignore[no-untyped-def]
     """Own velocity where small differences show: recorded animals are slow most of the time."""
-    first = senses.first
     fine, coarse = first[0, layout.FINE], first[0, layout.COARSE]
     at = first[0, layout.LOG_SPEED]
-    per_stride = 1.0 / senses.stride[i]
+    per_stride = 1.0 / stride
     for b in range(velocity.shape[2]):
         vx = velocity[i, 0, b] * per_stride
         vy = velocity[i, 1, b] * per_stride
@@ -159,9 +158,8 @@ def _tripled(t):  # type: ignore[no-untyped-def]
 
 
 @part
-def _observe_other(i, rank, position, velocity, others, towards, senses, observation):  # type: ignore[no-untyped-def]
+def _observe_other(i, rank, position, velocity, others, towards, first, near, observation):  # type: ignore[no-untyped-def]
     """One of the others, seen from individual ``i``."""
-    first = senses.first
     who = rank + 1
     at, apart_at = first[who, layout.PLACE], first[who, layout.DISTANCE]
     bearing_at, circle = first[who, layout.BEARING], first[who, layout.BEARING_CIRCLE]
@@ -184,15 +182,14 @@ def _observe_other(i, rank, position, velocity, others, towards, senses, observa
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
     if circle != ABSENT:
-        _observe_directions(i, rank, circle, others, towards, senses, observation)
+        _observe_directions(i, rank, circle, first[rank + 1, layout.DIRECTION], others, towards, observation)
     if first[who, layout.NEARNESS] != ABSENT:
-        _observe_in_arena(i, rank, position, velocity, others, senses, observation)
+        _observe_in_arena(i, rank, position, velocity, others, first, near, observation)
 
 
 @part
-def _observe_directions(i, rank, circle, others, towards, senses, observation):  # type: ignore[no-untyped-def]
+def _observe_directions(i, rank, circle, plane, others, towards, observation):  # type: ignore[no-untyped-def]
     """Unit vectors towards another who is not the focus; of one at the same place, the focus'."""
-    plane = senses.first[rank + 1, layout.DIRECTION]
     for b in range(others.shape[2]):
         apart = others[rank, APART, b]
         ex = towards[i, 0, b]
@@ -206,16 +203,15 @@ def _observe_directions(i, rank, circle, others, towards, senses, observation): 
 
 
 @part
-def _observe_in_arena(i, rank, position, velocity, others, senses, observation):  # type: ignore[no-untyped-def]
+def _observe_in_arena(i, rank, position, velocity, others, first, near, observation):  # type: ignore[no-untyped-def]
     """How near another is, and where it is and goes in the arena frame."""
-    first = senses.first
     who = rank + 1
-    near = first[who, layout.NEARNESS]
+    inverse = first[who, layout.NEARNESS]
     place, going = first[who, layout.OTHER_POSITION], first[who, layout.OTHER_VELOCITY]
     offset = first[who, layout.OFFSET]
     B = others.shape[2]
     for b in range(B):
-        observation[i, near, b] = 1.0 / (others[rank, APART, b] + senses.near)
+        observation[i, inverse, b] = 1.0 / (others[rank, APART, b] + near)
     for x in range(2):
         for b in range(B):
             observation[i, offset + x, b] = others[rank, DX + x, b]
@@ -224,9 +220,8 @@ def _observe_in_arena(i, rank, position, velocity, others, senses, observation):
 
 
 @part
-def _observe_field(i, position, towards, senses, observation):  # type: ignore[no-untyped-def]
+def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
     """The centre and the edge of the arena."""
-    first = senses.first
     B = position.shape[2]
     at = first[0, layout.CENTRE_DISTANCE]
     if at != ABSENT:
@@ -240,11 +235,11 @@ def _observe_field(i, position, towards, senses, observation):  # type: ignore[n
     for b in range(B):
         x = position[i, 0, b]
         y = position[i, 1, b]
-        if senses.shape == SQUARE:
+        if shape == SQUARE:
             out = max(abs(x), abs(y))
         else:
             out = math.sqrt(x * x + y * y)
-        observation[i, at, b] = senses.edge - out
+        observation[i, at, b] = edge - out
     at = first[0, layout.CENTRE]
     for b in range(B):
         ahead, left = _egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
