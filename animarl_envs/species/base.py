@@ -13,7 +13,6 @@ from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 
-
 OBSERVATIONS = ("full", "paper")
 
 

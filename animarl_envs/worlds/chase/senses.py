@@ -182,7 +182,9 @@ def _observe_other(i, rank, position, velocity, others, towards, first, near, ob
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
     if circle != ABSENT:
-        _observe_directions(i, rank, circle, first[rank + 1, layout.DIRECTION], others, towards, observation)
+        _observe_directions(
+            i, rank, circle, first[rank + 1, layout.DIRECTION], others, towards, observation
+        )
     if first[who, layout.NEARNESS] != ABSENT:
         _observe_in_arena(i, rank, position, velocity, others, first, near, observation)
 
@@ -235,10 +237,7 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
     for b in range(B):
         x = position[i, 0, b]
         y = position[i, 1, b]
-        if shape == SQUARE:
-            out = max(abs(x), abs(y))
-        else:
-            out = math.sqrt(x * x + y * y)
+        out = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
         observation[i, at, b] = edge - out
     at = first[0, layout.CENTRE]
     for b in range(B):
