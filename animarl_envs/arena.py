@@ -1,4 +1,4 @@
-"""Where animals move: the recorded field, and the virtual boundary around it."""
+"""Where animals move: the recorded field, its walls, or the virtual boundary around it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,16 @@ class Arena:
     shape
         ``"square"`` (half side ``size``), ``"disc"`` (radius ``size``) or ``"open"`` (no edge).
     size
-        Half side or radius of the recorded field, in arena units; for drawing and validation.
+        Half side or radius of the recorded field, in arena units. Walls stand here: the centres of
+        recorded bodies come as far as this (``docs/data/walls.md``).
     boundary
-        Half side or radius beyond which an individual is out of bounds; ``inf`` in an open field.
+        Half side or radius beyond which an individual is out of bounds where there are no walls;
+        ``inf`` in an open field.
     rebound
         ``False``: leaving the boundary ends the episode with a penalty (the paper's rule).
-        ``True``: the individual is set back on the boundary and its outward velocity is reversed
-        and halved, so that nothing ever is out of bounds.
+        ``True``: the field has walls. An individual is held at ``size`` and loses the velocity
+        into the wall, while it slides along it freely; nobody ever is out of bounds. Never in an
+        open field.
     """
 
     shape: ArenaShape = "square"
@@ -51,6 +54,7 @@ class Arena:
         object.__setattr__(self, "size", float(self.size))
         if self.shape == "open":
             object.__setattr__(self, "boundary", math.inf)
+            object.__setattr__(self, "rebound", False)
         elif not (is_number(self.boundary) and self.boundary >= self.size):
             raise InputError(
                 f"arena boundary {self.boundary!r} lies inside the arena of size {self.size}: "
@@ -58,12 +62,17 @@ class Arena:
             )
         object.__setattr__(self, "boundary", float(self.boundary))
 
+    @property
+    def edge(self) -> float:
+        """How far out an individual may be: the walls, or without them the boundary."""
+        return self.size if self.rebound else self.boundary
+
     def contains(self, positions: NDArray[np.floating], margin: float = 0.0) -> NDArray[np.bool_]:
-        """Whether positions ``(..., 2)`` lie within the virtual boundary, widened by ``margin``."""
+        """Whether positions ``(..., 2)`` lie within the edge, widened by ``margin``."""
         if self.shape == "open":
             return np.ones(positions.shape[:-1], dtype=bool)
         if self.shape == "disc":
             extent = np.hypot(positions[..., 0], positions[..., 1])
         else:
             extent = np.abs(positions).max(axis=-1)
-        return np.asarray(extent <= self.boundary + margin)
+        return np.asarray(extent <= self.edge + margin)

@@ -28,7 +28,7 @@ from animarl_envs.drawing.markdown import markdown_table
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import SPECIES, ChaseSpecies, SearchSpecies, Species
+from animarl_envs.species import SPECIES, ChaseSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import ObservationComponent, World
 
@@ -54,10 +54,11 @@ def page(species: Species) -> str:
         facts(species),
         "## Observation",
         f"`Box({len(world.observation_components)},)`, float32, one vector per individual."
-        + ORDER.get(type(species), ""),
+        + ORDER.get(species.world, ""),
         observations(world.observation_components),
+        *OTHER_OBSERVATION.get(species.world, ()),
         "## Actions",
-        ACTIONS.format(count=species.num_actions, focus=FOCUS[type(species)]),
+        ACTIONS.format(count=species.num_actions, focus=FOCUS[species.world]),
         actions(species),
         "## Rewards",
         rewards(world, species),
@@ -80,10 +81,16 @@ def page(species: Species) -> str:
 
 
 FOCUS = {
-    ChaseSpecies: "the target is a pursuer's focus, the nearest pursuer is the target's",
-    SearchSpecies: "the direction upwind, -x, since the moth is not told where the source is",
+    "chase": "the target is a pursuer's focus, the nearest pursuer is the target's",
+    "search": "the direction upwind, -x, since the moth is not told where the source is",
 }
-ORDER = {ChaseSpecies: " Others are in this order: the target first, then pursuers by distance."}
+ORDER = {"chase": " Others are in this order: the target first, then pursuers by distance."}
+OTHER_OBSERVATION = {
+    "chase": (
+        '`observation="paper"` has the components of the paper instead, of which three are '
+        "constant or copies, since the frame points at the focus.",
+    )
+}
 ACTIONS = (
     "`Discrete({count})`: a unit acceleration in the egocentric frame towards the focus ({focus}), "
     "or none. The velocity follows by v' = (1 - d) v + u a dt, the position by p' = p + v' dt."
@@ -120,7 +127,7 @@ def facts(species: Species) -> str:
     field = {"square": "square, half side", "disc": "disc, radius", "open": "open field, drawn to"}
     rows = [
         ("individuals", ", ".join(f"`{name}`" for name in species.individuals)),
-        ("arena", f"{field[arena.shape]} {arena.size:g}"),
+        ("arena", f"{field[arena.shape]} {arena.size:g}{', with walls' if arena.rebound else ''}"),
         ("contact", f"closer than {species.contact_radius:g}"),
         ("decision step", f"{species.dt:g} s"),
         ("time limit", f"{species.time_limit} steps, {species.time_limit * species.dt:g} s"),
@@ -135,7 +142,7 @@ def facts(species: Species) -> str:
         rows.append((f"locomotion of `{name}`", text))
     if species.name in packaged_names():
         rows.append(("packaged demonstrations", packaged(species.name)))
-    unit = "metres" if isinstance(species, SearchSpecies) else "arena units"
+    unit = f"{species.length_unit}s"
     return markdown_table(("", f"lengths in {unit}"), rows)
 
 
@@ -191,22 +198,20 @@ def rewards(world: World, species: Species) -> str:
 
 
 def ends(species: Species) -> str:
-    if isinstance(species, SearchSpecies):
+    if species.world == "search":
         rows = [(f"the moth is closer than {species.contact_radius:g} to the source", "terminated")]
     else:
         rows = [
             (f"a pursuer is closer than {species.contact_radius:g} to the target", "terminated")
         ]
     edge = species.arena.boundary
-    if species.arena.shape == "square":
-        rows.append((f"somebody is beyond +-{edge:g} in x or y (not with `rebound`)", "terminated"))
-    elif species.arena.shape == "disc":
-        rows.append(
-            (
-                f"somebody is farther than {edge:g} from the centre (not with `rebound`)",
-                "terminated",
-            )
-        )
+    beyond = {
+        "square": f"somebody is beyond +-{edge:g} in x or y",
+        "disc": f"somebody is farther than {edge:g} from the centre",
+    }
+    if species.arena.shape in beyond:
+        when = "only with `rebound=False`" if species.arena.rebound else "not with `rebound=True`"
+        rows.append((f"{beyond[species.arena.shape]} ({when})", "terminated"))
     rows.append((f"step {species.time_limit} has been taken", "truncated"))
     return markdown_table(("when", "then"), rows)
 
@@ -296,6 +301,7 @@ CUSTOM_NUMBERS = [
         "those that occur, as names (`conditions` in the provenance): they change no reward unless "
         "you say `shared_reward=True`",
     ),
+    ("`rebound`", "walls, if the arena is a disc or a square"),
     ("`start_half_side`, `warmup`", "half the arena's size; 0 steps"),
 ]
 CUSTOM = (

@@ -33,8 +33,15 @@ NOTES: dict[str, tuple[str, str]] = {
         "an `Arena`, its fields by name, `'square'`, `'disc'`, `'open'`, or a size",
         "the field; with a size, the boundary and the square of starts grow alike",
     ),
-    "boundary": ("at least the size of the arena", "the virtual boundary around it"),
-    "rebound": ("`True`, `False`", "set back on the boundary instead of ending the episode"),
+    "boundary": (
+        "at least the size of the arena",
+        "the virtual boundary around it, where there are no walls",
+    ),
+    "rebound": (
+        "`True`, `False`",
+        "walls at the arena's size: who walks into one is held and slides along it; without them, "
+        "whoever leaves the boundary ends the episode",
+    ),
     "locomotion": (
         "a `Locomotion`; or by name a `Locomotion`, `{'damping': d, 'thrust': u, 'magnitudes': "
         "(1.5, 0.5)}` or a factor on u",
@@ -45,6 +52,15 @@ NOTES: dict[str, tuple[str, str]] = {
     "time_limit": ("a whole number of steps, at least 1", "steps until the episode is truncated"),
     "warmup": ("a whole number of steps", "steps replayed from the demonstration at the start"),
     "conditions": ("none or two names", "names of conditions 0 and 1"),
+    "observation": (
+        "`'full'`, `'paper'`",
+        "all that is listed above, or the components of the paper, of which some are constant",
+    ),
+    "mirror_symmetric": ("`True`, `False`", "whether left and right are alike to it, for learners"),
+    "planned_flip": (
+        "`(0, 1)`, `(1, 0)`, `None`",
+        "condition of the world and the other one that is told, as the paper compares them",
+    ),
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
     "observation": ("`'full'`, `'paper'`", "which components are observed"),
     "name": ("a word", "its name"),
@@ -61,7 +77,10 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "how many pursue; with demonstrations the first ones, at most as many as were recorded",
     ),
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
-    "senses_centre": ("`True`, `False`", "adds the distance from the centre to the observation"),
+    "senses_centre": (
+        "`True`, `False`",
+        "observation `'paper'` has the distance from the centre too",
+    ),
     "shared_reward": ("`True`, `False`", "in condition 1 a capture pays every pursuer"),
 }
 

@@ -57,15 +57,42 @@ def reference_step(position: Array, velocity: Array, actions: Array) -> tuple[Ar
     return position + after * 0.1, after
 
 
-def reference_observation(position: Array, velocity: Array, i: int) -> list[float]:
-    """The documented components of individual i, in order."""
-    focus = reference_focus(position)[i]
+def reference_others(position: Array, i: int) -> list[int]:
+    """Target first, then pursuers by distance."""
     target = len(position) - 1
-    turn = np.array([[focus[0], focus[1]], [-focus[1], focus[0]]])
     others = [j for j in range(target) if j != i]
     others.sort(key=lambda j: float(np.linalg.norm(position[j] - position[i])))
-    if i != target:
-        others = [target, *others]
+    return others if i == target else [target, *others]
+
+
+def reference_full(position: Array, velocity: Array, i: int) -> list[float]:
+    """The documented components of observation "full" in an open arena of size 1."""
+    focus = reference_focus(position)[i]
+    turn = np.array([[focus[0], focus[1]], [-focus[1], focus[0]]])
+    own, stride = turn @ velocity[i], 3.0 * 0.1
+    entries = [*position[i], *own, *velocity[i], *np.tanh(own / stride), *np.tanh(own / 3 / stride)]
+    entries += [math.log(np.linalg.norm(own) / stride + 0.3), *focus]
+    for rank, j in enumerate(reference_others(position, i)):
+        offset = position[j] - position[i]
+        apart, drift = turn @ offset, turn @ (velocity[j] - velocity[i])
+        distance = float(np.linalg.norm(offset))
+        bearing = math.atan2(apart[1], apart[0])
+        if rank > 0:
+            entries += [*apart]
+        entries += [*drift, distance, 1.0 / (distance + 0.1)]
+        if rank > 0:
+            entries += [math.cos(bearing), math.sin(bearing)]
+        entries += [*position[j], *velocity[j], *offset]
+        if rank > 0:
+            entries += [*(offset / distance)]
+    return [float(e) for e in entries]
+
+
+def reference_paper(position: Array, velocity: Array, i: int) -> list[float]:
+    """The documented components of observation "paper" of individual i, in order."""
+    focus = reference_focus(position)[i]
+    turn = np.array([[focus[0], focus[1]], [-focus[1], focus[0]]])
+    others = reference_others(position, i)
     entries = [*position[i], *(turn @ velocity[i]), *focus]
     for j in others:
         apart = turn @ (position[j] - position[i])
@@ -74,11 +101,13 @@ def reference_observation(position: Array, velocity: Array, i: int) -> list[floa
     return [float(e) for e in entries]
 
 
-@pytest.mark.parametrize("pursuers", [1, 2, 3, 4])
-def test_kernels_agree_with_the_scalar_reference(pursuers: int) -> None:
+@pytest.mark.parametrize("kind", ["full", "paper"])
+@pytest.mark.parametrize("pursuers", [1, 2, 3, 4, 9])
+def test_kernels_agree_with_the_scalar_reference(pursuers: int, kind: str) -> None:
+    reference = {"full": reference_full, "paper": reference_paper}[kind]
     rng = np.random.default_rng(pursuers)
     copies, K = 40, pursuers + 1
-    made = world(copies, num_pursuers=pursuers, arena="open", contact_radius=1e-9)
+    made = world(copies, num_pursuers=pursuers, arena="open", contact_radius=1e-9, observation=kind)
     position, velocity = made.position.copy(), made.velocity.copy()
     for _ in range(8):
         actions = rng.integers(13, size=(copies, K))
@@ -88,7 +117,7 @@ def test_kernels_agree_with_the_scalar_reference(pursuers: int) -> None:
             assert made.position[b] == pytest.approx(position[b], abs=1e-12)
             assert made.velocity[b] == pytest.approx(velocity[b], abs=1e-12)
             for i in range(K):
-                expected = reference_observation(position[b], velocity[b], i)
+                expected = reference(position[b], velocity[b], i)
                 assert made.observation[b, i] == pytest.approx(expected, abs=2e-6)
 
 
@@ -175,14 +204,6 @@ def test_leaving_ends_it_with_a_penalty(start: Any, who: int, code: int) -> None
     assert made.outcome[0] == code and made.terminated[0]
     assert made.components[0, who, 2] == -10.0
     assert made.components[0, :, 2].sum() == -10.0
-
-
-def test_rebound_keeps_everyone_in() -> None:
-    made = world(start=[[-0.5, 0.0], [-0.5, 0.4], [1.09, 0.0]], rebound=True)
-    for _ in range(40):
-        made.step(np.array([[COAST, COAST, 6]]))
-        assert made.scenario.species.arena.contains(made.position).all()
-        assert not made.terminated[0]
 
 
 def test_the_time_limit_truncates_and_never_terminates() -> None:
@@ -335,7 +356,28 @@ def test_faster_by_a_factor_is_one_keyword() -> None:
 
 
 def test_the_fly_senses_the_centre() -> None:
-    made = ChaseWorld(make_scenario(FLY, demos=None), 20)
+    made = ChaseWorld(make_scenario(FLY, demos=None, observation="paper"), 20)
     made.reset()
     distance = np.linalg.norm(made.position, axis=2)
     assert made.observation[..., -1] == pytest.approx(distance, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "edge"),
+    [({"arena": "disc"}, 1.1), ({"arena": "disc", "rebound": True}, 1.0), ({}, 1.1)],
+)
+def test_all_sense_the_edge_and_where_the_centre_is(options: Any, edge: float) -> None:
+    made = world(20, **options)
+    made.step(np.random.default_rng(0).integers(13, size=(20, 3)))
+    round_field = options.get("arena") == "disc"
+    out = (
+        np.linalg.norm(made.position, axis=2) if round_field else np.abs(made.position).max(axis=2)
+    )
+    names = [c.name for c in made.observation_components]
+    assert names[-3:] == ["distance to the edge", "centre of the arena ahead",
+                          "centre of the arena left"]  # fmt: skip
+    assert made.observation[..., -3] == pytest.approx(edge - out, abs=1e-6)
+    ahead, left = made.observation[..., -2], made.observation[..., -1]
+    ex, ey = made.towards[..., 0], made.towards[..., 1]
+    back = np.stack([ahead * ex - left * ey, ahead * ey + left * ex], axis=2)
+    assert back == pytest.approx(-made.position, abs=1e-6)

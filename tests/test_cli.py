@@ -124,7 +124,9 @@ def test_train_by_environment_and_preset_then_more(
     assert first.returncode == 0, first.stderr
     record = json.loads((tmp_path / "out" / "run" / "settings.json").read_text())
     assert record["settings"]["fit_method"] == "joint" and record["settings"]["seed"] == 1
-    assert record["environment"] == {"dtw": "cumulative"}
+    assert record["environment"] == {
+        "dtw": "cumulative", "observation": "paper", "rebound": False
+    }  # fmt: skip
     assert record["learner"]["offline_epochs"] == 2 and record["learner"]["learning_rate"] == 1e-6
     assert record["learner"]["policy_kwargs"] == {"n_quantiles": 20}
     assert record["baseline"]["offline_learning_rate"] == 1e-3  # BC's own

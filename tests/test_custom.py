@@ -119,7 +119,11 @@ def test_numbers_are_those_of_the_file() -> None:
     species = species_of(demos)
     assert isinstance(species, ChaseSpecies)
     assert species.individuals == demos.individuals
-    assert (species.dt, species.arena, species.warmup) == (demos.dt, demos.arena, 0)
+    assert (species.dt, species.arena, species.warmup) == (
+        demos.dt,
+        replace(demos.arena, rebound=True),
+        0,
+    )
     assert species.time_limit == STEPS  # the longest episode
     assert species.recording.frame_rate == pytest.approx(10.0)
     assert species.conditions == ()
@@ -132,7 +136,9 @@ def test_a_named_species_gives_its_numbers() -> None:
     demos = replace(dogs(2), species="newt")
     species = species_of(demos)
     assert (species.name, species.contact_radius, species.warmup) == ("newt", 0.15, 10)
-    assert (species.arena, species.individuals) == (demos.arena, demos.individuals)
+    assert species.arena == replace(demos.arena, rebound=True)  # as newts have it
+    assert species.individuals == demos.individuals
+    assert species_of(dogs(2), base="agent").arena == demos.arena
     assert species.time_limit == 500
     assert species_of(dogs(2), base="fly").contact_radius == 0.2
 

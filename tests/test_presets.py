@@ -23,6 +23,7 @@ from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 
 AGENT = "AnimaRL/Agent-v0"
+PAPERS_WORLD = {"observation": "paper", "rebound": False}
 
 
 # -- every learner --------------------------------------------------------------------------------
@@ -73,6 +74,7 @@ def test_files_are_plain_data() -> None:
                 "increment",
                 "onset",
                 "joint",
+                "paper",
             ),
             *(name for name in RECIPES),
             "pretraining",
@@ -149,7 +151,7 @@ def test_the_paper_preset_holds_the_papers_numbers(algo: str, species: str) -> N
         assert not any(key.startswith("offline") for key in settings)
     if "dil" in name or "cil" in name:
         assert settings["alpha"] == numbers.alpha
-        assert found.env_kwargs == {"dtw": "cumulative"}
+        assert found.env_kwargs == PAPERS_WORLD | {"dtw": "cumulative"}
         assert settings.get("offline_alpha") == (numbers.offline_alpha if "-pt" in name else None)
         assert not settings.get("offline_scaled_penalties")  # as in the equation: arena units
     if "cil" in name:
@@ -235,7 +237,7 @@ def test_a_table_goes_over_the_one_below_key_by_key(tmp_path: Path) -> None:
         "    policy_kwargs: {hidden: 16}\n    replay_buffer_kwargs: {alpha: 0.5}\n"
     )
     found = learner_preset("qr-dqdil", AGENT, "paper", config=file)
-    assert found.env_kwargs == {"dtw": "cumulative", "contact_radius": 0.15}
+    assert found.env_kwargs == PAPERS_WORLD | {"dtw": "cumulative", "contact_radius": 0.15}
     assert found.arguments["policy_kwargs"] == {"n_quantiles": 20, "hidden": 16}
     assert found.arguments["replay_buffer_kwargs"] == {"max_episodes": 5000, "alpha": 0.5}
 
@@ -243,8 +245,10 @@ def test_a_table_goes_over_the_one_below_key_by_key(tmp_path: Path) -> None:
 def test_so_does_a_table_of_the_command_line() -> None:
     asked = {"env_kwargs": {"contact_radius": 0.15}}
     found = learner_preset("dqdil", AGENT, "paper", asked)
-    assert found.env_kwargs == {"dtw": "cumulative", "contact_radius": 0.15}
-    assert learner_preset("dqdil", AGENT, "paper").env_kwargs == {"dtw": "cumulative"}
+    assert found.env_kwargs == PAPERS_WORLD | {"dtw": "cumulative", "contact_radius": 0.15}
+    assert learner_preset("dqdil", AGENT, "paper").env_kwargs == PAPERS_WORLD | {
+        "dtw": "cumulative"
+    }
     assert asked == {"env_kwargs": {"contact_radius": 0.15}}
 
 
@@ -253,7 +257,7 @@ def test_null_takes_a_setting_of_the_files_below_back() -> None:
         learner_preset("dqdil", AGENT, "paper", {"env_kwargs": table})
         for table in ({"dtw": None}, None)
     )
-    assert one.env_kwargs == {"dtw": None}
+    assert one.env_kwargs == PAPERS_WORLD | {"dtw": None}
     assert whole.env_kwargs == {}
 
 

@@ -97,7 +97,7 @@ def test_the_condition_is_the_last_component_if_asked_for() -> None:
     venv = SlotVecEnv("agent", 8, condition_flag=True)
     venv.seed(3)
     observations = venv.reset()
-    assert observations.shape == (24, 19)
+    assert observations.shape == (24, len(venv.world.observation_components) + 1)
     assert np.array_equal(observations[:, -1], np.repeat(venv.world.condition, 3))
     flipped = SlotVecEnv("agent", 8, condition_flag=True, cue="flipped")
     flipped.seed(3)

@@ -25,6 +25,7 @@ from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
 HOLD = 1.0  # the last picture of an episode stays for this time [s]
+PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
 Actor = Callable[[World, bool], NDArray[np.integer]]
 """From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
 
@@ -184,7 +185,7 @@ def prepare(
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
     driven = set() if policy is None else {focal} if focal is not None else set(names)
     rule = by or (Rule.demonstration if plain.paired else Rule.script)
-    programmed = rule is Rule.script and isinstance(plain.species, SearchSpecies)
+    programmed = rule is Rule.script and plain.species.script == PROGRAMMED
     driver = {Rule.demonstration: "replay", Rule.script: "action" if programmed else "scripted"}
     drivers = {name: "action" if name in driven else driver[rule] for name in names}
     world = make_world(make_scenario(species, drivers=drivers, **options), 1)

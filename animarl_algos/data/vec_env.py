@@ -6,7 +6,7 @@ reset within the same step, as SB3 expects.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -87,7 +87,7 @@ class SlotVecEnv(VecEnv):
             demos=full.demos,
             split=split if full.demos is not None else None,
             drivers=drivers,
-            **{k: v for k, v in options.items() if k in _SCENARIO_OPTIONS},
+            **{k: v for k, v in options.items() if k in SCENARIO_OPTIONS},
         )
         if condition_flag is None:
             condition_flag = has_both_conditions(full.species, full.demos)
@@ -257,4 +257,10 @@ def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
     return bool(species.conditions) and demos is not None and len(set(demos.condition)) == 2
 
 
-_SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
+SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
+OWN_OPTIONS = ("split", "focal", "condition_flag", "cue", "dtw")
+
+
+def species_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the options of a :class:`SlotVecEnv` that change the species."""
+    return {k: v for k, v in options.items() if k not in (*SCENARIO_OPTIONS, *OWN_OPTIONS)}

@@ -44,7 +44,6 @@ from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds import make_world
 
-PLANNED_FLIPS = {"agent": (0, 1), "silkmoth": (1, 0)}
 DECISIONS = Path("rollouts", "decisions.npz")
 PACKAGED = "packaged"
 UNTRAINED, RANDOM = "untrained", "random"
@@ -226,7 +225,7 @@ def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
         rollouts,
         run.demos.select(split="test"),
         seed=run.settings.seed,
-        planned_flip=PLANNED_FLIPS.get(run.settings.species),
+        planned_flip=species_of(run).planned_flip,
     )
     evaluation.save(run.path / "evaluation")
     return evaluation

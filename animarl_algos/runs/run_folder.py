@@ -25,20 +25,23 @@ import pandas as pd
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings
+from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_algos.learner.settings import constructed
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv, species_options
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit
 from animarl_envs.species import Species
+from animarl_envs.species.options import with_options
 from animarl_envs.fitting.custom_species import species_of
 
 PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scipy",
     "stable-baselines3", "torch",
 )  # fmt: skip
+OPTIONS_BEFORE = {"observation": "paper", "rebound": False}
+"""Options of the world in runs that were recorded before these existed."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,12 @@ class RunFolder:
             "settings": asdict(settings) | {"overrides": dict(settings.overrides)},
             "learner": own.arguments,
             "baseline": other.arguments,
-            "environment": own.env_kwargs,
+            "environment": _environment(settings, demos, own.env_kwargs),
             "fingerprint": demos.fingerprint(),
         }
         file = self.path / "settings.json"
         if file.exists():
-            before = self._read()
+            before = self._read() | {"environment": self.environment_options}
             for key, value in resolved.items():
                 if (there := before.get(key)) != (here := _plain(value)):
                     if isinstance(there, dict) and isinstance(here, dict):
@@ -152,7 +155,13 @@ class RunFolder:
 
     def species(self, demos: Demonstrations, fit: LocomotionFit) -> Species:
         """The species with the recording's arena and names, and the fitted locomotion."""
-        return species_of(demos, fit.locomotion, base=self.settings.species)
+        species = species_of(demos, fit.locomotion, base=self.settings.species)
+        return with_options(species, **species_options(self.environment_options))
+
+    @property
+    def environment_options(self) -> dict[str, Any]:
+        """Options of the training environment; of an older run, those it was trained with."""
+        return OPTIONS_BEFORE | self._read().get("environment", {})
 
     def environment(self, species: Species, demos: Demonstrations) -> SlotVecEnv:
         """The training environment: episodes start from the train split.
@@ -166,7 +175,7 @@ class RunFolder:
             demos=demos,
             focal=settings.focal,
             condition_flag=None,
-            **self._read()["environment"],
+            **self.environment_options,
         )
 
     def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
@@ -233,6 +242,14 @@ class RunFolder:
         table = pd.concat(rows, ignore_index=True).assign(seed=self.settings.seed)
         keys = ["method", "phase", "seed", "step", "quantity"]
         return table.drop_duplicates(keys, keep="last")[columns]
+
+
+def _environment(
+    settings: RunSettings, demos: Demonstrations, options: dict[str, Any]
+) -> dict[str, Any]:
+    """The options, and those by which worlds differ in full, whatever their defaults become."""
+    species = with_options(checked_species(settings, demos), **species_options(options))
+    return {"observation": species.observation, "rebound": species.arena.rebound} | options
 
 
 def versions() -> dict[str, str]:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.episode import TARGET_OUT
 from animarl_envs.errors import InputError
-from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import PlumeField
 
 AT_REST = 1e-9  # a slower individual keeps its heading [arena unit / s]
@@ -121,8 +120,8 @@ class SceneRecorder:
         self._headings = np.arctan2(towards[:, 1], towards[:, 0])
         self._trail = []
         self._returns = np.zeros(len(position))
-        search = isinstance(self.world.scenario.species, SearchSpecies)
-        self._glow = Afterglow(self.world, self.copy) if search else None
+        smells = hasattr(self.world, "plume")
+        self._glow = Afterglow(self.world, self.copy) if smells else None
         self._look()
 
     def follow(self) -> None:
@@ -183,8 +182,7 @@ class SceneRecorder:
         if not self.world.terminated[self.copy]:
             return ""
         if outcome > 0:
-            aim = "the source" if isinstance(species, SearchSpecies) else names[-1]
-            return f"{names[outcome - 1]} reached {aim}"
+            return f"{names[outcome - 1]} reached {species.goal}"
         return f"{names[-1] if outcome == TARGET_OUT else 'a pursuer'} left the arena"
 
 

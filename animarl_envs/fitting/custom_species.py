@@ -21,7 +21,7 @@ from animarl_envs.fitting.turning import HEADING, fit_turning
 from animarl_envs.focus import distances_to_target
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import CUSTOM, SILKMOTH, SPECIES, get_species
-from animarl_envs.species.base import ChaseSpecies, Recording, SearchSpecies, Species
+from animarl_envs.species.base import ChaseSpecies, Recording, Species
 from animarl_envs.species.options import with_options
 from animarl_envs.species.turning import Turning
 
@@ -55,6 +55,7 @@ def species_of(
           0.9 quantile), else the smallest distance recorded, so that the world ends no episode
           where the recording went on (at most a tenth of the arena's size);
         - conditions: those that occur, as names only: no reward differs between them;
+        - the edge of a disc or a square is a wall (``rebound``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
         - a searcher has the silkmoth's senses, plume and conditions.
 
@@ -77,7 +78,7 @@ def species_of(
         numbers,
         individuals=demos.individuals,
         dt=demos.dt,
-        arena=demos.arena if isinstance(numbers, ChaseSpecies) else Arena("open", demos.arena.size),
+        arena=_arena(demos, numbers),
         locomotion=fitted_locomotion(demos) if fit is None else tuple(fit),
         time_limit=max(numbers.time_limit, longest, numbers.warmup + 1),
         conditions=conditions,
@@ -162,11 +163,18 @@ def _plain_species(demos: Demonstrations) -> Species:
     return ChaseSpecies(
         individuals=demos.individuals,
         locomotion=still,
-        arena=demos.arena,
+        arena=replace(demos.arena, rebound=True),
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
         **common,
     )
+
+
+def _arena(demos: Demonstrations, species: Species) -> Arena:
+    """The recorded field, with walls where the species has them; open for a searcher."""
+    if "searcher" in species.roles:
+        return Arena("open", demos.arena.size)
+    return replace(demos.arena, rebound=species.arena.rebound)
 
 
 def _check_roles(demos: Demonstrations, species: Species) -> None:
@@ -176,7 +184,7 @@ def _check_roles(demos: Demonstrations, species: Species) -> None:
             f"{demos.name}: it holds {demos.num_individuals} searchers, a search has one: "
             "import each of them alone"
         )
-    if searching != isinstance(species, SearchSpecies):
+    if searching != ("searcher" in species.roles):
         roles = ", ".join(demos.roles)
         raise InputError(
             f"{demos.name}: its roles are {roles}, which do not fit {species.name}: choose the "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -33,8 +33,15 @@ class Recording:
 class Species:
     """Numbers that every world needs. Lengths are in arena units, times in seconds or steps.
 
-    ``individuals`` are in order: pursuers first, the target (if any) last.
+    ``individuals`` are in order: pursuers first, the target (if any) last. What all species of a
+    world have in common are class attributes: ``world`` and ``script`` name the simulator and the
+    scripted rule (``animarl_envs.worlds`` has them by name), ``length_unit`` is what an arena unit
+    is called.
     """
+
+    world: ClassVar[str]
+    script: ClassVar[str]
+    length_unit: ClassVar[str] = "arena unit"
 
     name: str
     title: str
@@ -48,6 +55,8 @@ class Species:
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
     boundary_penalty: float = -10.0
     observation: str = "full"  # or "paper": the components of the paper
+    mirror_symmetric: bool = True  # left and right are alike to it
+    planned_flip: tuple[int, int] | None = None  # conditions (world, cue) that the paper compares
     recording: Recording
     source: str = ""
     version_history: tuple[str, ...] = field(default=("v0: first release",))
@@ -95,6 +104,13 @@ class Species:
                 f"observation is {self.observation!r}: "
                 f"choose {' or '.join(map(repr, OBSERVATIONS))}"
             )
+        self._true_or_false("mirror_symmetric")
+        flip = self.planned_flip
+        if flip is not None and (not self.conditions or tuple(flip) not in ((0, 1), (1, 0))):
+            raise InputError(
+                f"planned_flip is {flip!r}: give (0, 1) or (1, 0) to a species with conditions, "
+                "or None"
+            )
 
     @property
     def num_individuals(self) -> int:
@@ -115,6 +131,16 @@ class Species:
         """``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual."""
         raise NotImplementedError
 
+    @property
+    def goal(self) -> str:
+        """Whom or what the others head for, in words."""
+        return self.individuals[-1]
+
+    def _true_or_false(self, *names: str) -> None:
+        for name in names:
+            if not isinstance(getattr(self, name), bool):
+                raise InputError(f"{name} is {getattr(self, name)!r}: choose True or False")
+
     def _positive(self, *names: str, or_zero: bool = False) -> None:
         """Refuse what is not a finite positive number (or zero, if that will do).
 
@@ -133,8 +159,11 @@ class Species:
 class ChaseSpecies(Species):
     """Pursuers and a target (the last individual) in an arena."""
 
+    world: ClassVar[str] = "chase"
+    script: ClassVar[str] = "evade"
+
     start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
-    senses_centre: bool = False  # adds the distance from the arena's centre to the observation
+    senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
 
     def __post_init__(self) -> None:
@@ -142,9 +171,7 @@ class ChaseSpecies(Species):
         if self.num_individuals < 2:
             raise InputError("a chase needs at least one pursuer and a target: name them both")
         self._positive("start_half_side")
-        for name in ("senses_centre", "shared_reward"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name} is {getattr(self, name)!r}: choose True or False")
+        self._true_or_false("senses_centre", "shared_reward")
 
     def check_uniform_starts(self) -> None:
         """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
@@ -175,6 +202,10 @@ class SearchSpecies(Species):
 
     What the senses tell is in ``docs/plume.md`` ("What the moth senses").
     """
+
+    world: ClassVar[str] = "search"
+    script: ClassVar[str] = "programmed moth"
+    length_unit: ClassVar[str] = "metre"
 
     metres_per_unit: float = 1.0  # the plume is in metres
     start_distance: float = 0.3  # downwind of the source [arena unit]
@@ -244,6 +275,10 @@ class SearchSpecies(Species):
     @property
     def roles(self) -> tuple[str, ...]:
         return ("searcher",) * self.num_individuals
+
+    @property
+    def goal(self) -> str:
+        return "the source"
 
 
 def _names(conditions: Any) -> tuple[str, ...]:

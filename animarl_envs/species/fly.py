@@ -12,11 +12,15 @@ FLY = ChaseSpecies(
     title="Courting flies",
     individuals=("male_0", "male_1", "female"),
     locomotion=(Locomotion(0.013, 0.143), Locomotion(0.017, 0.165), Locomotion(0.014, 0.156)),
-    arena=Arena("disc", size=1.0, boundary=1.1),
+    arena=Arena("disc", size=1.0, boundary=1.1, rebound=True),
     contact_radius=0.2,
     dt=0.1,
     time_limit=500,
     senses_centre=True,
+    version_history=(
+        "v0: first release; the arena has walls, which hold who walks into them "
+        "(`rebound=False`: leaving it ends the episode, as in the paper)",
+    ),
     recording=Recording(
         frame_rate=30.0,
         smoothing_cutoff=2.0,

@@ -15,11 +15,15 @@ NEWT = ChaseSpecies(
     title="Courting newts",
     individuals=("male_0", "male_1", "female"),
     locomotion=(Locomotion(0.011, 0.013), Locomotion(0.010, 0.014), Locomotion(0.014, 0.014)),
-    arena=Arena("square", size=1.0, boundary=1.1),
+    arena=Arena("square", size=1.0, boundary=1.1, rebound=True),
     contact_radius=0.15,
     dt=0.1,
     time_limit=500,
     warmup=10,
+    version_history=(
+        "v0: first release; the arena has walls, which hold who walks into them "
+        "(`rebound=False`: leaving it ends the episode, as in the paper)",
+    ),
     recording=Recording(
         frame_rate=30.0,
         smoothing_cutoff=2.0,

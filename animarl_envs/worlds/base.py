@@ -259,6 +259,11 @@ def recorded_speed(scenario: Scenario) -> float:
     return float(np.linalg.norm(scenario.demos.velocities(), axis=-1).max())
 
 
+def recorded_reach(scenario: Scenario) -> float:
+    """How far out the scenario's demonstrations lie in x or y [arena unit], 0 without any."""
+    return 0.0 if scenario.demos is None else float(np.abs(scenario.demos.positions).max())
+
+
 def _flat_demonstrations(scenario: Scenario) -> FlatDemos:
     demos = scenario.demos
     if demos is None:

@@ -27,6 +27,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies, get_species
+from animarl_envs.species.options import with_options
 from tools.packaged_data.courtship_behaviour import simulate
 from tools.packaged_data.courtship_episodes import (
     SETTLED,
@@ -69,7 +70,8 @@ def make(
     """
     if name not in PUBLISHED:
         raise InputError(f"species {name!r} has no courtship: choose {' or '.join(PUBLISHED)}")
-    published, species = PUBLISHED[name], get_species(name)
+    # sessions are cut where nobody is beyond the edge, so they are simulated without walls
+    published, species = PUBLISHED[name], with_options(get_species(name), rebound=False)
     count = published.episodes if episodes is None else episodes
     if not 3 <= count <= published.episodes:
         raise InputError(f"episodes is {count}: choose 3 to {published.episodes}")

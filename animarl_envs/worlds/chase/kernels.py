@@ -91,6 +91,7 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
         "numbers", "position", "velocity", "towards", "others", "nearest", "code", "components",
         "reward", "outcome", "terminated", "truncated", "step_count", "warming", "observation",
+        "senses",
     ],
 )  # fmt: skip
 
@@ -99,22 +100,20 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
     velocity, towards, others, nearest, code, components, reward, outcome, terminated, truncated,
-    step_count, warming, observation,
+    step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
         velocity, towards, others, nearest, code, components, reward, outcome, terminated,
-        truncated, step_count, warming, observation,
+        truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
 
 @jit
 def advance(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, K)``."""
-    (
-        dt, contact_radius, penalty, time_limit, warmup, field, rebounds, senses_centre,
-    ) = state.numbers  # fmt: skip
+    dt, contact_radius, penalty, time_limit, warmup, field, walled = state.numbers
     actions, position, velocity = state.actions, state.position, state.velocity
     step_count, code, towards = state.step_count, state.code, state.towards
     outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
@@ -130,22 +129,22 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.pushes, dt, field,
         )  # fmt: skip
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
-    if state.driven or warmup > 0:
+    if walled:
+        rebound(field, position, velocity)
+    if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
         replay(
             state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
             state.warming,
         )  # fmt: skip
-    if rebounds:
-        rebound(field, position, velocity)
     judge(
-        position, state.sharing, field, contact_radius, dt, penalty, state.nearest, code,
+        position, state.sharing, field, walled, contact_radius, dt, penalty, state.nearest, code,
         state.components, state.reward,
     )  # fmt: skip
     for b in range(B):
         outcome[b] = code[b]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
-    observe(position, velocity, towards, state.others, senses_centre, state.observation)
+    observe(position, velocity, towards, state.others, state.senses, state.observation)
 
 
 # -- moving ---------------------------------------------------------------------------------------
@@ -211,29 +210,34 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
 
 @part
 def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
-    """Back onto the boundary; the outward velocity is reversed and halved."""
-    shape, _, boundary = field
+    """Hold everybody at the walls: the velocity into the wall is lost, that along it kept."""
+    shape, size, _ = field
     K, _, B = position.shape
     for i in range(K):
-        for b in range(B):
-            if shape == SQUARE:
-                for x in range(2):
-                    if abs(position[i, x, b]) > boundary:
-                        position[i, x, b] = math.copysign(boundary, position[i, x, b])
-                        if velocity[i, x, b] * position[i, x, b] > 0.0:
-                            velocity[i, x, b] *= -0.5
-            elif shape == DISC:
-                radius = math.sqrt(position[i, 0, b] ** 2 + position[i, 1, b] ** 2)
-                if radius > boundary:
-                    nx = position[i, 0, b] / radius
-                    ny = position[i, 1, b] / radius
-                    # a hair inside, so that rounding does not leave it outside
-                    position[i, 0, b] = boundary * nx * (1.0 - 1e-12)
-                    position[i, 1, b] = boundary * ny * (1.0 - 1e-12)
-                    outward = velocity[i, 0, b] * nx + velocity[i, 1, b] * ny
-                    if outward > 0.0:
-                        velocity[i, 0, b] -= 1.5 * outward * nx
-                        velocity[i, 1, b] -= 1.5 * outward * ny
+        if shape == SQUARE:
+            for x in range(2):
+                for b in range(B):
+                    p = position[i, x, b]
+                    v = velocity[i, x, b]
+                    held = min(size, max(-size, p))
+                    into = p != held and v * p > 0.0
+                    position[i, x, b] = held
+                    velocity[i, x, b] = 0.0 if into else v
+        elif shape == DISC:
+            for b in range(B):
+                x = position[i, 0, b]
+                y = position[i, 1, b]
+                radius = math.sqrt(x * x + y * y)
+                beyond = radius > size
+                # a hair inside, so that rounding does not leave it outside
+                back = size / radius * (1.0 - 1e-12) if beyond else 1.0
+                nx = x / radius if beyond else 0.0
+                ny = y / radius if beyond else 0.0
+                into = max(0.0, velocity[i, 0, b] * nx + velocity[i, 1, b] * ny)
+                position[i, 0, b] = back * x
+                position[i, 1, b] = back * y
+                velocity[i, 0, b] -= into * nx
+                velocity[i, 1, b] -= into * ny
 
 
 # -- ends and rewards -----------------------------------------------------------------------------
@@ -241,9 +245,10 @@ def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
 
 @part
 def judge(  # type: ignore[no-untyped-def]
-    position, sharing, field, contact_radius, dt, penalty, nearest, code, components, reward
-):
-    """Contact, then boundary, then rewards.
+    position, sharing, field, walled, contact_radius, dt, penalty, nearest, code, components,
+    reward,
+):  # fmt: skip
+    """Contact, then boundary (where there are no walls), then rewards.
 
     ``code`` ``(B,)`` int64 becomes the outcome; ``nearest`` is scratch, ``(B,)``.
     """
@@ -265,12 +270,13 @@ def judge(  # type: ignore[no-untyped-def]
         for b in range(B):  # shared reward: a capture is everybody's
             shared = sharing[b] == 1 and code[b] > 0
             components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
-    for i in range(target, -1, -1):  # the target first: its leaving is named before the others'
-        _leave(i, position, field, penalty, components)
-        left = TARGET_OUT if i == target else PURSUER_OUT
-        for b in range(B):
-            out = components[i, BOUNDARY, b] != 0.0
-            code[b] = left if out and code[b] == TIME_OUT else code[b]
+    if not walled:
+        for i in range(target, -1, -1):  # the target first: its leaving is named before others'
+            _leave(i, position, field, penalty, components)
+            left = TARGET_OUT if i == target else PURSUER_OUT
+            for b in range(B):
+                out = components[i, BOUNDARY, b] != 0.0
+                code[b] = left if out and code[b] == TIME_OUT else code[b]
     for b in range(B):  # the target is paid for every step that it lasts
         lost = code[b] > 0 or code[b] == TARGET_OUT
         components[target, ELAPSED, b] = 0.0 if lost else dt

@@ -7,18 +7,19 @@ each step (ties: the lower index).
 
 from __future__ import annotations
 
-import math
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.worlds.base import ObservationComponent, World, recorded_speed
+from animarl_envs.worlds.base import World, recorded_reach, recorded_speed
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
+from animarl_envs.worlds.chase.layout import observation_components as observation_components
 
 
 class ChaseWorld(World):
@@ -26,7 +27,8 @@ class ChaseWorld(World):
 
     Rewards: ``touch`` +1 to a pursuer that touches the target (with shared reward, condition 1, to
     every pursuer); ``elapsed`` dt to the target for every step it lasts; ``boundary`` -10 to each
-    individual that leaves the boundary. Contact is judged before the boundary.
+    individual that leaves the boundary, if there are no walls. Contact is judged before the
+    boundary.
     """
 
     reward_components = ("touch", "elapsed", "boundary")
@@ -35,12 +37,15 @@ class ChaseWorld(World):
     def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
         species = scenario.species
         assert isinstance(species, ChaseSpecies)
-        self.observation_components = observation_components(species, recorded_speed(scenario))
+        self.observation_components = observation_components(
+            species, recorded_speed(scenario), recorded_reach(scenario)
+        )
         super().__init__(scenario, num_copies)
         B, K = num_copies, species.num_individuals
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
+        self._senses = senses.senses_of(species)
         self._others = np.zeros((K - 1, senses.RELATIVE, B))
         damping = np.array([m.damping for m in species.locomotion])
         thrust = np.array([m.thrust for m in species.locomotion])
@@ -55,7 +60,7 @@ class ChaseWorld(World):
         numbers = (
             species.dt, species.contact_radius, species.boundary_penalty, species.time_limit,
             self._warmup, (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
-            arena.rebound, species.senses_centre,
+            arena.rebound,
         )  # fmt: skip
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
@@ -63,7 +68,7 @@ class ChaseWorld(World):
             self._towards,
             self._others, np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward,
             self.outcome, self.terminated, self.truncated, self.step_count, self.warming,
-            self._sensed,
+            self._sensed, self._senses,
         )  # fmt: skip
 
     @property
@@ -84,7 +89,7 @@ class ChaseWorld(World):
     def _observe(self) -> None:
         senses.observe(
             self._position, self._velocity, self._towards, self._others,
-            self._species.senses_centre, self._sensed,
+            self._senses, self._sensed,
         )  # fmt: skip
 
 
@@ -104,7 +109,7 @@ def observe(
         np.ascontiguousarray(velocity.transpose(1, 2, 0), dtype=np.float64),
         towards,
         np.zeros((K - 1, senses.RELATIVE, frames)),
-        species.senses_centre,
+        senses.senses_of(species),
         observation,
     )
     return (
@@ -113,47 +118,6 @@ def observe(
     )
 
 
-def observation_components(
-    species: ChaseSpecies, fastest: float = 0.0
-) -> tuple[ObservationComponent, ...]:
-    """What each entry of an observation means, in order.
-
-    Its range follows from the boundary and from the top speed: the terminal speed of the fastest
-    individual, or ``fastest`` [arena unit / s] if demonstrations are faster.
-    """
-    limit = species.time_limit + 1
-    top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
-    edge = species.arena.boundary + top * species.dt  # one step beyond, at the end
-    if species.arena.shape == "open":
-        edge = species.arena.size + top * species.dt * (species.time_limit + 1)
-    apart = 2.0 * math.sqrt(2.0) * edge
-    ego = "egocentric, x towards the focus, y to the left"
-    place, speed = (-edge, edge), (-top, top)
-    offset, difference = (-apart, apart), (-2.0 * top, 2.0 * top)
-    entries = [
-        ObservationComponent("own position x", "arena", "arena unit", *place),
-        ObservationComponent("own position y", "arena", "arena unit", *place),
-        ObservationComponent("own velocity ahead", ego, "arena unit / s", *speed),
-        ObservationComponent("own velocity left", ego, "arena unit / s", *speed),
-        ObservationComponent("focus direction cosine", "arena", "1", -1.0, 1.0),
-        ObservationComponent("focus direction sine", "arena", "1", -1.0, 1.0),
-    ]
-    for rank in range(1, species.num_individuals):
-        who = f"other {rank}"
-        entries += [
-            ObservationComponent(f"{who} relative position ahead", ego, "arena unit", *offset),
-            ObservationComponent(f"{who} relative position left", ego, "arena unit", *offset),
-            ObservationComponent(
-                f"{who} relative velocity ahead", ego, "arena unit / s", *difference
-            ),
-            ObservationComponent(
-                f"{who} relative velocity left", ego, "arena unit / s", *difference
-            ),
-            ObservationComponent(f"{who} distance", "any", "arena unit", 0.0, apart),
-            ObservationComponent(f"{who} bearing", ego, "rad", -math.pi, math.pi),
-        ]
-    if species.senses_centre:
-        entries.append(
-            ObservationComponent("distance from the centre", "arena", "arena unit", 0.0, apart / 2)
-        )
-    return tuple(entries)
+def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:
+    """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
+    return observe(species, demos.positions, demos.velocities())[0]

@@ -16,7 +16,12 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds.chase.world import ChaseWorld
-from tools.packaged_data.trained_chase.training import load_weights, make_policy, weights_file
+from tools.packaged_data.trained_chase.training import (
+    TRAINED,
+    load_weights,
+    make_policy,
+    weights_file,
+)
 
 EPSILON = 0.1  # of the paper's tests of agents
 SPLIT_SHARES = (0.8, 0.1, 0.1)
@@ -36,7 +41,7 @@ def chase(policy: MlpPolicy, condition: int, episodes: int, seed: int) -> Chases
     """Let ``policy`` move everybody from uniform starts at rest until each episode's own end."""
     if episodes < 1:
         raise InputError(f"episodes is {episodes}: it must be at least 1")
-    scenario = make_scenario(AGENT, demos=None, condition=condition)  # type: ignore[arg-type]
+    scenario = make_scenario(TRAINED, demos=None, condition=condition)  # type: ignore[arg-type]
     world = ChaseWorld(scenario, episodes)
     streams = np.random.SeedSequence([seed, condition])
     world.seed(streams.generate_state(episodes, np.uint64))

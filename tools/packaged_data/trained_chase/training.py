@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from animarl_envs.species import AGENT
 
 PACKAGED_WEIGHTS = Path(__file__).parent / "weights"
 _META = "meta"
+TRAINED = replace(AGENT, observation="paper")  # what the packaged networks were trained on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,7 @@ def weights_file(folder: Path, condition: int) -> Path:
 
 def make_learner(condition: int, seed: int, training: ChaseTraining) -> DQN:
     """An untrained learner in its environment; condition 1 shares the reward of a capture."""
-    env = SlotVecEnv(AGENT, training.copies, demos=None, condition=condition, dtw=None)
+    env = SlotVecEnv(TRAINED, training.copies, demos=None, condition=condition, dtw=None)
     return DQN(
         "MlpPolicy",
         env,
@@ -173,7 +174,7 @@ def make_policy(
     InputError
         If the weights do not fit the networks.
     """
-    env = SlotVecEnv(AGENT, 1, demos=None, dtw=None)
+    env = SlotVecEnv(TRAINED, 1, demos=None, dtw=None)
     policy = MlpPolicy(
         env.observation_space,
         env.action_space,

@@ -1,0 +1,180 @@
+"""The table of what the individuals of a chase observe.
+
+The kernel of :mod:`animarl_envs.worlds.chase.senses` writes the groups of this table, each where
+:func:`first_rows` says; observation spaces, documentation and mirror images are read from it too.
+
+``observation="full"`` holds what simulators were found to need; ``"paper"`` the components of the
+paper, of which three are constant or copies, as the frame points at the focus.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.species import ChaseSpecies
+from animarl_envs.worlds.base import ObservationComponent
+
+ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
+LENGTH, SPEED = "arena unit", "arena unit / s"
+FULL, PAPER = "full", "paper"
+REST = 0.3  # added to the speed [u dt] before its logarithm is taken
+NEAR = 0.1  # added to distances before they are inverted [arena size]
+
+
+class Group(NamedTuple):
+    """Entries that the kernel writes together, one below the other.
+
+    ``entries`` are names and their signs in a mirrored world. ``range`` names an entry of
+    :func:`ranges`. ``seen`` lists the observations that hold the group; ``of_focus`` says whether
+    the full one holds it for the focus too, which lies straight ahead by definition.
+    """
+
+    entries: tuple[tuple[str, float], ...]
+    frame: str
+    unit: str
+    range: str
+    seen: tuple[str, ...] = (FULL,)
+    of_focus: bool = True
+
+
+def _plane(name: str) -> tuple[tuple[str, float], ...]:
+    return (f"{name} x", 1.0), (f"{name} y", -1.0)
+
+
+def _ahead_left(name: str) -> tuple[tuple[str, float], ...]:
+    return (f"{name} ahead", 1.0), (f"{name} left", -1.0)
+
+
+def _circle(name: str) -> tuple[tuple[str, float], ...]:
+    return (f"{name} cosine", 1.0), (f"{name} sine", -1.0)
+
+
+OWN = (
+    Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL)),
+    Group(_ahead_left("own velocity"), EGO, SPEED, "speed", (PAPER, FULL)),
+    Group(_plane("own velocity"), ARENA, SPEED, "speed"),
+    Group(_ahead_left("tanh of own velocity / (u dt)"), EGO, "1", "fine"),
+    Group(_ahead_left("tanh of own velocity / (3 u dt)"), EGO, "1", "coarse"),
+    Group((("log of (own speed / (u dt) + 0.3)", 1.0),), "any", "1", "log speed"),
+    Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL)),
+)
+"""Of the individual itself."""
+
+OTHER = (
+    Group(_ahead_left("relative position"), EGO, LENGTH, "offset", (PAPER, FULL), of_focus=False),
+    Group(_ahead_left("relative velocity"), EGO, SPEED, "difference", (PAPER, FULL)),
+    Group((("distance", 1.0),), "any", LENGTH, "distance", (PAPER, FULL)),
+    Group((("bearing", -1.0),), EGO, "rad", "angle", (PAPER,)),
+    Group((("1 / (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"),
+    Group(_circle("bearing"), EGO, "1", "unit", of_focus=False),
+    Group(_plane("position"), ARENA, LENGTH, "place"),
+    Group(_plane("velocity"), ARENA, SPEED, "speed"),
+    Group(_plane("difference"), ARENA, LENGTH, "offset"),
+    Group(_circle("direction"), ARENA, "1", "unit", of_focus=False),
+)
+"""Of each other individual: target first, then pursuers by distance. The first is the focus."""
+
+FIELD = (
+    Group((("distance from the centre", 1.0),), ARENA, LENGTH, "radius", (PAPER,)),
+    Group((("distance to the edge", 1.0),), ARENA, LENGTH, "inside"),
+    Group(_ahead_left("centre of the arena"), EGO, LENGTH, "centre"),
+)
+"""Of the arena: in the paper's where the species senses it, in the full one where there is an edge."""
+
+(
+    POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, FOCUS,
+    PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION, OTHER_VELOCITY,
+    OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE,
+) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip
+"""Columns of :func:`first_rows`: the groups as they stand above."""
+
+ABSENT = -1
+
+
+def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
+    """The groups of an observation in order: of whom (0 itself, 1 the focus, ...), column, group."""
+    kind = species.observation
+    for column, group in enumerate(OWN):
+        if kind in group.seen:
+            yield 0, column, group
+    for rank in range(1, species.num_individuals):
+        for column, group in enumerate(OTHER, start=len(OWN)):
+            if kind in group.seen and (rank > 1 or group.of_focus or kind == PAPER):
+                yield rank, column, group
+    senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
+    for column, group in enumerate(FIELD, start=len(OWN) + len(OTHER)):
+        if senses_field and kind in group.seen:
+            yield 0, column, group
+
+
+def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
+    """Where each group begins in an observation: ``(individuals, groups)``, ``ABSENT`` where not.
+
+    The first row is of the individual itself and the arena, the following of the others in order.
+    """
+    first = np.full((species.num_individuals, CENTRE + 1), ABSENT, dtype=np.int64)
+    end = 0
+    for rank, column, group in rows(species):
+        first[rank, column] = end
+        end += len(group.entries)
+    return first
+
+
+def observation_components(
+    species: ChaseSpecies, fastest: float = 0.0, farthest: float = 0.0
+) -> tuple[ObservationComponent, ...]:
+    """What each entry of an observation means, in order.
+
+    Its range follows from the edge of the arena and from the top speed: the terminal speed of the
+    fastest individual. Demonstrations may be faster, ``fastest`` [arena unit / s], and lie
+    farther out, ``farthest`` [arena unit].
+    """
+    spans = ranges(species, fastest, farthest)
+    return tuple(
+        ObservationComponent(
+            f"other {rank} {name}" if rank else name,
+            group.frame, group.unit, *spans[group.range], sign=sign,
+        )
+        for rank, _, group in rows(species)
+        for name, sign in group.entries
+    )  # fmt: skip
+
+
+def ranges(
+    species: ChaseSpecies, fastest: float, farthest: float
+) -> dict[str, tuple[float, float]]:
+    """Lowest and highest values, by the name that the groups have for them."""
+    arena, limit = species.arena, species.time_limit + 1
+    top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
+    # A step beyond at the end, unless walls hold; in the open as far as an episode leads.
+    steps = limit if arena.shape == "open" else 0 if arena.rebound else 1
+    start = arena.size if arena.shape == "open" else arena.edge
+    reach = max(start + top * species.dt * steps, farthest)
+    round_field = arena.shape == "disc" and species.observation == FULL  # saved spaces keep theirs
+    radius = reach if round_field else math.sqrt(2.0) * reach
+    apart = 2.0 * radius
+    strides = [m.thrust * species.dt for m in species.locomotion]
+    relative = top / min(strides)
+    fine, coarse = math.tanh(relative), math.tanh(relative / 3.0)
+    near = NEAR * arena.size
+    return {
+        "place": (-reach, reach),
+        "speed": (-top, top),
+        "fine": (-fine, fine),
+        "coarse": (-coarse, coarse),
+        "log speed": (math.log(REST), math.log(relative + REST)),
+        "unit": (-1.0, 1.0),
+        "offset": (-apart, apart),
+        "difference": (-2.0 * top, 2.0 * top),
+        "distance": (0.0, apart),
+        "angle": (-math.pi, math.pi),
+        "nearness": (1.0 / (apart + near), 1.0 / near),
+        "radius": (0.0, radius),
+        "inside": (min(0.0, arena.edge - reach), arena.edge),
+        "centre": (-radius, radius),
+    }

@@ -1,0 +1,156 @@
+"""What a chase is observed by: no dead component, honest ranges, and its mirror image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recordings import dogs
+
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import ACTION_VECTORS
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import SPECIES
+from animarl_envs.worlds import demonstration_observations, make_world, mirror
+from animarl_envs.worlds.base import World
+
+Array = NDArray[Any]
+CHASES: list[tuple[str, dict[str, Any]]] = [
+    ("agent", {}),
+    ("fly", {}),
+    ("newt", {}),
+    ("fly", {"num_pursuers": 1}),
+    ("agent", {"demos": None, "num_pursuers": 4}),
+    ("agent", {"demos": None, "arena": "open"}),
+    ("custom", {"demos": dogs(2)}),
+]
+chases = pytest.mark.parametrize(("name", "options"), CHASES)
+
+
+def walk(world: World, steps: int, seed: int = 0) -> Array:
+    """Observations ``(steps, B, K, n)`` under random actions, ended episodes begun anew."""
+    rng, rows = np.random.default_rng(seed), []
+    world.seed(np.arange(world.num_copies) + 1000 * seed)
+    world.reset()
+    for _ in range(steps):
+        world.step(rng.integers(world.num_actions, size=(world.num_copies, world.num_individuals)))
+        rows.append(world.observation.copy())
+        world.reset(world.terminated | world.truncated)
+    return np.stack(rows)
+
+
+@chases
+def test_no_component_is_constant_or_a_copy_of_another(name: str, options: Any) -> None:
+    world = make_world(make_scenario(name, **options), 100)
+    seen = walk(world, 100).astype(np.float64)  # 10,000 steps
+    names = [c.name for c in world.observation_components]
+    assert len(set(names)) == len(names) == seen.shape[-1]
+    for i in range(world.num_individuals):
+        rows = seen[:, :, i].reshape(-1, len(names))
+        deviation = rows.std(axis=0)
+        assert (deviation > 1e-6).all(), names[int(np.argmin(deviation))]
+        alike = np.abs(np.corrcoef(rows.T)) - np.eye(len(names))
+        worst = np.unravel_index(np.argmax(alike), alike.shape)
+        assert alike.max() < 0.9999, [names[k] for k in worst]
+
+
+def extremes(world: World) -> None:
+    """Every copy in a state that an episode can reach: anywhere, as fast as bodies get."""
+    species, rng = world.scenario.species, np.random.default_rng(3)
+    shape = (world.num_copies, world.num_individuals)
+    edge = species.arena.edge
+    position = rng.uniform(-edge, edge, (*shape, 2))
+    position[::2] = edge * np.sign(position[::2])  # half of them in the corners, to be far apart
+    if species.arena.shape == "disc":
+        position /= np.maximum(np.linalg.norm(position, axis=-1, keepdims=True) / edge, 1.0)
+    close = slice(0, None, 5)
+    position[close] = position[close, :1] + 1e-3 * rng.normal(size=position[close].shape)
+    angle = rng.uniform(0, 2 * np.pi, shape)
+    top = [m.top_speed(species.dt, species.time_limit) for m in species.locomotion]
+    speed = np.array(top) * rng.choice([0.0, 0.95], shape)
+    state = world.get_state()
+    state["position"][:] = position
+    state["velocity"][:] = speed[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    world.set_state(state)
+
+
+@pytest.mark.parametrize("kind", ["full", "paper"])
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("agent", {}), ("agent", {"rebound": True}), ("fly", {}), ("newt", {}),
+     ("newt", {"num_pursuers": 3}), ("fly", {"num_pursuers": 1, "rebound": False})],
+)  # fmt: skip
+def test_documented_ranges_hold_and_are_reached(name: str, options: Any, kind: str) -> None:
+    world = make_world(make_scenario(name, demos=None, observation=kind, **options), 4000)
+    world.reset()
+    extremes(world)
+    coast = np.full((4000, world.num_individuals), world.num_actions - 1)
+    world.step(coast)
+    seen = world.observation.reshape(-1, world.observation.shape[-1])
+    for c, component in enumerate(world.observation_components):
+        low, high = seen[:, c].min(), seen[:, c].max()
+        spare = 1e-5 * (component.high - component.low)
+        assert component.low - spare <= low and high <= component.high + spare, component
+        if kind == "full":
+            assert high - low >= 0.5 * (component.high - component.low), component
+
+
+@chases
+def test_random_walks_stay_within_the_ranges(name: str, options: Any) -> None:
+    world = make_world(make_scenario(name, **options), 50)
+    seen = walk(world, 60, seed=1)
+    low, high = (np.array([getattr(c, k) for c in world.observation_components], np.float32)
+                 for k in ("low", "high"))  # fmt: skip
+    assert (seen >= low).all() and (seen <= high).all()
+
+
+@pytest.mark.parametrize("kind", ["full", "paper"])
+@chases
+def test_a_mirrored_world_is_seen_mirrored(name: str, options: Any, kind: str) -> None:
+    scenario = make_scenario(name, observation=kind, warmup=0, **options)
+    one, two = make_world(scenario, 20), make_world(scenario, 20)
+    image = mirror(one.scenario.species)
+    for world in (one, two):
+        world.reset()
+    state = one.get_state()
+    for key in ("position", "velocity", "towards"):
+        state[key] = state[key] * [1.0, -1.0]
+    two.set_state(state)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        actions = rng.integers(one.num_actions, size=(20, one.num_individuals))
+        one.step(actions)
+        two.step(image.actions[actions])
+        assert two.observation == pytest.approx(image.observation(one.observation), abs=1e-4)
+        assert np.array_equal(two.outcome, one.outcome)
+
+
+def test_mirror_images_of_actions_are_mirrored_vectors_and_their_own_inverse() -> None:
+    image = mirror(SPECIES["fly"])
+    assert np.array_equal(ACTION_VECTORS[image.actions], ACTION_VECTORS * [1.0, -1.0])
+    assert np.array_equal(image.actions[image.actions], np.arange(len(image.actions)))
+    assert np.array_equal(image.order[image.order], np.arange(len(image.order)))
+
+
+@pytest.mark.parametrize("kind", ["full", "paper"])
+@pytest.mark.parametrize("name", ["agent", "fly", "newt"])
+def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, kind: str) -> None:
+    demos = load_packaged(name).select(split="test")
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    options = {"demos": demos, "split": None, "drivers": drivers, "observation": kind}
+    scenario = make_scenario(name, contact_radius=1e-9, **options)
+    world = make_world(scenario, len(demos))
+    world.reset(demo=np.arange(len(demos)))
+    recorded = demonstration_observations(scenario.species, demos)
+    for t in range(int(demos.lengths.min())):
+        frames = demos.offsets[:-1] + t
+        assert world.observation == pytest.approx(recorded[frames], abs=1e-6)
+        world.step(np.zeros((len(demos), world.num_individuals), dtype=int))
+
+
+def test_an_unknown_observation_is_refused() -> None:
+    with pytest.raises(InputError, match="observation is 'rich': choose 'full' or 'paper'"):
+        make_scenario("fly", observation="rich")
