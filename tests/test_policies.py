@@ -10,7 +10,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.utils import ConstantSchedule
 
-from animarl_algos.networks.policies import GruPolicy, MlpPolicy, boltzmann
+from animarl_algos.networks.acting_rule import boltzmann
+from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")
