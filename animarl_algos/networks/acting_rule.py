@@ -109,13 +109,20 @@ class Acting:
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Acting:
-        """Inverse of :meth:`to_json`.
+        """Inverse of :meth:`to_json`; also of the two numbers that older models hold.
 
         Raises
         ------
         InputError
             If ``row`` is none of these.
         """
+        if set(row) == {"temperature", "epsilon"}:
+            kind = Kind.EPSILON if row["temperature"] is None else Kind.BOLTZMANN
+            row = {
+                "kind": kind,
+                "epsilon": row["epsilon"],
+                "temperature": row["temperature"] or 1.0,
+            }
         if set(row) != {"kind", "temperature", "epsilon"}:
             raise InputError(
                 f"an acting rule has kind, temperature and epsilon, not {sorted(row)}: "

@@ -29,6 +29,10 @@ class DropoutMasks:
 
     masks: torch.Tensor
 
+    def to(self, device: torch.device | str) -> DropoutMasks:
+        """The same masks on ``device``."""
+        return DropoutMasks(self.masks.to(device))
+
     def thin(self, features: torch.Tensor, layer: int, packing: Packing) -> torch.Tensor:
         """Packed ``features`` (K, row, H) of a layer, times the mask of each row's sequence."""
         mask = self.masks[layer]

@@ -91,7 +91,7 @@ class StackedQNetwork(nn.Module):
     Attributes
     ----------
     input_mean, input_sd : Tensor (K, 1, n)
-    input_limit : Tensor ()
+    input_limit : Tensor (K, 1, 1)
         Buffers, saved with the weights; see :meth:`standardise_inputs`.
     """
 
@@ -163,7 +163,7 @@ class StackedQNetwork(nn.Module):
         shape = (len(self.individuals), 1, observation_size)
         self.register_buffer("input_mean", torch.zeros(shape))
         self.register_buffer("input_sd", torch.ones(shape))
-        self.register_buffer("input_limit", torch.tensor(torch.inf))
+        self.register_buffer("input_limit", torch.full((shape[0], 1, 1), torch.inf))
         self.register_load_state_dict_pre_hook(_take_raw_inputs)
         self.register_load_state_dict_post_hook(_look_parameters_up_anew)  # type: ignore[no-untyped-call]
 
@@ -326,10 +326,10 @@ class StackedQNetwork(nn.Module):
         """Every parameter, found once: ``parameters()`` walks all modules anew."""
         return list(self.parameters())
 
-    def statistics_of_inputs(self) -> tuple[NDArray[np.float32], NDArray[np.float32], np.float32]:
-        """Mean (K, n), standard deviation (K, n) and limit of the inputs, without copying."""
-        mean, sd = self.input_mean[:, 0].numpy(), self.input_sd[:, 0].numpy()
-        return mean, sd, np.float32(self.input_limit.item())
+    def statistics_of_inputs(self) -> tuple[NDArray[np.float32], ...]:
+        """Mean (K, n), standard deviation (K, n) and limit (K, 1) of the inputs, not copied."""
+        buffers = (self.input_mean, self.input_sd, self.input_limit)
+        return tuple([buffer[:, 0].numpy() for buffer in buffers])
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
         if not self.condition_flag:

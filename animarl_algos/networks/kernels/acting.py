@@ -34,10 +34,10 @@ def _decide(  # type: ignore[no-untyped-def]
         h = hidden[s]
         for i in range(len(inputs)):
             scaled = (observation[s, i] - mean[k, i]) / sd[k, i]
-            if scaled > limit:
-                scaled = limit
-            elif scaled < -limit:
-                scaled = -limit
+            if scaled > limit[k, 0]:
+                scaled = limit[k, 0]
+            elif scaled < -limit[k, 0]:
+                scaled = -limit[k, 0]
             inputs[i] = scaled
         encoded, other = first, second
         affine(encoded, inputs, encoder_weights[0][k], encoder_biases[0][k])
