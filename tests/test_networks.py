@@ -332,7 +332,7 @@ def test_dropout_is_one_mask_per_sequence_and_keeps_the_mean() -> None:
     assert masks is not None and masks.masks.shape == (2, 2, 500, 16)
     assert masks.masks.unique().tolist() == pytest.approx([0.0, 4 / 3])
     assert masks.masks.mean() == pytest.approx(1.0, abs=0.02)
-    packing = Packing.from_lengths(np.array([[3, 2, 1]]), 3)
+    packing = Packing.from_lengths(torch.tensor([[3, 2, 1]]).numpy(), 3)
     few = DropoutMasks(masks.masks[:, :, :3])
     thinned = packing.unpack(few.thin(torch.ones(2, 6, 16), 1, packing))
     for b, steps in enumerate((3, 2, 1)):
