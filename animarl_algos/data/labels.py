@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from animarl_algos.ranges import POSITIVE
 
@@ -19,7 +19,7 @@ class Labels(StrEnum):
 
 
 def soft_labels(
-    penalties: NDArray[np.floating], step: ArrayLike, width: float
+    penalties: NDArray[np.floating], step: float | NDArray[np.floating], width: float
 ) -> NDArray[np.float32]:
     """Probability of each action, the higher the nearer it would have led.
 
@@ -47,6 +47,6 @@ def soft_labels(
         If ``width`` is not positive.
     """
     POSITIVE.check("label_width", width)
-    exponent = -((np.asarray(penalties, dtype=np.float64) / step) ** 2) / (2.0 * width**2)
+    exponent = -((penalties.astype(np.float64) / step) ** 2) / (2.0 * width**2)
     share = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return np.asarray(share / share.sum(axis=-1, keepdims=True), dtype=np.float32)

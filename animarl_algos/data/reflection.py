@@ -73,9 +73,10 @@ class Reflection:
             order, sign = np.append(order, len(order)), np.append(sign, 1.0)
         return cls(order, sign, np.asarray(mirror.actions))
 
-    def observations(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+    def observations(self, seen: NDArray[np.floating]) -> NDArray[np.floating]:
         """Mirrored observations ``(..., n)``."""
-        return seen[..., self.order] * self.sign
+        mirrored: NDArray[np.floating] = seen[..., self.order] * self.sign
+        return mirrored
 
     def some_of(self, batch: SequenceBatch, chosen: torch.Tensor) -> SequenceBatch:
         """The batch with the ``chosen`` (K, B) columns mirrored; padding stays padding."""

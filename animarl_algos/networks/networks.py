@@ -164,7 +164,7 @@ class StackedQNetwork(nn.Module):
         self.register_buffer("input_mean", torch.zeros(shape))
         self.register_buffer("input_sd", torch.ones(shape))
         self.register_buffer("input_limit", torch.full((shape[0], 1, 1), torch.inf))
-        self.register_load_state_dict_pre_hook(_take_raw_inputs)
+        self.register_load_state_dict_pre_hook(_take_raw_inputs)  # type: ignore[no-untyped-call]
         self.register_load_state_dict_post_hook(_look_parameters_up_anew)  # type: ignore[no-untyped-call]
 
     def initial_state(self, batch: int) -> torch.Tensor:
@@ -363,9 +363,8 @@ def _take_raw_inputs(
 ) -> None:
     """Weights that were saved without statistics of the inputs were trained on raw ones."""
     if prefix + STATISTICS[0] not in weights:
-        raw = (torch.zeros_like, torch.ones_like, lambda limit: torch.full_like(limit, torch.inf))
-        for name, value in zip(STATISTICS, raw, strict=True):
-            weights[prefix + name] = value(getattr(network, name))
+        for name, value in zip(STATISTICS, (0.0, 1.0, torch.inf), strict=True):
+            weights[prefix + name] = torch.full_like(getattr(network, name), value)
 
 
 def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:

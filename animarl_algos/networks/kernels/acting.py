@@ -6,6 +6,8 @@ spends most of its time starting them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
@@ -118,11 +120,8 @@ class CompiledActor:
         """Q-values (S, actions); ``hidden`` (S, H) becomes the next state. All are C-contiguous."""
         q_values = np.empty((len(observations), self._network.num_actions), dtype=np.float32)
         weights, layers = self._network.weights.arrays(), 2 * self._network.depth
-        _decide(
-            observations,
-            previous_actions,
-            hidden,
-            q_values,
+        arguments: list[Any] = [
+            *(observations, previous_actions, hidden, q_values),
             *self._settings,
             *self._network.statistics_of_inputs(),
             weights[0:layers:2],
@@ -130,5 +129,6 @@ class CompiledActor:
             *weights[layers:],
             *self._network.gru_weights.arrays(),
             *self._scratch,
-        )
+        ]
+        _decide(*arguments)
         return q_values
