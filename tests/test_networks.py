@@ -11,6 +11,7 @@ from torch import nn
 
 from animarl_algos.losses.losses import clip_grad_norm_per_individual, masked_mean, squared_l2
 from animarl_algos.losses.values import take_action
+from animarl_algos.networks.dropout import DropoutDraws, DropoutMasks
 from animarl_algos.networks.gru import Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.output import QOutput
@@ -277,3 +278,71 @@ def test_a_sequence_in_two_pieces_equals_the_whole() -> None:
 def test_impossible_networks_are_refused(build: Callable[[], StackedQNetwork]) -> None:
     with pytest.raises(InputError):
         build()
+
+
+# -- other shapes and standardised inputs ---------------------------------------------------------
+
+
+def test_standardised_inputs_are_those_of_a_network_that_gets_them_so() -> None:
+    """By hand, clipped; the flag as it is, a constant component on its own scale."""
+    network = StackedQNetwork(("a", "b"), 4, 3, units=8, recurrent=False, condition_flag=True)
+    generator = torch.Generator().manual_seed(0)
+    seen = 3 * torch.randn(2, 5, 6, 4, generator=generator)
+    mean = torch.randn(2, 4, generator=generator)
+    sd = torch.tensor([[0.1, 2.0, 0.0, 5.0], [1.0, 0.5, 0.0, 5.0]])
+    given = seen.clone()
+    for k in range(2):
+        for c in range(3):
+            spread = float(sd[k, c]) or 1.0
+            given[k, ..., c] = ((seen[k, ..., c] - mean[k, c]) / spread).clamp(-6, 6)
+    assert (given[..., 0].abs() == 6).any()
+    previous = torch.zeros(2, 5, 6, dtype=torch.int64)
+    expected = network(given, previous).values
+    network.standardise_inputs(mean, sd)
+    torch.testing.assert_close(network(seen, previous).values, expected)
+
+
+def test_weights_of_before_see_raw_inputs_and_new_ones_keep_their_statistics() -> None:
+    standardised = StackedQNetwork(("a",), 3, 3, units=4)
+    standardised.standardise_inputs(torch.ones(1, 3), torch.full((1, 3), 2.0))
+    weights = standardised.state_dict()
+    copy = StackedQNetwork(("a",), 3, 3, units=4, seed=1)
+    copy.load_state_dict(weights)
+    assert torch.equal(copy.input_sd, standardised.input_sd)
+    copy.load_state_dict({k: v for k, v in weights.items() if not k.startswith("input_")})
+    assert not copy.input_mean.any() and (copy.input_sd == 1).all()
+    assert copy.input_limit.isinf().all()
+
+
+def test_with_a_skip_the_head_sees_what_the_memory_does_not_keep() -> None:
+    """With the memory's share of the head set to zero, only a skip lets observations through."""
+    for skip in (False, True):
+        network = StackedQNetwork(("a",), 3, 3, units=4, skip=skip)
+        with torch.no_grad():
+            assert network.dueling.hidden is not None
+            network.dueling.hidden.weight[:, -4:] = 0.0
+        seen = torch.randn(1, 7, 2, 3, generator=torch.Generator().manual_seed(0))
+        values = network(seen, torch.full((1, 7, 2), 3)).q_values
+        assert (values.std(dim=1) > 1e-3).any() == skip
+
+
+def test_dropout_is_one_mask_per_sequence_and_keeps_the_mean() -> None:
+    draws = DropoutDraws(0.25, [1, 2], ("a", "b"))
+    masks = draws.masks(2, 500, 16)
+    assert masks is not None and masks.masks.shape == (2, 2, 500, 16)
+    assert masks.masks.unique().tolist() == pytest.approx([0.0, 4 / 3])
+    assert masks.masks.mean() == pytest.approx(1.0, abs=0.02)
+    packing = Packing.from_lengths(torch.tensor([[3, 2, 1]]).numpy(), 3)
+    few = DropoutMasks(masks.masks[:, :, :3])
+    thinned = packing.unpack(few.thin(torch.ones(2, 6, 16), 1, packing))
+    for b, steps in enumerate((3, 2, 1)):
+        for t in range(steps):
+            assert torch.equal(thinned[:, t, b], few.masks[1, :, b])
+    alone = DropoutDraws(0.25, [1, 2], ("b",)).masks(2, 500, 16)
+    assert alone is not None and torch.equal(alone.masks[:, 0], masks.masks[:, 1])
+    assert DropoutDraws(0.0, [1], ("a",)).masks(2, 3, 4) is None
+
+
+def test_a_skip_past_no_memory_is_refused() -> None:
+    with pytest.raises(InputError, match="this network has none"):
+        StackedQNetwork(("a",), 3, 3, recurrent=False, skip=True)

@@ -10,7 +10,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.utils import ConstantSchedule
 
-from animarl_algos.networks.policies import GruPolicy, MlpPolicy, boltzmann
+from animarl_algos.networks.acting_rule import boltzmann
+from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")
@@ -56,17 +57,43 @@ def test_carried_state_equals_the_whole_sequence(kind: type[GruPolicy], options:
     torch.testing.assert_close(stacked(np.stack(q_values)), whole, rtol=1e-4, atol=1e-6)
 
 
+shapes = pytest.mark.parametrize(
+    "shape",
+    [
+        {},
+        {"depth": 1},
+        {"depth": 3, "hidden": 9},
+        {"head_layers": 0},
+        {"head_layers": 0, "condition_flag": False, "previous_action": False},
+        {"skip": True, "dropout": 0.5},
+        {"skip": True, "depth": 3, "head_layers": 0},
+    ],
+    ids=lambda shape: "-".join(map(str, shape)) or "plain",
+)
+
+
 @kinds
-def test_compiled_and_tensor_acting_agree(kind: type[GruPolicy]) -> None:
-    policy = make(kind, condition_flag=True, n_quantiles=4, previous_action=True)
+@shapes
+@pytest.mark.parametrize("standardised", [False, True])
+def test_compiled_and_tensor_acting_agree(
+    kind: type[GruPolicy], shape: dict, standardised: bool
+) -> None:
+    if kind is MlpPolicy and shape.get("skip"):
+        shape = shape | {"skip": False}
+    given = {"condition_flag": True, "n_quantiles": 4, "previous_action": True} | shape
+    policy = make(kind, **given)
+    if standardised:
+        generator = torch.Generator().manual_seed(0)
+        mean, sd = (torch.rand(K, 10, generator=generator) for _ in range(2))
+        policy.q_net.standardise_inputs(mean, 0.1 * sd)  # so that some are clipped
     observations = observe(1)[0].reshape(S, -1)
     rng = np.random.default_rng(0)
-    hidden = rng.uniform(-1, 1, (S, 32)).astype(np.float32)
+    hidden = rng.uniform(-1, 1, (S, policy.q_net.units)).astype(np.float32)
     previous = rng.integers(0, A + 1, S)
     want_q, want_hidden = policy._advance_on_device(observations, previous, hidden)
     got_q = policy._actor.decide(observations, previous, hidden)
-    np.testing.assert_allclose(got_q, want_q, rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(hidden, want_hidden, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(got_q, want_q, rtol=1e-4, atol=5e-6)
+    np.testing.assert_allclose(hidden, want_hidden, rtol=1e-4, atol=5e-6)
 
 
 def test_acting_follows_training_and_moved_parameters() -> None:

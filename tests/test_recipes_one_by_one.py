@@ -44,8 +44,8 @@ def test_individuals_together_are_individuals_alone(name: str) -> None:
         run = alone.pretrain()
         for whole, single in zip(together.offline_progress.history, run.history, strict=True):
             assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
-        if run.best_epoch == together.offline_progress.best_epoch:
-            assert_weights_of_one(together, k, alone, atol=1e-6, rtol=1e-5)
+        assert run.best_epochs == together.offline_progress.best_epochs[k : k + 1]
+        assert_weights_of_one(together, k, alone, atol=1e-6, rtol=1e-5)
 
 
 def test_replayed_individuals_together_are_individuals_alone() -> None:

@@ -34,7 +34,7 @@ def test_the_acting_rule_is_saved_as_it_was_set(tmp_path: Path) -> None:
     model.save(tmp_path / "model")
     loaded = DQN.load(tmp_path / "model", device="cpu")
     assert loaded.policy.epsilon == 0.123
-    assert loaded.policy.temperature == model.policy.temperature.tolist()
+    assert loaded.policy.acting == model.policy.acting
     rng = np.random.default_rng(0)
     for each in (model, loaded):
         each.policy.seed(5)
@@ -145,7 +145,8 @@ def test_a_learner_saved_in_mid_pretraining_keeps_its_best_epoch(
     def scored(*_: Any) -> dict[str, float]:
         if model.offline_progress.epoch == 2 and loaded is None:
             raise Stop
-        return {f"val/{model.recipe.selection}": next(figures)}
+        figure = next(figures)
+        return {f"val/{model.recipe.selection}/{who}": figure for who in toys.Pair.individuals}
 
     loaded = None
     monkeypatch.setattr(animarl_algos.learner.offline, "validation_figures", scored)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 
+from animarl_algos.data.reflection import Reflection
+from animarl_algos.data.windows import WindowDraws
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.gather import BatchBuffers
 from animarl_algos.replay.rings import Frames, Sequences
@@ -19,7 +22,7 @@ from animarl_envs.locomotion import Locomotion, apply_actions
 
 
 class OfflineDataset:
-    """Recorded episodes of K individuals, handed out as minibatches of whole episodes.
+    """Recorded episodes of K individuals, handed out as minibatches of episodes or of windows.
 
     Per-frame arrays lay the episodes end to end, as :class:`Demonstrations` does. An episode of T
     steps has T + 1 frames; what belongs to a step stands at the frame it starts from, and the
@@ -40,6 +43,11 @@ class OfflineDataset:
         if ``action_penalties`` are given.
     action_penalties
         ``(frames, K, num_actions)``, what each action would have been penalised with.
+    label_shares
+        ``(frames, K, num_actions)``, soft labels (:mod:`animarl_algos.data.labels`); ``None``: the
+        demonstrated action is the label.
+    reflection
+        Its mirror image is as likely as what was recorded: half of the windows are mirrored.
     terminated
         ``(episodes,)`` bool, the last step terminated the episode; ``None``: none did, so that the
         last step of each bootstraps.
@@ -75,6 +83,8 @@ class OfflineDataset:
         rewards: NDArray[np.floating] | None = None,
         penalties: NDArray[np.floating] | None = None,
         action_penalties: NDArray[np.floating] | None = None,
+        label_shares: NDArray[np.floating] | None = None,
+        reflection: Reflection | None = None,
         terminated: NDArray[np.bool_] | None = None,
         condition: NDArray[Any] | None = None,
         warmup: NDArray[np.bool_] | None = None,
@@ -113,7 +123,23 @@ class OfflineDataset:
         if penalties is None and action_penalties is not None:
             taken = np.maximum(labels, 0).astype(np.int64)[..., None]
             penalties = np.take_along_axis(scored, taken, axis=2)[..., 0]
-        self._action_penalties = scored
+        shares = self._array(
+            "label_shares",
+            label_shares,
+            np.float32,
+            (frames, k, 0 if label_shares is None else num_actions),
+        )
+        self._num_scored, self.soft = scored.shape[2], label_shares is not None
+        self._per_action = np.concatenate([scored, shares], axis=2)
+        if reflection is not None and (
+            (len(reflection.order), len(reflection.actions)) != (dim, num_actions)
+        ):
+            raise InputError(
+                f"{source}: the reflection is of {len(reflection.order)} components and "
+                f"{len(reflection.actions)} actions, not of {dim} and {num_actions}: make it for "
+                "this world"
+            )
+        self.reflection = reflection
         self._frames = Frames(
             observations=self._array("observations", observations, np.float32, (*flat, dim)),
             actions=labels,
@@ -133,8 +159,15 @@ class OfflineDataset:
             initial_state=np.zeros((len(size), k, 0), dtype=np.float32),
         )
         self._episodes = self._trainable_episodes(first, size)
+        self._windows = WindowDraws(
+            first,
+            size - 1,
+            self._leading_warmup(first, size),
+            self._sequences.terminated,
+            self._sequences.condition,
+        )
         self._batch = BatchBuffers(
-            k, dim, num_actions, 0, scored.shape[2], pinned=self.device.type == "cuda"
+            k, dim, num_actions, 0, self._per_action.shape[2], pinned=self.device.type == "cuda"
         )
 
     @property
@@ -154,7 +187,7 @@ class OfflineDataset:
     @property
     def nbytes(self) -> int:
         """Bytes of the frames and of the minibatch."""
-        arrays: list[NDArray[Any]] = [*self._frames, *self._sequences, self._action_penalties]
+        arrays: list[NDArray[Any]] = [*self._frames, *self._sequences, self._per_action]
         return sum(array.nbytes for array in arrays) + self._batch.nbytes
 
     def batches(
@@ -187,15 +220,92 @@ class OfflineDataset:
             chosen = order[:, begin : begin + batch_size]
             by_length = np.argsort(-self._sequences.trained[chosen], axis=1, kind="stable")
             chosen = np.take_along_axis(chosen, by_length, axis=1)
-            batch = self._batch.fill(
-                self._frames,
-                self._action_penalties,
-                self._sequences,
-                chosen,
-                chosen,
-                np.ones(chosen.shape, dtype=np.float32),
+            yield self._filled(self._sequences, chosen, chosen).to(self.device)
+
+    def _filled(
+        self, sequences: Sequences, slots: NDArray[np.int64], indices: NDArray[np.int64]
+    ) -> SequenceBatch:
+        batch = self._batch.fill(
+            self._frames,
+            self._per_action,
+            sequences,
+            slots,
+            indices,
+            np.ones(slots.shape, dtype=np.float32),
+        )
+        both = batch.action_penalties
+        if both is None:
+            return batch
+        return replace(
+            batch,
+            action_penalties=both[..., : self._num_scored] if self._num_scored else None,
+            label_shares=both[..., self._num_scored :] if self.soft else None,
+        )
+
+    def windows(
+        self,
+        batch_size: int,
+        count: int,
+        generator: np.random.Generator,
+        *,
+        length: int,
+        burn_in: int = 0,
+    ) -> Iterator[SequenceBatch]:
+        """``count`` minibatches of windows, drawn independently and with replacement.
+
+        Every step that enters a loss is as likely. Each batch is overwritten by the next one;
+        ``SequenceBatch.indices`` are episode numbers.
+
+        Parameters
+        ----------
+        batch_size
+            Windows of each individual.
+        generator
+            As in :meth:`batches`: individuals trained together draw what each would draw alone.
+        length
+            Trained steps of a window, fewer at an episode's end; 1 draws single steps.
+        burn_in
+            Steps before them that only rebuild a memory, as many as the episode has.
+        """
+        seed = int(generator.integers(2**63))
+        own = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in self.names]
+        slots = np.arange(len(own) * batch_size).reshape(len(own), batch_size)
+        for _ in range(count):
+            drawn = [self._windows.draw(g, batch_size, length, burn_in) for g in own]
+            windows = [np.concatenate(parts) for parts in zip(*(w for _, w in drawn), strict=True)]
+            batch = self._filled(
+                Sequences(*windows), slots, np.stack([episodes for episodes, _ in drawn])
             )
-            yield batch if self.device.type == "cpu" else batch.to(self.device)
+            if self.reflection is not None:
+                coins = np.stack([g.random(batch_size) < 0.5 for g in own])
+                batch = self.reflection.some_of(batch, torch.from_numpy(coins))
+            yield batch.to(self.device)
+
+    def input_statistics(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean and standard deviation (K, n) of the observations of all steps that enter a loss.
+
+        Where half of the windows are mirrored, of them and their mirror images.
+        """
+        entering = ~self._frames.warmup
+        entering[self._sequences.first + self._sequences.frames - 1] = False
+        seen = self._frames.observations[entering].astype(np.float64)
+        if self.reflection is not None:
+            seen = np.concatenate([seen, self.reflection.observations(seen)])
+        mean, sd = seen.mean(axis=0), seen.std(axis=0)
+        return torch.from_numpy(mean).float(), torch.from_numpy(sd).float()
+
+    def _leading_warmup(
+        self, first: NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Steps at the start of each episode that enter no loss."""
+        masked = self._frames.warmup
+        return np.array(
+            [
+                n - 1 if masked[f : f + n - 1].all() else int(np.argmin(masked[f : f + n - 1]))
+                for f, n in zip(first, lengths, strict=True)
+            ],
+            dtype=np.int64,
+        )
 
     def _array(
         self, name: str, value: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]

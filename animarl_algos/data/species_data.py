@@ -4,16 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.data.dataset import OfflineDataset, dynamics_scored_penalties
+from animarl_algos.data.labels import Labels, soft_labels
+from animarl_algos.data.reflection import Mirror, Reflection
+from animarl_algos.ranges import POSITIVE
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
+from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.species import Species
 from animarl_envs.worlds import demonstration_observations
+
+
+class Tracked(Protocol):
+    """Recorded episodes as the locomotion model follows them, closed loop."""
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """``(frames, K, 2)``, arena frame [arena unit]."""
+        ...
+
+    @property
+    def actions(self) -> NDArray[np.integer]:
+        """``(frames, K)``, the action taken at each frame, -1 at each episode's last."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +49,39 @@ class SpeciesDemonstrations:
         Names of the individuals to learn, by default all.
     condition_flag
         Whether the condition is the last observation component.
+    labels
+        ``"hard"``, ``"soft"`` or ``"tracking"``; see :class:`animarl_algos.data.labels.Labels`.
+    label_width
+        Of soft labels, in units of the thrust; see :func:`animarl_algos.data.labels.soft_labels`.
+    mirror
+        Of the world, where the animals take left for right: half of the windows are mirrored.
+    tracked
+        The same demonstrations as the world's own dynamics follows them, for ``"tracking"``.
+
+    Raises
+    ------
+    InputError
+        If there are no such labels, or tracked ones were asked for and not given.
     """
 
     species: Species
     demos: Demonstrations
     learners: tuple[str, ...]
     condition_flag: bool = False
+    labels: str = Labels.HARD
+    label_width: float = 0.35
+    mirror: Mirror | None = None
+    tracked: Tracked | None = None
+
+    def __post_init__(self) -> None:
+        if self.labels not in list(Labels):
+            raise InputError(f"labels is {self.labels!r}: choose {', '.join(Labels)}")
+        POSITIVE.check("label_width", self.label_width)
+        if self.labels == Labels.TRACKING and self.tracked is None:
+            raise InputError(
+                "labels is 'tracking' and no tracked demonstrations were given: track the "
+                "recordings with the fitted locomotion first"
+            )
 
     @cached_property
     def train(self) -> OfflineDataset:
@@ -46,7 +92,13 @@ class SpeciesDemonstrations:
         return self._dataset("val")
 
     def _dataset(self, split: str) -> OfflineDataset:
-        demos, species = self.demos.select(split=split), self.species
+        demos, species = self._followed(), self.species
+        within = np.repeat(demos.split == split, demos.lengths)
+        demos = demos.select(split=split)
+        if self.labels == Labels.TRACKING and self.tracked is not None:
+            actions = self.tracked.actions[within]
+        else:
+            actions = demonstrated_actions(demos, species.locomotion)
         chosen = [demos.individuals.index(name) for name in self.learners]
         observations = demonstration_observations(species, demos)
         if self.condition_flag:
@@ -60,20 +112,41 @@ class SpeciesDemonstrations:
             demos.focus(),
             demos.dt,
         )
+        shares = None
+        if self.labels == Labels.SOFT:
+            thrust = np.array([own.thrust for own in species.locomotion])
+            step = thrust[None, :, None] * demos.dt**2
+            shares = soft_labels(penalties, step, self.label_width)[:, chosen]
+        reflection = None
+        if self.mirror is not None:
+            reflection = Reflection.of(self.mirror, flag=self.condition_flag)
         since_start = np.arange(len(demos.positions)) - np.repeat(demos.offsets[:-1], demos.lengths)
         return OfflineDataset(
             np.ascontiguousarray(observations[:, chosen]),
-            demonstrated_actions(demos, species.locomotion)[:, chosen],
+            actions[:, chosen],
             demos.lengths,
             species.num_actions,
             rewards=demonstration_rewards(species, demos)[:, chosen],
             action_penalties=penalties[:, chosen],
+            label_shares=shares,
+            reflection=reflection,
             terminated=(demos.outcome != TIME_OUT) & (demos.outcome != UNFINISHED),
             condition=demos.condition,
             warmup=since_start < species.warmup,
             names=self.learners,
             source=f"{demos.name} ({split})",
         )
+
+    def _followed(self) -> Demonstrations:
+        """The demonstrations, with the tracked positions where they are the ones to learn from."""
+        if self.labels != Labels.TRACKING or self.tracked is None:
+            return self.demos
+        if self.tracked.positions.shape != self.demos.positions.shape:
+            raise InputError(
+                f"{self.demos.name}: tracked positions have shape {self.tracked.positions.shape}, "
+                f"not {self.demos.positions.shape}: track these demonstrations"
+            )
+        return replace(self.demos, positions=self.tracked.positions)
 
 
 def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np.float32]:

@@ -47,6 +47,8 @@ class SlotVecEnv(VecEnv):
         ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``,
         and with it the demonstrated action aligned with each state, as ``aligned_action``. The
         reward itself stays the task's; weighting is the recipe's business.
+    labels, label_width
+        Of the offline phase; see :class:`animarl_algos.data.species_data.SpeciesDemonstrations`.
     options
         Of :func:`animarl_envs.scenario.make_scenario`.
 
@@ -70,6 +72,8 @@ class SlotVecEnv(VecEnv):
         condition_flag: bool | None = False,
         cue: Cue = "actual",
         dtw: str | None = "increment",
+        labels: str = "hard",
+        label_width: float = 0.35,
         **options: Any,
     ) -> None:
         if split == "test":
@@ -114,6 +118,7 @@ class SlotVecEnv(VecEnv):
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
         self._pending: NDArray[np.int64] | None = None
+        self.labels, self.label_width = labels, label_width
         self._offline_data: SpeciesDemonstrations | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
@@ -208,7 +213,12 @@ class SlotVecEnv(VecEnv):
             raise InputError("the environment has no demonstrations: give demos=")
         if self._offline_data is None:  # its splits are made when first looked at
             self._offline_data = SpeciesDemonstrations(
-                self.scenario.species, self.all_demos, self.individuals, self.condition_flag
+                self.scenario.species,
+                self.all_demos,
+                self.individuals,
+                self.condition_flag,
+                labels=self.labels,
+                label_width=self.label_width,
             )
         return self._offline_data
 

@@ -26,12 +26,13 @@ from animarl_algos.learner.offline import (
     DemonstrationData,
     OfflineDataset,
     OfflineProgress,
-    demonstrated_values,
     refuse_foreign,
     run_offline_phase,
 )
 from animarl_algos.learner.recorder import check_environment
 from animarl_algos.learner.settings import as_frequency, declared_limit, longest_episode
+from animarl_algos.learner.validation import demonstrated_values
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
@@ -86,7 +87,9 @@ class SequenceQLearning(CheckedLearner):
     offline_epochs
         Epochs on the demonstrations before the first step in the environment, by default none, or
         the paper's 30 where a recipe learns from demonstrations alone; the best by validation is
-        kept. ``offline_patience`` stops after so many epochs without a better one.
+        kept, for each individual its own. ``offline_patience`` stops after so many epochs without a
+        better one. How its minibatches are drawn and its steps taken is ``offline_kwargs``, see
+        :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
 
     Raises
     ------
@@ -140,6 +143,7 @@ class SequenceQLearning(CheckedLearner):
         offline_lambda3: float = 50.0,
         offline_max_grad_norm: float | None = 20.0,
         offline_patience: int | None = None,
+        offline_kwargs: dict[str, Any] | None = None,
         policy_kwargs: dict[str, Any] | None = None,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
@@ -201,8 +205,9 @@ class SequenceQLearning(CheckedLearner):
         self.offline_lambda2, self.offline_lambda3 = offline_lambda2, offline_lambda3
         self.offline_max_grad_norm = offline_max_grad_norm
         self.offline_patience = offline_patience
+        self.offline_kwargs = dict(offline_kwargs or {})
         self.offline_progress = OfflineProgress()
-        self.best_weights = None
+        self.best_weights = self.average_weights = None
         self.layout = SlotLayout(1, ("agent",), condition_flag=False)
         self._updates_due = 0.0
         self._target_count = 0
@@ -243,8 +248,8 @@ class SequenceQLearning(CheckedLearner):
             **policy_kwargs,
         ).to(self.device)
         self.policy.epsilon = self.exploration_rate
-        for name, value in self.acting_rule.items():
-            setattr(self.policy, name, value)
+        if self.acting_rule:
+            self.policy.acting = Acting.from_json(self.acting_rule)
         if self.env is not None:
             self.replay_buffer = self._make_replay_buffer()
         self.boundary_hooks = []

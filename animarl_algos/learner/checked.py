@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
 from animarl_algos.learner.exploration import LinearDecay
+from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.saving import SavedLearner
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import Phase
@@ -49,7 +50,7 @@ SET_BY_LEARNER = {
     "observation_space", "action_space", "lr_schedule", "individuals", "condition_flag",
     "treatment_head", "buffer_size", "observation_dim", "num_individuals", "num_actions",
     "max_episode_steps", "sequence_length", "burn_in", "state_mode", "state_size", "prioritized",
-    "seed", "names", "device", "num_copies", "epsilon",
+    "seed", "names", "device", "num_copies", "epsilon", "acting",
 }  # fmt: skip
 """Arguments of the policy and the replay memory that come from elsewhere than their ``kwargs``."""
 
@@ -60,6 +61,7 @@ class CheckedLearner(SavedLearner):
     default_quantiles: ClassVar[int | None]
     policy_class: type[GruPolicy]
     policy_kwargs: dict[str, Any]
+    offline_kwargs: dict[str, Any]
     lambda1: float
     offline_scaled_penalties: bool
     sequence_length: int | None
@@ -94,6 +96,7 @@ class CheckedLearner(SavedLearner):
         )
         for phase in ("online", "offline"):
             self.phase(phase)
+        self.offline_settings = OfflineSettings.of(self.offline_kwargs)
         refuse_unknown("policy_kwargs", self.policy_kwargs, self.policy_class, SET_BY_LEARNER)
         refuse_unknown(
             "replay_buffer_kwargs", self.replay_buffer_kwargs, SequenceReplayBuffer, SET_BY_LEARNER

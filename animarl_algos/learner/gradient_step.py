@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from animarl_algos.losses.losses import clip_grad_norm_per_individual
 from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
 from animarl_algos.losses.values import ValueDistribution
+from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.gru import Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.replay.batch import SequenceBatch
@@ -47,15 +48,36 @@ def minibatch_values(
     distribution: ValueDistribution,
     *,
     needs_target: bool,
+    last_states: bool = True,
+    dropout: DropoutDraws | None = None,
 ) -> MinibatchValues:
-    """Run the networks over a batch; leading ``burn_in`` steps only rebuild the states."""
+    """Run the networks over a batch; leading ``burn_in`` steps only rebuild the states.
+
+    Parameters
+    ----------
+    needs_target
+        Whether a term bootstraps from the target network.
+    last_states
+        False leaves out the states after each sequence's last step, which nothing but a
+        bootstrap looks at.
+    dropout
+        Thins the online network.
+    """
     online_state, target_state = batch.initial_state, batch.initial_state
     if batch.burn_in and online.recurrent:
         online_state = _burn_in(online, batch)
         target_state = _burn_in(target, batch) if needs_target else None
     batch = _without_burn_in(batch)
-    packing = _packing(batch)
-    output = online(batch.observations, batch.previous_actions, online_state, packing)
+    last_states = last_states or needs_target
+    packing = _packing(batch, last_states)
+    observations, previous = batch.observations, batch.previous_actions
+    if not last_states:
+        observations, previous = observations[:, :-1], previous[:, :-1]
+    masks = None
+    if dropout is not None:
+        masks = dropout.masks(online.hidden_layers, batch.batch_size, online.units)
+        masks = None if masks is None else masks.to(observations.device)
+    output = online(observations, previous, online_state, packing, masks)
     target_output = None
     if needs_target:
         with torch.no_grad():
@@ -70,7 +92,7 @@ def minibatch_values(
         valid=batch.mask > 0,
         online=output,
         target=target_output,
-        treatment_logits=None if logits is None else logits[:, :-1],
+        treatment_logits=None if logits is None else logits[:, : batch.num_steps],
         parameters=online.all_parameters,
     )
 
@@ -155,7 +177,7 @@ def _without_burn_in(batch: SequenceBatch) -> SequenceBatch:
     b = batch.burn_in
     if b == 0:
         return batch
-    scored = batch.action_penalties
+    scored, shares = batch.action_penalties, batch.label_shares
     return replace(
         batch,
         observations=batch.observations[:, b:],
@@ -171,17 +193,18 @@ def _without_burn_in(batch: SequenceBatch) -> SequenceBatch:
         burn_in=0,
         initial_state=None,
         action_penalties=None if scored is None else scored[:, b:],
+        label_shares=None if shares is None else shares[:, b:],
     )
 
 
-def _packing(batch: SequenceBatch) -> Packing:
-    """Which rows hold an observation: one more per column than it has steps."""
-    time = batch.observations.shape[1]
+def _packing(batch: SequenceBatch, last_states: bool = True) -> Packing:
+    """Which rows hold an observation: those of a column's steps, and maybe its last state."""
+    active = batch.active if last_states else batch.active[1:]
     return Packing(
-        time=time,
+        time=batch.num_steps + last_states,
         batch=batch.batch_size,
-        active=batch.active[batch.active > 0],
-        lengths=batch.lengths.cpu().numpy() + 1,
+        active=active[active > 0],
+        lengths=batch.lengths.cpu().numpy() + last_states,
         device=batch.observations.device,
     )
 

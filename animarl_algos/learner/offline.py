@@ -3,37 +3,68 @@
 What is minimised are the recipe's offline terms: cross-entropy (BC), temporal difference with
 action supervision (DQAAS), or temporal difference on all actions as scored by the fitted dynamics
 (DQDIL, :class:`animarl_algos.losses.terms.ScoredActionsTemporalDifference`). After each epoch the
-recipe's validation figure is taken; the weights of the best epoch are kept.
+recipe's validation figure of each individual is taken; each keeps the weights of its own best epoch
+and stops when it is out of patience, so that individuals trained together end as each would alone.
+
+How minibatches are drawn and steps are taken is in :mod:`animarl_algos.learner.offline_settings`.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
 from animarl_algos.learner.gradient_step import minibatch_values, update
+from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.online import OnlineLoop
-from animarl_algos.losses.losses import mean_recall, treatment_counts
+from animarl_algos.learner.validation import (
+    Episodes,
+    Figures,
+    judged_network,
+    named_figures,
+    validation_figures,
+)
+from animarl_algos.losses.recipe import Selection
 from animarl_algos.losses.terms import ScoredActionsTemporalDifference
+from animarl_algos.networks.dropout import DropoutDraws
+from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
-Figures = dict[str, float]
 
-
-class OfflineDataset(Protocol):
+class OfflineDataset(Episodes, Protocol):
     """Demonstrated episodes as sequences; see :mod:`animarl_algos.data.dataset`."""
 
-    def batches(
-        self, batch_size: int, generator: np.random.Generator | None = None
+    def windows(
+        self,
+        batch_size: int,
+        count: int,
+        generator: np.random.Generator,
+        *,
+        length: int,
+        burn_in: int = 0,
     ) -> Iterator[SequenceBatch]:
-        """All episodes once, shuffled by ``generator`` or in order."""
+        """``count`` minibatches of pieces, drawn independently."""
+        ...
+
+    def input_statistics(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean and standard deviation (K, n) of the observations."""
+        ...
+
+    @property
+    def num_episodes(self) -> int:
+        """Episodes with a step that enters a loss."""
+        ...
+
+    @property
+    def num_steps(self) -> int:
+        """Steps of all episodes."""
         ...
 
 
@@ -57,26 +88,44 @@ class OfflineProgress:
         Epochs finished.
     done
         Whether the phase is over and the best weights are in place.
-    best_epoch, best_figure
-        By the recipe's validation figure, the lower the better.
+    best_epochs, best_figures
+        Of each individual, by the recipe's validation figure, the lower the better; empty before
+        the first epoch.
     history
         One row per epoch: ``epoch``, ``train/<term>``, ``val/<figure>``, and both per individual.
     """
 
     epoch: int = 0
     done: bool = False
-    best_epoch: int = 0
-    best_figure: float = float("inf")
+    best_epochs: list[int] = field(default_factory=list)
+    best_figures: list[float] = field(default_factory=list)
     history: list[Figures] = field(default_factory=list)
 
+    @property
+    def best_epoch(self) -> int:
+        """The last epoch that was the best of an individual; 0 before the first."""
+        return max(self.best_epochs, default=0)
+
+    def running(self, patience: int | None) -> list[bool]:
+        """Which individuals still wait for a better epoch."""
+        return [patience is None or self.epoch - best < patience for best in self.best_epochs]
+
     def as_json(self) -> dict[str, Any]:
-        row = asdict(self)
-        return row | {"best_figure": None if np.isinf(self.best_figure) else self.best_figure}
+        return asdict(self)
 
     @classmethod
     def from_json(cls, row: dict[str, Any]) -> OfflineProgress:
-        figure = row["best_figure"]
-        return cls(**row | {"best_figure": float("inf") if figure is None else figure})
+        progress = cls()
+        progress.__setstate__(row)
+        return progress
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """As stored, also by a version that had one best epoch for all individuals."""
+        state = dict(state)
+        epoch, figure = state.pop("best_epoch", 0), state.pop("best_figure", None)
+        if epoch:
+            state |= {"best_epochs": [epoch], "best_figures": [figure]}
+        self.__dict__.update(self.__class__().__dict__ | state)
 
 
 class OfflineLearner(OnlineLoop):
@@ -88,8 +137,10 @@ class OfflineLearner(OnlineLoop):
     offline_learning_rate: float
     offline_batch_size: int
     offline_patience: int | None
+    offline_settings: OfflineSettings
     offline_progress: OfflineProgress
     best_weights: dict[str, torch.Tensor] | None
+    average_weights: dict[str, torch.Tensor] | None
 
     def reset_optimizer(self, learning_rate: float) -> None:
         """A new optimiser for the online network, with nothing accumulated."""
@@ -108,7 +159,7 @@ def run_offline_phase(
     progress, policy = model.offline_progress, model.policy
     refuse_foreign(model, data)
     if progress.epoch == 0:
-        model.reset_optimizer(model.offline_learning_rate)
+        _begin(model, data.train)
     bar = tqdm(
         total=model.offline_epochs,
         initial=progress.epoch,
@@ -122,24 +173,36 @@ def run_offline_phase(
             row = train_epoch(model, data.train, progress.epoch)
             policy.q_net_target.load_state_dict(policy.q_net.state_dict())
             row |= validation_figures(model, data.val)
-            progress.epoch += 1
-            _keep_if_best(model, row[f"val/{model.recipe.selection}"])
+            _keep_best(model, row)
             progress.history.append({"epoch": float(progress.epoch)} | row)
             for name, value in row.items():
                 model.logger.record(f"offline/{name}", value)
             model.logger.record("offline/epoch", progress.epoch, exclude="tensorboard")
             model.logger.dump(step=progress.epoch)
             bar.update()
-            bar.set_postfix(best=progress.best_epoch, figure=f"{progress.best_figure:.3f}")
-            patience = model.offline_patience
-            if patience is not None and progress.epoch - progress.best_epoch >= patience:
+            figure = np.mean(progress.best_figures)
+            bar.set_postfix(best=progress.best_epoch, figure=f"{figure:.3f}")
+            if not any(progress.running(model.offline_patience)):
                 break
     assert model.best_weights is not None
+    _warn_of_ignorance(model)
     policy.q_net.load_state_dict(model.best_weights)
     policy.q_net_target.load_state_dict(model.best_weights)
     model.reset_optimizer(model.lr_schedule(1.0))
     progress.done = True
-    model.best_weights = None
+    model.best_weights = model.average_weights = None
+
+
+def _begin(model: OfflineLearner, train: OfflineDataset) -> None:
+    """Everything as it is before the first update."""
+    policy, settings = model.policy, model.offline_settings
+    model.reset_optimizer(model.offline_learning_rate)
+    if settings.standardise:
+        mean, sd = train.input_statistics()
+        for network in (policy.q_net, policy.q_net_target):
+            network.standardise_inputs(mean.to(model.device), sd.to(model.device))
+    if settings.average:
+        model.average_weights = {k: v.clone() for k, v in policy.q_net.state_dict().items()}
 
 
 def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
@@ -185,10 +248,16 @@ def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
 def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> Figures:
     """One pass over the training split; returns the mean of each term."""
     policy, phase, terms = model.policy, model.phase("offline"), model.recipe.offline
+    settings, individuals = model.offline_settings, model.layout.individuals
     generator = np.random.default_rng([model.root_seed, epoch])
+    dropout = DropoutDraws(policy.q_net.dropout, [model.root_seed, epoch], individuals)
+    per_epoch = updates_per_epoch(model, dataset)
     totals: dict[str, torch.Tensor] = {}
     updates = 0
-    for batch in dataset.batches(model.offline_batch_size, generator):
+    for batch in _minibatches(model, dataset, per_epoch, generator):
+        done = epoch * per_epoch + updates
+        factor = settings.rate_factor(done, model.offline_epochs * per_epoch)
+        _set_rate(policy.optimizer, factor * model.offline_learning_rate)
         minibatch = minibatch_values(
             batch.to(model.device),
             phase,
@@ -196,126 +265,111 @@ def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> F
             policy.q_net_target,
             policy.distribution,
             needs_target=any(term.needs_target for term in terms),
+            last_states=settings.sequence_length is None,
+            dropout=dropout,
         )
         for name, loss in update(minibatch, terms, policy.optimizer).losses.items():
             totals[name] = totals[name] + loss if name in totals else loss
+        if settings.weight_decay:
+            _decay(policy.q_net, factor * model.offline_learning_rate * settings.weight_decay)
         updates += 1
+        if model.average_weights is not None:
+            _follow(model.average_weights, policy.q_net, settings.average_decay(done + 1))
     row: Figures = {}
     for name, total in totals.items():
-        row |= _per_individual(f"train/{name}", model, (total / updates).cpu().numpy())
+        row |= named_figures(f"train/{name}", individuals, (total / updates).cpu().numpy())
     return row
 
 
-def _keep_if_best(model: OfflineLearner, figure: float) -> None:
-    progress = model.offline_progress
-    if not np.isfinite(figure):
-        raise InputError(
-            f"offline training diverged in epoch {progress.epoch} (validation figure {figure}): "
-            "lower offline_learning_rate"
-        )
-    if figure <= progress.best_figure:  # of equals the later: it has been fitted longer
-        progress.best_figure, progress.best_epoch = figure, progress.epoch
-        state = model.policy.q_net.state_dict()
-        model.best_weights = {name: value.cpu().clone() for name, value in state.items()}
+def updates_per_epoch(model: OfflineLearner, dataset: OfflineDataset) -> int:
+    """Minibatches between two looks at the validation split."""
+    settings, batch_size = model.offline_settings, model.offline_batch_size
+    if settings.sequence_length is None:
+        return sum(1 for _ in range(0, dataset.num_episodes, batch_size))
+    steps = batch_size * settings.sequence_length
+    return settings.updates_per_epoch or max(1, round(dataset.num_steps / steps))
 
 
-def validation_figures(model: OfflineLearner, dataset: OfflineDataset) -> Figures:
-    """How the demonstrated actions fare among all actions, over the valid steps of ``dataset``.
-
-    ``val/cross_entropy`` [nat] with action values as logits, ``val/mean_rank`` (best 1; ties count
-    half), ``val/top_1`` and ``val/top_3`` (shares ranked first, among the first three), each as the
-    mean over individuals and for each; with a treatment head ``val/treatment_balanced_accuracy``.
-    """
-    shown = demonstrated_values(model, dataset)
-    figures: dict[str, list[float]] = {
-        "cross_entropy": [], "mean_rank": [], "top_1": [], "top_3": []
-    }  # fmt: skip
-    for values, actions in zip(shown.values, shown.actions):
-        rank = demonstrated_rank(values, actions)
-        log_norm = np.log(np.exp(values - values.max(1, keepdims=True)).sum(1)) + values.max(1)
-        figures["cross_entropy"].append(
-            float(np.mean(log_norm - values[np.arange(len(actions)), actions]))
-        )
-        figures["mean_rank"].append(float(rank.mean()))
-        figures["top_1"].append(float((rank <= 1).mean()))
-        figures["top_3"].append(float((rank <= 3).mean()))
-    if shown.treatment_accuracy is not None:
-        figures["treatment_balanced_accuracy"] = list(shown.treatment_accuracy)
-    row: Figures = {}
-    for name, per_individual in figures.items():
-        row |= _per_individual(f"val/{name}", model, np.array(per_individual))
-    return row
-
-
-def demonstrated_rank(
-    values: NDArray[np.floating], actions: NDArray[np.integer]
-) -> NDArray[np.float64]:
-    """Rank of each demonstrated action among its state's action values: 1 is the highest.
-
-    Ties share their mean rank, so that indifference ranks as chance does. Among values that are not
-    all finite there is no rank: NaN.
-    """
-    own = values[np.arange(len(actions)), actions][:, None]
-    higher, equal = (values > own).sum(1), (values == own).sum(1)
-    return np.where(np.isfinite(values).all(1), 1 + higher + (equal - 1) / 2, np.nan)
-
-
-@dataclass(frozen=True)
-class DemonstratedValues:
-    """Action values at demonstrated states, one entry per individual.
-
-    ``values`` ``(N, A)`` and ``actions`` ``(N,)`` over all valid, labelled steps;
-    ``treatment_accuracy`` ``(K,)`` balanced, or None without a treatment head.
-    """
-
-    values: list[NDArray[np.float64]]
-    actions: list[NDArray[np.int64]]
-    treatment_accuracy: NDArray[np.float64] | None
-
-
-@torch.no_grad()
-def demonstrated_values(model: OfflineLearner, dataset: OfflineDataset) -> DemonstratedValues:
-    """Run the online network along the demonstrated episodes."""
-    policy, count = model.policy, model.layout.num_individuals
-    values: list[list[NDArray[np.float64]]] = [[] for _ in range(count)]
-    actions: list[list[NDArray[np.int64]]] = [[] for _ in range(count)]
-    counts: list[torch.Tensor] = []
-    for batch in dataset.batches(model.offline_batch_size):
-        minibatch = minibatch_values(
-            batch.to(model.device),
-            model.phase("offline"),
-            policy.q_net,
-            policy.q_net_target,
-            policy.distribution,
-            needs_target=False,
-        )
-        labels = minibatch.batch.labels
-        shown = (minibatch.valid & (labels >= 0)).cpu().numpy()
-        q_values = minibatch.q_values.double().cpu().numpy()
-        for k in range(count):
-            values[k].append(q_values[k][shown[k]])
-            actions[k].append(labels[k].cpu().numpy()[shown[k]])
-        if minibatch.treatment_logits is not None:
-            counts.append(
-                treatment_counts(
-                    minibatch.treatment_logits, minibatch.batch.condition, minibatch.valid
-                )
-            )
-    if not all(sum(map(len, actions[k])) for k in range(count)):
-        raise InputError(
-            "the validation split holds no demonstrated action: split the data again, or infer the "
-            "actions from the positions first"
-        )
-    accuracy = mean_recall(torch.stack(counts).sum(0)) if counts else None
-    return DemonstratedValues(
-        values=[np.concatenate(v) for v in values],
-        actions=[np.concatenate(a) for a in actions],
-        treatment_accuracy=None if accuracy is None else accuracy.double().cpu().numpy(),
+def _minibatches(
+    model: OfflineLearner, dataset: OfflineDataset, count: int, generator: np.random.Generator
+) -> Iterator[SequenceBatch]:
+    """One epoch of them: all episodes once, or so many windows."""
+    settings, size = model.offline_settings, model.offline_batch_size
+    if settings.sequence_length is None:
+        return dataset.batches(size, generator)
+    return dataset.windows(
+        size, count, generator, length=settings.sequence_length, burn_in=settings.burn_in
     )
 
 
-def _per_individual(name: str, model: OfflineLearner, values: NDArray[np.floating]) -> Figures:
-    row = {name: float(values.mean())}
-    if len(values) > 1:
-        row |= {f"{name}/{who}": float(v) for who, v in zip(model.layout.individuals, values)}
-    return row
+def _set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+
+
+@torch.no_grad()
+def _decay(network: StackedQNetwork, share: float) -> None:
+    """Take ``share`` of every weight away."""
+    torch._foreach_mul_(list(network.all_parameters), 1.0 - share)
+
+
+@torch.no_grad()
+def _follow(average: dict[str, torch.Tensor], network: StackedQNetwork, decay: float) -> None:
+    """Move the average of the weights towards the present ones."""
+    named = dict(network.named_parameters())
+    torch._foreach_lerp_([average[name] for name in named], list(named.values()), 1.0 - decay)
+
+
+def _keep_best(model: OfflineLearner, row: Figures) -> None:
+    """Count the epoch, and keep the weights of those individuals whose best it is.
+
+    One that is out of patience keeps what it has, as if it were trained alone and had stopped.
+    """
+    progress, individuals = model.offline_progress, model.layout.individuals
+    figures = own_figures(row, model.recipe.selection, individuals)
+    if len(progress.best_epochs) != len(individuals):  # at the start, or of an older checkpoint
+        progress.best_epochs = (progress.best_epochs or [0]) * len(individuals)
+        progress.best_figures = (progress.best_figures or [float("inf")]) * len(individuals)
+    waiting = progress.running(model.offline_patience)
+    progress.epoch += 1
+    for figure in figures:
+        if not np.isfinite(figure):
+            raise InputError(
+                f"offline training diverged in epoch {progress.epoch} (validation figure "
+                f"{figure}): lower offline_learning_rate"
+            )
+    weights = judged_network(model).state_dict()
+    if model.best_weights is None:
+        model.best_weights = {name: value.cpu().clone() for name, value in weights.items()}
+    for k, figure in enumerate(figures):
+        # Of equals the later: it has been fitted longer.
+        if waiting[k] and figure <= progress.best_figures[k]:
+            progress.best_figures[k], progress.best_epochs[k] = figure, progress.epoch
+            for name, value in weights.items():
+                model.best_weights[name][k] = value[k].cpu()
+
+
+def own_figures(row: Figures, figure: str, individuals: tuple[str, ...]) -> list[float]:
+    """A validation figure of each individual."""
+    if len(individuals) == 1:
+        return [row[f"val/{figure}"]]
+    return [row[f"val/{figure}/{who}"] for who in individuals]
+
+
+def _warn_of_ignorance(model: OfflineLearner) -> None:
+    """Say plainly which clones know no more than how often each action is taken."""
+    if model.recipe.selection is Selection.MEAN_RANK:
+        return  # its values are no logits
+    progress, individuals = model.offline_progress, model.layout.individuals
+    ignorant = []
+    for k, who in enumerate(individuals):
+        row = progress.history[progress.best_epochs[k] - 1]
+        if own_figures(row, "cross_entropy_minus_marginal", individuals)[k] >= 0:
+            ignorant.append(who)
+    if ignorant:
+        warnings.warn(
+            f"the clone of {', '.join(ignorant)} knows no more than how often each action is taken "
+            "(validation cross-entropy not below the marginal entropy): give more demonstrations, "
+            "more updates, or standardised inputs",
+            stacklevel=4,
+        )

@@ -65,12 +65,8 @@ class SavedLearner(OfflineLearner):
         exclude: Iterable[str] | None = None,
         include: Iterable[str] | None = None,
     ) -> None:
-        """All settings and the networks, as in stable-baselines3; epsilon and temperature too."""
-        temperature = self.policy.temperature
-        self.acting_rule = {
-            "epsilon": float(self.policy.epsilon),
-            "temperature": None if temperature is None else np.asarray(temperature).tolist(),
-        }
+        """All settings and the networks, as in stable-baselines3; the acting rule too."""
+        self.acting_rule = self.policy.acting.to_json()
         super().save(path, exclude, include)
 
     @classmethod

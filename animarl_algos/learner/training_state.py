@@ -53,6 +53,7 @@ def training_state(
         "q_net_target": model.policy.q_net_target.state_dict(),
         "optimizer": model.policy.optimizer.state_dict(),
         "best_weights": model.best_weights,
+        "average_weights": model.average_weights,
     }
     return counters, arrays, tensors
 
@@ -78,6 +79,7 @@ def restore_training_state(
     model.policy.q_net_target.load_state_dict(tensors["q_net_target"])
     model.policy.optimizer.load_state_dict(tensors["optimizer"])
     model.best_weights = tensors["best_weights"]
+    model.average_weights = tensors.get("average_weights")
     model._last_obs = None
     if "last_observation" in arrays:
         env_state = {key[4:]: value for key, value in arrays.items() if key[:4] == "env/"}

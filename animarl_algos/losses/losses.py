@@ -67,6 +67,30 @@ def action_cross_entropy(
     return masked_mean(per_step, labelled, weights)
 
 
+def soft_action_cross_entropy(
+    logits: torch.Tensor,
+    shares: torch.Tensor,
+    valid: torch.Tensor,
+    weights: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """Cross-entropy of soft labels under softmax(logits), per individual.
+
+    Parameters
+    ----------
+    logits : Tensor (K, T, B, actions)
+    shares : Tensor (K, T, B, actions)
+        Probability of each action; zeros where a step has no label, such steps are left out.
+    valid : Tensor (K, T, B) bool
+    weights : Tensor (K, B), optional
+
+    Returns
+    -------
+    Tensor (K,)
+    """
+    per_step = -(shares * functional.log_softmax(logits, dim=-1)).sum(-1)
+    return masked_mean(per_step, valid & (shares.sum(-1) > 0), weights)
+
+
 def treatment_cross_entropy(
     logits: torch.Tensor,
     condition: torch.Tensor,

@@ -12,6 +12,7 @@ class Selection(StrEnum):
     """Validation figure (the lower the better) by which the best offline epoch is kept."""
 
     CROSS_ENTROPY = "cross_entropy"  # of the demonstrated action, values as logits [nat]
+    LABEL_CROSS_ENTROPY = "label_cross_entropy"  # of the labels learned from, soft ones too [nat]
     MEAN_RANK = "mean_rank"  # of the demonstrated action's value among all actions, best 1
 
 

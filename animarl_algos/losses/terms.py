@@ -17,6 +17,7 @@ from torch.nn import functional
 from animarl_algos.losses.losses import (
     action_cross_entropy,
     masked_mean,
+    soft_action_cross_entropy,
     squared_l2,
     treatment_cross_entropy,
 )
@@ -98,7 +99,7 @@ class MinibatchValues:
         ``(K, T, B)`` bool, the steps that enter a loss.
     online, target
         The two networks at all states, the last ones included; no ``target`` if no term asks for
-        it.
+        it, and then the last states may be left out too.
     treatment_logits
         ``(K, T, B)``, or ``None`` without a treatment head.
     parameters
@@ -120,12 +121,12 @@ class MinibatchValues:
     @property
     def values(self) -> torch.Tensor:
         """``(K, T, B, A, Q)``, the online network before each step."""
-        return self.online.values[:, :-1]
+        return self.online.values[:, : self.batch.num_steps]
 
     @property
     def q_values(self) -> torch.Tensor:
         """``(K, T, B, A)``, expected values before each step."""
-        return self.online.q_values[:, :-1]
+        return self.online.q_values[:, : self.batch.num_steps]
 
     def taken_values(self) -> torch.Tensor:
         """``(K, T, B, Q)``, the online network's values of the actions taken."""
@@ -260,6 +261,34 @@ class ActionSupervision:
         batch = minibatch.batch
         return action_cross_entropy(
             minibatch.q_values, batch.labels, minibatch.valid, batch.weights
+        )
+
+
+@dataclass(frozen=True)
+class SoftActionSupervision:
+    """Cross-entropy with soft labels, action values as logits.
+
+    The label of a step is a distribution over the actions: how near each would have led under the
+    fitted dynamics (:func:`animarl_algos.data.labels.soft_labels`). Of two actions which both
+    explain the track none is then called wrong, as in learning from label distributions (Geng 2016)
+    and in distillation (Hinton et al. 2015). Demonstrations without soft labels have it all on the
+    demonstrated action: plain cloning.
+    """
+
+    name: str = "supervision"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return 1.0
+
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        batch = minibatch.batch
+        if batch.label_shares is None:
+            return action_cross_entropy(
+                minibatch.q_values, batch.labels, minibatch.valid, batch.weights
+            )
+        return soft_action_cross_entropy(
+            minibatch.q_values, batch.label_shares, minibatch.valid, batch.weights
         )
 
 

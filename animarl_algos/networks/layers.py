@@ -117,7 +117,8 @@ class DuelingHead(nn.Module):
 
     V and A each have a hidden layer of their own (``hidden`` holds V's units first, then A's). The
     combination is linear in those units, so it is folded into one weight matrix instead of being
-    spelt out for every row.
+    spelt out for every row. With ``units`` 0 there is no hidden layer: V and A are both linear in
+    the inputs.
     """
 
     def __init__(
@@ -131,18 +132,30 @@ class DuelingHead(nn.Module):
         super().__init__()
         self.num_actions = num_actions
         self.num_quantiles = num_quantiles
-        self.hidden = StackedLinear(inputs, 2 * units, generators)
-        self.value = StackedLinear(units, num_quantiles, generators)
-        self.advantage = StackedLinear(units, num_actions * num_quantiles, generators)
+        self.hidden = StackedLinear(inputs, 2 * units, generators) if units else None
+        read = units or inputs
+        self.value = StackedLinear(read, num_quantiles, generators)
+        self.advantage = StackedLinear(read, num_actions * num_quantiles, generators)
 
     def combined(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Weight (K, 2H, actions * quantiles) and bias (K, 1, same) from hidden units to Q."""
+        """Weight (K, 2H, actions * quantiles) and bias (K, 1, same) from hidden units to Q.
+
+        Without a hidden layer the weight is (K, inputs, actions * quantiles).
+        """
         value, advantage = self.value, self.advantage
+        if self.hidden is None:
+            return self._sum(value.weight, advantage.weight), self._sum(value.bias, advantage.bias)
         folded: tuple[torch.Tensor, torch.Tensor] = _FoldedDueling.apply(  # type: ignore[no-untyped-call]
             value.weight, value.bias, advantage.weight, advantage.bias, self.num_actions
         )
         return folded
 
+    def _sum(self, value: torch.Tensor, advantage: torch.Tensor) -> torch.Tensor:
+        """V + A - mean over actions of A, of weights or biases: (K, in, Q), (K, in, A Q)."""
+        shaped = advantage.view(*advantage.shape[:2], self.num_actions, self.num_quantiles)
+        summed: torch.Tensor = shaped - shaped.mean(2, keepdim=True) + value.unsqueeze(2)
+        return summed.flatten(2)
+
     def units(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Hidden units (K, row, 2H), V's first."""
-        return torch.relu(self.hidden(inputs))
+        """Hidden units (K, row, 2H), V's first; without a hidden layer the inputs."""
+        return inputs if self.hidden is None else torch.relu(self.hidden(inputs))

@@ -2,12 +2,16 @@
 
 Architecture (the paper, "Neural network architectures"), all of H = 32 units, for each individual::
 
-    x = relu(Linear(relu(Linear([observation, one-hot previous action]))))
+    o = clip((observation - mean) / sd, limit)        the identity until statistics are set
+    x = relu(Linear(relu(Linear([o, one-hot previous action]))))
     h = GRU(x, h)                                     left out in the feed-forward twin
     V = Linear(relu(Linear([h, c])))                  c, the treatment flag, where there is one
     A = Linear(relu(Linear([h, c])))
     Q = V + A - mean over actions of A
     logit of c = Linear(relu(Linear(reversal(h))))    treatment head of DQCIL, 8 units
+
+The number of layers of x, their width and what the heads see ([x, h] with a skip) are arguments;
+the paper's are the defaults.
 
 Every parameter has a leading axis of individuals; nothing is shared, so that training K individuals
 together is training each alone. Axes: (individual, time, batch, feature).
@@ -19,10 +23,13 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from animarl_algos.losses.gradient_reversal import reverse_gradient
+from animarl_algos.networks.dropout import DropoutMasks
 from animarl_algos.networks.gru import Packing
 from animarl_algos.networks.kernels import feed_forward
 from animarl_algos.networks.kernels.feed_forward import WeightViews
@@ -36,6 +43,11 @@ from animarl_algos.networks.output import Head, HeadUnits, HeadValues, QOutput
 from animarl_envs.errors import InputError
 
 TREATMENT_UNITS = 8
+INPUT_LIMIT = 6.0
+"""Standardised inputs are clipped at this many standard deviations: a simulation may go where no
+recording has been."""
+STATISTICS = ("input_mean", "input_sd", "input_limit")
+"""The buffers that standardise the inputs."""
 
 
 class StackedQNetwork(nn.Module):
@@ -53,8 +65,17 @@ class StackedQNetwork(nn.Module):
         1 for expected values.
     units
         Width of every hidden layer.
+    depth
+        Number of layers before the GRU.
+    head_layers
+        Hidden layers of the dueling head, 1 or 0: V and A linear in what the head sees.
     recurrent
         False leaves the GRU out; the state is then passed through untouched.
+    skip
+        Whether the heads see the encoded observation beside the GRU's state.
+    dropout
+        Share of the hidden units (encoder and GRU) that are left out where masks are asked for;
+        see :mod:`animarl_algos.networks.dropout`.
     previous_action
         Whether the previous action is an input.
     condition_flag
@@ -66,7 +87,17 @@ class StackedQNetwork(nn.Module):
         Strength of the gradient reversal.
     seed
         Of the initial weights.
+
+    Attributes
+    ----------
+    input_mean, input_sd : Tensor (K, 1, n)
+    input_limit : Tensor (K, 1, 1)
+        Buffers, saved with the weights; see :meth:`standardise_inputs`.
     """
+
+    input_mean: torch.Tensor
+    input_sd: torch.Tensor
+    input_limit: torch.Tensor
 
     def __init__(
         self,
@@ -76,7 +107,11 @@ class StackedQNetwork(nn.Module):
         *,
         num_quantiles: int = 1,
         units: int = 32,
+        depth: int = 2,
+        head_layers: int = 1,
         recurrent: bool = True,
+        skip: bool = False,
+        dropout: float = 0.0,
         previous_action: bool = True,
         condition_flag: bool = False,
         treatment_head: bool = False,
@@ -91,38 +126,87 @@ class StackedQNetwork(nn.Module):
                 "condition_flag=True needs an observation of at least two components, the last of "
                 f"them the flag, but there is {observation_size}: use the condition-flag wrapper"
             )
+        if skip and not recurrent:
+            raise InputError(
+                "skip=True leads past a memory and this network has none: use GruPolicy, or leave "
+                "skip out"
+            )
         self.individuals = tuple(individuals)
         self.num_actions = num_actions
         self.num_quantiles = num_quantiles
         self.units = units
+        self.depth = depth
         self.recurrent = recurrent
+        self.skip = skip
+        self.dropout = dropout
         self.previous_action = previous_action
         self.condition_flag = condition_flag
         self.reversal = reversal
         self.sensed = observation_size - condition_flag
         generators = individual_generators(individuals, seed)
         encoder_inputs = self.sensed + (num_actions if previous_action else 0)
-        self.encoder_1 = StackedLinear(encoder_inputs, units, generators)
-        self.encoder_2 = StackedLinear(units, units, generators)
+        for layer in range(depth):
+            inputs = units if layer else encoder_inputs
+            self.add_module(f"encoder_{layer + 1}", StackedLinear(inputs, units, generators))
         self.gru = StackedGRU(units, units, generators) if recurrent else None
+        seen = units * (1 + skip)
         self.dueling = DuelingHead(
-            units + condition_flag, units, num_actions, num_quantiles, generators
+            seen + condition_flag, units * head_layers, num_actions, num_quantiles, generators
         )
         self.treatment: nn.Sequential | None = None
         if treatment_head:
             self.treatment = nn.Sequential(
-                StackedLinear(units, TREATMENT_UNITS, generators),
+                StackedLinear(seen, TREATMENT_UNITS, generators),
                 nn.ReLU(),
                 StackedLinear(TREATMENT_UNITS, 1, generators),
             )
+        shape = (len(self.individuals), 1, observation_size)
+        self.register_buffer("input_mean", torch.zeros(shape))
+        self.register_buffer("input_sd", torch.ones(shape))
+        self.register_buffer("input_limit", torch.full((shape[0], 1, 1), torch.inf))
+        self.register_load_state_dict_pre_hook(_take_raw_inputs)  # type: ignore[no-untyped-call]
         self.register_load_state_dict_post_hook(_look_parameters_up_anew)  # type: ignore[no-untyped-call]
 
     def initial_state(self, batch: int) -> torch.Tensor:
         """Zeros (K, batch, H): nothing remembered."""
-        weight = self.encoder_1.weight
+        weight = self.encoder[0].weight
         return weight.new_zeros((len(self.individuals), batch, self.units))
 
-    def _encode(self, observations: torch.Tensor, previous_actions: torch.Tensor) -> torch.Tensor:
+    @property
+    def encoder(self) -> list[StackedLinear]:
+        """The layers before the GRU."""
+        return [self.get_submodule(f"encoder_{i + 1}") for i in range(self.depth)]  # type: ignore[misc]
+
+    @torch.no_grad()
+    def standardise_inputs(self, mean: torch.Tensor, sd: torch.Tensor) -> None:
+        """See observations as ``clip((o - mean) / sd)`` from now on, but for the treatment flag.
+
+        Parameters
+        ----------
+        mean, sd : Tensor (K, n)
+            Of each individual's observation components, the flag's own included (and not used).
+            A component that does not vary (sd 0) keeps its scale.
+        """
+        sd = torch.where(sd > 1e-6, sd, 1.0)
+        if self.condition_flag:
+            mean, sd = mean.clone(), sd.clone()
+            mean[:, -1], sd[:, -1] = 0.0, 1.0
+        self.input_mean.copy_(mean.unsqueeze(1))
+        self.input_sd.copy_(sd.unsqueeze(1))
+        self.input_limit.fill_(INPUT_LIMIT)
+
+    def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
+        """Packed observations (K, row, n) in units of their training spread."""
+        limit = self.input_limit
+        return torch.clamp((observations - self.input_mean) / self.input_sd, -limit, limit)
+
+    def _encode(
+        self,
+        observations: torch.Tensor,
+        previous_actions: torch.Tensor,
+        packing: Packing,
+        masks: DropoutMasks | None,
+    ) -> torch.Tensor:
         """Packed observations (K, row, n) and previous actions (K, row) to features (K, row, H)."""
         inputs = observations[..., : self.sensed]
         if self.previous_action:
@@ -130,7 +214,11 @@ class StackedQNetwork(nn.Module):
             shape = (*previous_actions.shape, self.num_actions + 1)
             one_hot = inputs.new_zeros(shape).scatter_(-1, previous_actions.unsqueeze(-1), 1.0)
             inputs = torch.cat((inputs, one_hot[..., : self.num_actions]), dim=-1)
-        return torch.relu(self.encoder_2(torch.relu(self.encoder_1(inputs))))
+        for number, layer in enumerate(self.encoder):
+            inputs = torch.relu(layer(inputs))
+            if masks is not None:
+                inputs = masks.thin(inputs, number, packing)
+        return inputs
 
     def forward(
         self,
@@ -138,6 +226,7 @@ class StackedQNetwork(nn.Module):
         previous_actions: torch.Tensor,
         state: torch.Tensor | None = None,
         packing: Packing | None = None,
+        masks: DropoutMasks | None = None,
     ) -> QOutput:
         """Run whole sequences.
 
@@ -150,15 +239,18 @@ class StackedQNetwork(nn.Module):
             Hidden state before the first step; zeros by default.
         packing : Packing, optional
             Rows to compute; by default all.
+        masks : DropoutMasks, optional
+            Units to leave out, for training; by default none.
         """
         _, time, batch, _ = observations.shape
         if packing is None:
             packing = Packing.full(time, batch, observations.device)
         if state is None:
             state = self.initial_state(batch)
-        observed, previous = packing.pack(observations), packing.pack(previous_actions)
+        observed = self._standardised(packing.pack(observations))
+        previous = packing.pack(previous_actions)
         head: Head
-        if self.gru is None and feed_forward.usable(observed):
+        if self.loops_fit and masks is None and feed_forward.usable(observed):
             features, values = feed_forward.features_and_values(
                 observed,
                 previous,
@@ -167,17 +259,18 @@ class StackedQNetwork(nn.Module):
                 flagged=self.condition_flag,
                 sees_previous=self.previous_action,
             )
-            head = HeadValues(values)
+            head, seen = HeadValues(values), features
         else:
-            features = self._encode(observed, previous)
+            features = seen = self._encode(observed, previous, packing, masks)
             if self.gru is not None:
-                features = self.gru(features, state, packing)
-            head = self._head(self._with_flag(features, observed))
+                encoded, features = seen, self.gru(seen, state, packing)
+                seen = features if masks is None else masks.thin(features, self.depth, packing)
+                if self.skip:
+                    seen = torch.cat((encoded, seen), dim=-1)
+            head = self._head(self._with_flag(seen, observed))
         logits = None
         if self.treatment is not None:
-            logits = packing.unpack(
-                self.treatment(reverse_gradient(features, self.reversal))[..., 0]
-            )
+            logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
         return QOutput(
             treatment_logits=logits,
             features=features,
@@ -194,15 +287,31 @@ class StackedQNetwork(nn.Module):
             return HeadUnits(units, weight, bias, self.num_actions)
         return HeadValues(torch.baddbmm(bias, units, weight).unsqueeze(-1))
 
+    @property
+    def loops_fit(self) -> bool:
+        """Whether the network is of the shape that the feed-forward loops are written for."""
+        return self.gru is None and self.depth == 2 and self.dueling.hidden is not None
+
+    @property
+    def hidden_layers(self) -> int:
+        """Layers that dropout thins."""
+        return self.depth + self.recurrent
+
     @cached_property
     def weights(self) -> WeightViews:
-        """Weights and biases of all layers in the order of the equations, but the GRU's."""
+        """Weights and biases of all layers in the order of the equations, but the GRU's.
+
+        The encoder's come first; the head's hidden layer is empty where there is none.
+        """
         dueling = self.dueling
-        layers = (
-            *(self.encoder_1, self.encoder_2),
-            *(dueling.hidden, dueling.value, dueling.advantage),
-        )
-        return WeightViews([p for layer in layers for p in (layer.weight, layer.bias)])
+        hidden = [torch.zeros((0, 0, 0))] * 2
+        if dueling.hidden is not None:
+            hidden = [dueling.hidden.weight, dueling.hidden.bias]
+        encoder = [p for layer in self.encoder for p in (layer.weight, layer.bias)]
+        streams = [
+            p for layer in (dueling.value, dueling.advantage) for p in (layer.weight, layer.bias)
+        ]
+        return WeightViews([*encoder, *hidden, *streams])
 
     @cached_property
     def gru_weights(self) -> WeightViews:
@@ -216,6 +325,11 @@ class StackedQNetwork(nn.Module):
     def all_parameters(self) -> list[nn.Parameter]:
         """Every parameter, found once: ``parameters()`` walks all modules anew."""
         return list(self.parameters())
+
+    def statistics_of_inputs(self) -> tuple[NDArray[np.float32], ...]:
+        """Mean (K, n), standard deviation (K, n) and limit (K, 1) of the inputs, not copied."""
+        buffers = (self.input_mean, self.input_sd, self.input_limit)
+        return tuple([buffer[:, 0].numpy() for buffer in buffers])
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
         if not self.condition_flag:
@@ -242,6 +356,15 @@ class StackedQNetwork(nn.Module):
         """
         output = self(observations.unsqueeze(1), previous_actions.unsqueeze(1), state)
         return output.q_values[:, 0], output.final_state
+
+
+def _take_raw_inputs(
+    network: StackedQNetwork, weights: dict[str, Any], prefix: str, *_: Any
+) -> None:
+    """Weights that were saved without statistics of the inputs were trained on raw ones."""
+    if prefix + STATISTICS[0] not in weights:
+        for name, value in zip(STATISTICS, (0.0, 1.0, torch.inf), strict=True):
+            weights[prefix + name] = torch.full_like(getattr(network, name), value)
 
 
 def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:

@@ -7,6 +7,7 @@ hidden state and its previous action.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,11 +18,13 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
 from animarl_algos.losses.values import ExpectedValue, Quantiles, value_distribution
+from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.kernels.acting import CompiledActor
 from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.ranges import COUNT, NOT_NEGATIVE, POSITIVE, PROBABILITY
+from animarl_algos.ranges import COUNT, NOT_NEGATIVE, Range
 from animarl_envs.errors import InputError
 
+DROPOUT = Range(most=0.95)
 State = tuple[NDArray[np.float32], NDArray[np.int64]]
 
 
@@ -48,12 +51,21 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         Quantiles per action (QR-DQN); None for expected values (DQN).
     hidden
         Units of every hidden layer.
+    depth
+        Layers that encode the observation, before the memory and the head.
+    head_layers
+        Hidden layers of the head's two streams, 1 (the paper) or 0.
+    dropout
+        Share of hidden units left out of an offline update, below 1.
+    skip
+        Whether the head sees the encoded observation beside the memory (policies with one).
     previous_action
         Whether the previous action is an input; by default it is one for a policy with a memory.
-    epsilon
-        Probability of a uniformly random action where ``temperature`` is None.
-    temperature
-        Boltzmann sampling over softmax(Q / temperature), a number or one per individual.
+    epsilon, temperature
+        Of the acting rule: sampled at ``temperature`` (a number or one per individual) where it is
+        given, otherwise a share ``epsilon`` of random actions. ``acting`` gives the rule itself.
+    acting
+        The :class:`~animarl_algos.networks.acting_rule.Acting` to act by, instead of the two.
     seed
         Of the initial weights and of the acting draws.
     optimizer_class, optimizer_kwargs
@@ -61,8 +73,11 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
     Attributes
     ----------
+    acting
+        How actions are chosen; may be set at any time and holds from the next prediction on.
     epsilon, temperature
-        May be set at any time; they hold from the next prediction on.
+        The same as two numbers, as schedules of epsilon set it. The temperature is None where
+        nothing is sampled; setting epsilon leaves a sampling rule one.
     """
 
     recurrent: ClassVar[bool] = True
@@ -81,9 +96,14 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         reversal: float = 1.0,
         n_quantiles: int | None = None,
         hidden: int = 32,
+        depth: int = 2,
+        head_layers: int = 1,
+        dropout: float = 0.0,
+        skip: bool = False,
         previous_action: bool | None = None,
         epsilon: float = 0.0,
         temperature: ArrayLike | None = None,
+        acting: Acting | None = None,
         seed: int = 0,
         optimizer_class: type[torch.optim.Optimizer] = torch.optim.Adam,
         optimizer_kwargs: dict[str, Any] | None = None,
@@ -98,16 +118,15 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 "among numbered actions"
             )
         hidden = COUNT.check("hidden", hidden)
-        PROBABILITY.check("epsilon", epsilon)
+        depth = COUNT.check("depth", depth)
+        head_layers = Range(most=1, whole=True).check("head_layers", head_layers)
+        DROPOUT.check("dropout", dropout)
         NOT_NEGATIVE.check("reversal", reversal)
-        if temperature is not None:
-            for each in np.atleast_1d(temperature):
-                POSITIVE.check("temperature", each)
-            if np.size(temperature) not in (1, len(individuals)):
-                raise InputError(
-                    f"temperature has {np.size(temperature)} numbers for {len(individuals)} "
-                    "individuals: give one, or one for each"
-                )
+        if acting is None:
+            acting = Acting.epsilon_greedy(epsilon)
+            if temperature is not None:
+                acting = replace(Acting.boltzmann(temperature), epsilon=epsilon)
+        acting.check_individuals(len(individuals))
         super().__init__(
             observation_space,
             action_space,
@@ -117,14 +136,17 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         self.individuals = tuple(individuals)
         self.num_actions = int(action_space.n)
         self.distribution: ExpectedValue | Quantiles = value_distribution(n_quantiles)
-        self.epsilon = epsilon
-        self.temperature = temperature
+        self._acting = acting
         self.network_arguments: dict[str, Any] = {
             "individuals": self.individuals,
             "condition_flag": condition_flag,
             "treatment_head": treatment_head,
             "reversal": reversal,
             "hidden": hidden,
+            "depth": depth,
+            "head_layers": head_layers,
+            "dropout": dropout,
+            "skip": skip,
             "previous_action": self.recurrent if previous_action is None else previous_action,
             "seed": seed,
         }
@@ -160,6 +182,39 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             recurrent=self.recurrent,
             **arguments,
         )
+
+    @property
+    def acting(self) -> Acting:
+        """The acting rule; one with temperatures of other individuals is refused."""
+        return self._acting
+
+    @acting.setter
+    def acting(self, rule: Acting) -> None:
+        self._acting = rule.check_individuals(len(self.individuals))
+
+    @property
+    def epsilon(self) -> float:
+        return self.acting.epsilon
+
+    @epsilon.setter
+    def epsilon(self, share: float) -> None:
+        kind = Kind.BOLTZMANN if self.acting.kind is Kind.BOLTZMANN else Kind.EPSILON
+        self.acting = replace(self.acting, kind=kind, epsilon=share)
+
+    @property
+    def temperature(self) -> float | tuple[float, ...] | None:
+        if self.acting.kind is not Kind.BOLTZMANN:
+            return None
+        each = self.acting.temperature
+        return each[0] if len(each) == 1 else each
+
+    @temperature.setter
+    def temperature(self, temperature: ArrayLike | None) -> None:
+        epsilon = self.acting.epsilon
+        rule = Acting.epsilon_greedy(epsilon)
+        if temperature is not None:
+            rule = replace(Acting.boltzmann(temperature), epsilon=epsilon)
+        self.acting = rule
 
     def seed(self, seed: int) -> None:
         """Seed the generator of the acting draws."""
@@ -200,8 +255,8 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         episode_start : ndarray (S,) bool, optional
             Slots whose memory is forgotten first.
         deterministic
-            True: the greedy action (ties: the lowest index) and no random draw. False:
-            epsilon-greedy, or Boltzmann where ``temperature`` is set, with one draw per slot.
+            True: the greedy action (ties: the lowest index) and no random draw. False: by the
+            acting rule, with one draw per slot.
 
         Returns
         -------
@@ -235,7 +290,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             )
         flat = np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32)
         hidden, previous = self._remembered(state, episode_start, slots)
-        if self.q_net.encoder_1.weight.is_cpu:  # self.device would walk all parameters
+        if self.q_net.input_mean.is_cpu:  # self.device would walk all parameters
             return self._actor.decide(flat, previous, hidden), hidden, single
         return *self._advance_on_device(flat, previous, hidden), single
 
@@ -286,19 +341,11 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
     def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> NDArray[np.int64]:
         """Actions (S,) for Q-values (S, actions): greedy, or by the acting rule, one draw each."""
-        greedy: NDArray[np.int64] = q_values.argmax(1)
         if deterministic:
+            greedy: NDArray[np.int64] = q_values.argmax(1)
             return greedy
         draw = self.generator.random(len(q_values))
-        if self.temperature is None:
-            # A draw below epsilon is uniform there, so that it also says which random action.
-            if self.epsilon <= 0:
-                return greedy
-            random = np.minimum(draw / self.epsilon * self.num_actions, self.num_actions - 1)
-            return np.where(draw < self.epsilon, random.astype(np.int64), greedy)
-        per_individual = np.broadcast_to(self.temperature, len(self.individuals))
-        temperature = np.tile(per_individual, len(q_values) // len(self.individuals))
-        return boltzmann(q_values / temperature[:, None], draw)
+        return self.acting.choose(q_values, draw, len(self.individuals))
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
         """Actions at the start of an episode, for observations (S, *shape)."""
@@ -317,8 +364,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             "action_space": self.action_space,
             "lr_schedule": self._dummy_schedule,
             "n_quantiles": self.n_quantiles,
-            "epsilon": self.epsilon,
-            "temperature": self.temperature,
+            "acting": self.acting,
             "optimizer_class": self.optimizer_class,
             "optimizer_kwargs": self.optimizer_kwargs,
             **self.network_arguments,
@@ -332,11 +378,3 @@ class MlpPolicy(GruPolicy):
     """
 
     recurrent: ClassVar[bool] = False
-
-
-def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Sample from softmax(scaled) (S, actions) with one uniform draw (S,) in [0, 1) per row."""
-    weight = np.exp(scaled - scaled.max(1, keepdims=True)).astype(np.float64)
-    cumulative = weight.cumsum(1)
-    chosen: NDArray[np.int64] = (cumulative <= draw[:, None] * cumulative[:, -1:]).sum(1)
-    return chosen

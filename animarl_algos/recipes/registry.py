@@ -11,6 +11,7 @@ from animarl_algos.recipes.dqcil import DQCIL, QRDQCIL
 from animarl_algos.recipes.dqdil import DQDIL, QRDQDIL
 from animarl_algos.recipes.dqn import DQN
 from animarl_algos.recipes.qrdqn import QRDQN
+from animarl_algos.recipes.soft_bc import QRSoftBC, SoftBC
 from animarl_envs.errors import InputError
 
 
@@ -25,6 +26,7 @@ class NamedRecipe:
 RECIPES: dict[str, NamedRecipe] = {
     "dqn": NamedRecipe(DQN, pretrained=False),
     "bc": NamedRecipe(BC, pretrained=True),
+    "soft-bc": NamedRecipe(SoftBC, pretrained=True),
     "dqaas": NamedRecipe(DQAAS, pretrained=True),
     "dqdil": NamedRecipe(DQDIL, pretrained=False),
     "dqdil-pt": NamedRecipe(DQDIL, pretrained=True),
@@ -32,6 +34,7 @@ RECIPES: dict[str, NamedRecipe] = {
     "dqcil-pt": NamedRecipe(DQCIL, pretrained=True),
     "qr-dqn": NamedRecipe(QRDQN, pretrained=False),
     "qr-bc": NamedRecipe(QRBC, pretrained=True),
+    "qr-soft-bc": NamedRecipe(QRSoftBC, pretrained=True),
     "qr-dqaas": NamedRecipe(QRDQAAS, pretrained=True),
     "qr-dqdil": NamedRecipe(QRDQDIL, pretrained=False),
     "qr-dqdil-pt": NamedRecipe(QRDQDIL, pretrained=True),

@@ -68,6 +68,9 @@ class SequenceBatch:
     action_penalties
         ``(K, T, B, num_actions)`` float32, penalty that each action would have earned; only from
         demonstrations.
+    label_shares
+        ``(K, T, B, num_actions)`` float32, soft labels: the probability of each action; only from
+        demonstrations with soft labels.
     """
 
     observations: torch.Tensor
@@ -87,6 +90,7 @@ class SequenceBatch:
     burn_in: int = 0
     initial_state: torch.Tensor | None = None
     action_penalties: torch.Tensor | None = None
+    label_shares: torch.Tensor | None = None
 
     @property
     def num_individuals(self) -> int:

@@ -92,9 +92,12 @@ def learner_preset(
     known = known_settings(algo)
     found, listed = read_preset(algo if config is None else Path(config), env_id, preset, known)
     if preset == "paper" and not listed:
-        ids = ", ".join(environment_id(name) for name in SPECIES)
+        ids = [environment_id(name) for name in SPECIES]
+        if not any(read_preset(algo, each, preset, known)[1] for each in ids):
+            raise InputError(f"{algo} is not of the paper: choose preset 'default'")
         raise InputError(
-            f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of {ids}"
+            f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of "
+            f"{', '.join(ids)}"
         )
     given = (overrides or {}).items()
     found = merged(found, {k: _checked(k, v, known, f"{algo}: setting {k!r}") for k, v in given})

@@ -6,38 +6,53 @@ spends most of its time starting them.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.networks.kernels.feed_forward import affine, encode, head_units
+from animarl_algos.networks.kernels.feed_forward import affine, head_units, rectify
 from animarl_algos.networks.kernels.gru_kernels import sigmoid_float32, tanh_float32
 from animarl_algos.networks.networks import StackedQNetwork
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _decide(  # type: ignore[no-untyped-def]
-    observation, previous_action, hidden, q_values, flagged, sees_previous, recurrent,
-    weight_1, bias_1, weight_2, bias_2,
+    observation, previous_action, hidden, q_values,
+    flagged, sees_previous, recurrent, skip, hidden_head, mean, sd, limit,
+    encoder_weights, encoder_biases,
     weight_head, bias_head, weight_value, bias_value, weight_advantage, bias_advantage,
     weight_input, weight_hidden, bias_input, bias_hidden,
-    first, second, from_input, from_state, head, value, advantage,
+    inputs, first, second, from_input, from_state, seen, head, value, advantage,
 ):  # fmt: skip
     """Fill ``q_values`` (S, actions), overwrite ``hidden`` (S, H); slot s is individual s mod K."""
     slots, actions = q_values.shape
-    individuals = len(weight_1)
+    individuals = len(mean)
     units = hidden.shape[1]
     quantiles = len(value)
     for s in range(slots):
         k = s % individuals
         h = hidden[s]
-        sensed = observation.shape[1] - flagged
-        encode(
-            observation[s, :sensed], previous_action[s], actions, sees_previous,
-            weight_1[k], bias_1[k], weight_2[k], bias_2[k], first, second,
-        )  # fmt: skip
+        for i in range(len(inputs)):
+            scaled = (observation[s, i] - mean[k, i]) / sd[k, i]
+            if scaled > limit[k, 0]:
+                scaled = limit[k, 0]
+            elif scaled < -limit[k, 0]:
+                scaled = -limit[k, 0]
+            inputs[i] = scaled
+        encoded, other = first, second
+        affine(encoded, inputs, encoder_weights[0][k], encoder_biases[0][k])
+        if sees_previous and previous_action[s] < actions:
+            for j in range(units):
+                encoded[j] += encoder_weights[0][k, len(inputs) + previous_action[s], j]
+        rectify(encoded)
+        for layer in range(1, len(encoder_weights)):
+            affine(other, encoded, encoder_weights[layer][k], encoder_biases[layer][k])
+            rectify(other)
+            encoded, other = other, encoded
         if recurrent:
-            affine(from_input, second, weight_input[k], bias_input[k])
+            affine(from_input, encoded, weight_input[k], bias_input[k])
             affine(from_state, h, weight_hidden[k], bias_hidden[k])
             for j in range(2 * units):
                 from_input[j] = sigmoid_float32(from_input[j] + from_state[j])
@@ -45,12 +60,21 @@ def _decide(  # type: ignore[no-untyped-def]
                 r, z = from_input[j], from_input[units + j]
                 n = tanh_float32(from_input[2 * units + j] + r * from_state[2 * units + j])
                 h[j] = n + z * (h[j] - n)
-            features = h
+            seen[len(seen) - units :] = h
+            if skip:
+                seen[:units] = encoded
         else:
-            features = second
-        head_units(features, observation[s, -1], flagged, weight_head[k], bias_head[k], head)
-        affine(value, head[:units], weight_value[k], bias_value[k])
-        affine(advantage, head[units:], weight_advantage[k], bias_advantage[k])
+            seen[:] = encoded
+        if hidden_head:
+            head_units(seen, observation[s, -1], flagged, weight_head[k], bias_head[k], head)
+            affine(value, head[:units], weight_value[k], bias_value[k])
+            affine(advantage, head[units:], weight_advantage[k], bias_advantage[k])
+        else:
+            head[: len(seen)] = seen
+            if flagged:
+                head[len(seen)] = observation[s, -1]
+            affine(value, head, weight_value[k], bias_value[k])
+            affine(advantage, head, weight_advantage[k], bias_advantage[k])
         state_value = value.mean()
         centre = advantage.mean()
         for a in range(actions):
@@ -69,24 +93,22 @@ class CompiledActor:
     """
 
     def __init__(self, network: StackedQNetwork) -> None:
-        units, outputs = network.units, network.num_actions * network.num_quantiles
+        units, quantiles = network.units, network.num_quantiles
+        hidden_head = network.dueling.hidden is not None
+        seen = units * (1 + network.skip)
+        head = 2 * units if hidden_head else seen + network.condition_flag
+        sizes = (
+            *(network.sensed, units, units, 3 * units, 3 * units),
+            *(seen, head, quantiles, network.num_actions * quantiles),
+        )
         self._network = network
-        self._scratch = [
-            np.empty(size, dtype=np.float32)
-            for size in (
-                units,
-                units,
-                3 * units,
-                3 * units,
-                2 * units,
-                network.num_quantiles,
-                outputs,
-            )
-        ]
+        self._scratch = [np.empty(size, dtype=np.float32) for size in sizes]
         self._settings = (
             int(network.condition_flag),
             network.previous_action,
             network.gru is not None,
+            network.skip,
+            hidden_head,
         )
 
     def decide(
@@ -97,14 +119,16 @@ class CompiledActor:
     ) -> NDArray[np.float32]:
         """Q-values (S, actions); ``hidden`` (S, H) becomes the next state. All are C-contiguous."""
         q_values = np.empty((len(observations), self._network.num_actions), dtype=np.float32)
-        _decide(
-            observations,
-            previous_actions,
-            hidden,
-            q_values,
+        weights, layers = self._network.weights.arrays(), 2 * self._network.depth
+        arguments: list[Any] = [
+            *(observations, previous_actions, hidden, q_values),
             *self._settings,
-            *self._network.weights.arrays(),
+            *self._network.statistics_of_inputs(),
+            weights[0:layers:2],
+            weights[1:layers:2],
+            *weights[layers:],
             *self._network.gru_weights.arrays(),
             *self._scratch,
-        )
+        ]
+        _decide(*arguments)
         return q_values

@@ -1,0 +1,191 @@
+"""How a policy chooses among its action values: greedily, by sampling, or with random actions.
+
+The rule is data: it is saved with a model, printed, and put on the command line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_algos.ranges import POSITIVE, PROBABILITY
+from animarl_envs.errors import InputError
+
+
+class Kind(StrEnum):
+    """The rules."""
+
+    GREEDY = "greedy"  # the action of the highest value
+    BOLTZMANN = "boltzmann"  # sampled from softmax(Q / temperature)
+    EPSILON = "epsilon"  # greedy, but uniformly random with probability epsilon (the paper)
+
+
+@dataclass(frozen=True)
+class Acting:
+    """An acting rule for K individuals.
+
+    Parameters
+    ----------
+    kind
+        ``"greedy"``, ``"boltzmann"`` or ``"epsilon"``.
+    temperature
+        Of Boltzmann sampling, one number or one per individual; the scale of the action values.
+    epsilon
+        Share of uniformly random actions.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown or a number is out of its range.
+    """
+
+    kind: Kind = Kind.GREEDY
+    temperature: tuple[float, ...] = (1.0,)
+    epsilon: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in list(Kind):
+            raise InputError(f"acting is {self.kind!r}: choose {', '.join(Kind)}")
+        object.__setattr__(self, "kind", Kind(self.kind))
+        PROBABILITY.check("epsilon", self.epsilon)
+        object.__setattr__(self, "epsilon", float(self.epsilon))
+        each = np.atleast_1d(np.asarray(self.temperature, dtype=object)).ravel()
+        if not len(each):
+            raise InputError("temperature holds no number: give one, or one per individual")
+        for value in each:
+            POSITIVE.check("temperature", value)
+        object.__setattr__(self, "temperature", tuple(float(value) for value in each))
+
+    @classmethod
+    def boltzmann(cls, temperature: ArrayLike) -> Acting:
+        """Sampling at a temperature, or at one per individual."""
+        return cls(Kind.BOLTZMANN, temperature=temperature)  # type: ignore[arg-type]
+
+    @classmethod
+    def epsilon_greedy(cls, epsilon: float) -> Acting:
+        """Greedy but for a share ``epsilon`` of uniformly random actions."""
+        return cls(Kind.EPSILON, epsilon=epsilon)
+
+    @classmethod
+    def parse(cls, text: str) -> Acting:
+        """``greedy``, ``boltzmann:0.7``, ``boltzmann:0.7,0.4,1.1`` or ``epsilon:0.1``.
+
+        Raises
+        ------
+        InputError
+            If it is none of these.
+        """
+        name, colon, given = text.partition(":")
+        try:
+            numbers = [float(part) for part in given.split(",")] if colon else []
+        except ValueError:
+            raise _unreadable(text) from None
+        if name == Kind.GREEDY and not colon:
+            return cls()
+        if name == Kind.BOLTZMANN and numbers:
+            return cls.boltzmann(numbers)
+        if name == Kind.EPSILON and len(numbers) == 1:
+            return cls.epsilon_greedy(numbers[0])
+        raise _unreadable(text)
+
+    def __str__(self) -> str:
+        """As :meth:`parse` reads it."""
+        if self.kind is Kind.BOLTZMANN:
+            return f"{self.kind}:" + ",".join(f"{t:g}" for t in self.temperature)
+        return f"{self.kind}:{self.epsilon:g}" if self.kind is Kind.EPSILON else str(self.kind)
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            "kind": str(self.kind),
+            "temperature": list(self.temperature),
+            "epsilon": self.epsilon,
+        }
+
+    @classmethod
+    def from_json(cls, row: Mapping[str, Any]) -> Acting:
+        """Inverse of :meth:`to_json`; also of the two numbers that older models hold.
+
+        Raises
+        ------
+        InputError
+            If ``row`` is none of these.
+        """
+        if set(row) == {"temperature", "epsilon"}:
+            kind = Kind.EPSILON if row["temperature"] is None else Kind.BOLTZMANN
+            row = {
+                "kind": kind,
+                "epsilon": row["epsilon"],
+                "temperature": row["temperature"] or 1.0,
+            }
+        if set(row) != {"kind", "temperature", "epsilon"}:
+            raise InputError(
+                f"an acting rule has kind, temperature and epsilon, not {sorted(row)}: "
+                "write it anew with to_json"
+            )
+        return cls(**row)
+
+    def check_individuals(self, count: int) -> Acting:
+        """The rule itself, if it has a temperature for each of ``count`` individuals.
+
+        Raises
+        ------
+        InputError
+            If it has another number of them.
+        """
+        if len(self.temperature) not in (1, count):
+            raise InputError(
+                f"temperature has {len(self.temperature)} numbers for {count} individuals: give "
+                "one, or one for each"
+            )
+        return self
+
+    def choose(
+        self, q_values: NDArray[np.floating], draw: NDArray[np.float64], individuals: int
+    ) -> NDArray[np.int64]:
+        """An action for every slot.
+
+        Parameters
+        ----------
+        q_values
+            ``(S, actions)``; slot s is individual ``s % individuals``.
+        draw
+            ``(S,)`` uniform in [0, 1), one draw for each slot.
+        individuals
+            Their number, K.
+
+        Returns
+        -------
+        ``(S,)``; of equal values the lowest action number is the greedy one.
+        """
+        if self.kind is Kind.BOLTZMANN:
+            temperature = np.broadcast_to(np.asarray(self.temperature), individuals)
+            slots = np.tile(temperature, len(q_values) // individuals)
+            return boltzmann(q_values / slots[:, None], draw)
+        greedy: NDArray[np.int64] = q_values.argmax(1)
+        if self.kind is Kind.GREEDY or self.epsilon <= 0:
+            return greedy
+        # A draw below epsilon is uniform there, so that it also says which random action.
+        actions = q_values.shape[1]
+        random = np.minimum(draw / self.epsilon * actions, actions - 1)
+        return np.where(draw < self.epsilon, random.astype(np.int64), greedy)
+
+
+def _unreadable(text: str) -> InputError:
+    return InputError(
+        f"acting is {text!r}: write greedy, boltzmann:TEMPERATURE (or one per individual, with "
+        "commas) or epsilon:SHARE"
+    )
+
+
+def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Sample from softmax(scaled) (S, actions) with one uniform draw (S,) in [0, 1) per row."""
+    weight = np.exp(scaled - scaled.max(1, keepdims=True)).astype(np.float64)
+    cumulative = weight.cumsum(1)
+    chosen: NDArray[np.int64] = (cumulative <= draw[:, None] * cumulative[:, -1:]).sum(1)
+    return chosen

@@ -1,0 +1,214 @@
+"""The offline phase beyond the paper's: windows, rates, decay, average, standardised inputs."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import toys
+from pair_learners import SETTINGS, Split, demonstrations, make_pair_learner, weights
+
+from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import CheckpointCallback, load_checkpoint
+from animarl_algos.learner.offline import OfflineProgress, _decay, train_epoch
+from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.recipes.soft_bc import SoftBC
+from animarl_envs.errors import InputError
+
+STEPS = {
+    "sequence_length": 1, "updates_per_epoch": 20, "warm_up": 10, "anneal": True,
+    "weight_decay": 1e-3, "average": 0.99, "standardise": True,
+}  # fmt: skip
+WINDOWS = STEPS | {"sequence_length": 3, "burn_in": 2}
+
+
+def cloning(policy: str = "MlpPolicy", **more: Any) -> SequenceQLearning:
+    """Soft-label cloning with everything switched on."""
+    kwargs = {"hidden": 16, "dropout": 0.1} | ({"skip": True} if policy == "GruPolicy" else {})
+    settings = {
+        "policy_kwargs": kwargs,
+        "offline_kwargs": WINDOWS if policy == "GruPolicy" else STEPS,
+        "offline_learning_rate": 1e-2,
+        "offline_batch_size": 64,
+        "offline_epochs": 10,
+    }
+    return make_pair_learner("soft-bc", policy, **settings | more)
+
+
+kinds = pytest.mark.parametrize("policy", ["MlpPolicy", "GruPolicy"])
+
+
+@kinds
+def test_it_learns_what_can_be_known(policy: str) -> None:
+    model = cloning(policy)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        progress = model.pretrain()
+    for k, who in enumerate(model.layout.individuals):
+        best = progress.history[progress.best_epochs[k] - 1]
+        assert best[f"val/cross_entropy_minus_marginal/{who}"] < -0.7  # of log 3 = 1.1
+        assert best[f"val/top_1/{who}"] > 0.85
+
+
+def test_a_clone_of_coin_tosses_is_said_to_know_nothing() -> None:
+    rng = np.random.default_rng(0)
+    frames, lengths = 48 * 5, np.full(48, 5)
+    split = [
+        OfflineDataset(
+            rng.normal(size=(frames, 2, 4)), rng.integers(0, 3, (frames, 2)), lengths, 3,
+            names=toys.Pair.individuals,
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    model = cloning(demonstrations=Split(*split), offline_epochs=2)
+    with pytest.warns(UserWarning, match="seeker, avoider knows no more than how often"):
+        model.pretrain()
+
+
+@kinds
+def test_individuals_together_are_individuals_alone(policy: str) -> None:
+    """With dropout, an average and patience: each its own draws, best epoch and end."""
+    together = cloning(policy, offline_patience=2, offline_epochs=8, offline_learning_rate=0.05)
+    progress = together.pretrain()
+    if policy == "MlpPolicy":
+        assert len(set(progress.best_epochs)) == 2  # or nothing is shown of their ends
+    for k, who in enumerate(toys.Pair.individuals):
+        env = toys.Pair(2)
+        env.individuals = (who,)
+        toys.VecEnv.__init__(env, 2, env.observation_space, env.action_space)
+        settings = SETTINGS | {
+            "policy_kwargs": together.policy_kwargs,
+            "offline_kwargs": together.offline_kwargs,
+            "offline_learning_rate": 0.05,
+            "offline_batch_size": 64,
+            "offline_epochs": 8,
+            "offline_patience": 2,
+        }
+        alone = SoftBC(policy, env, demonstrations=demonstrations(individuals=(who,)), **settings)
+        assert alone.pretrain().best_epochs == progress.best_epochs[k : k + 1]
+        for ours, own in zip(
+            together.policy.q_net.parameters(), alone.policy.q_net.parameters(), strict=True
+        ):
+            torch.testing.assert_close(ours[k], own[0], rtol=1e-3, atol=1e-4)
+
+
+class Stopped(Exception):
+    pass
+
+
+@kinds
+def test_a_stopped_phase_goes_on_exactly(policy: str, tmp_path: Path) -> None:
+    straight = cloning(policy).learn(1)
+
+    class Stop(CheckpointCallback):
+        def at_boundary(self) -> None:
+            super().at_boundary()
+            if self.model.offline_progress.epoch == 4:  # type: ignore[attr-defined]
+                raise Stopped
+
+    with pytest.raises(Stopped):
+        cloning(policy).learn(1, callback=Stop(tmp_path, every=1000))
+    resumed = cloning(policy)
+    load_checkpoint(resumed, tmp_path)
+    assert resumed.offline_progress.epoch == 4 and resumed.average_weights is not None
+    resumed.learn(1)
+    assert torch.equal(weights(resumed), weights(straight))
+    assert torch.equal(resumed.policy.q_net.input_sd, straight.policy.q_net.input_sd)
+    assert resumed.offline_progress.history == straight.offline_progress.history
+
+
+def test_what_standardises_makes_units_irrelevant() -> None:
+    """Observations in other units, from another origin: the same learning."""
+
+    def scaled(data: OfflineDataset) -> OfflineDataset:
+        frames = data._frames
+        return OfflineDataset(
+            1000.0 * frames.observations.astype(np.float64) - 400.0, frames.actions,
+            data._sequences.frames, 3, names=data.names,
+        )  # fmt: skip
+
+    plain = demonstrations()
+    there = Split(scaled(plain.train), scaled(plain.val))
+    one, other = (
+        cloning(demonstrations=data, offline_epochs=3).pretrain().history for data in (plain, there)
+    )
+    for here, elsewhere in zip(one, other, strict=True):
+        for key, value in here.items():
+            assert elsewhere[key] == pytest.approx(value, abs=2e-2), key
+
+
+def test_the_average_follows_the_weights() -> None:
+    """By its recursion, from snapshots after each of five updates."""
+    model = cloning(
+        "MlpPolicy",
+        offline_kwargs=STEPS | {"updates_per_epoch": 1, "average": 0.3},
+        offline_epochs=5,
+    )
+    snapshots, averages = [], []
+    original = train_epoch
+
+    def watched(model: Any, data: Any, epoch: int) -> Any:
+        row = original(model, data, epoch)
+        snapshots.append([p.detach().clone() for p in model.policy.q_net.parameters()])
+        names = [name for name, _ in model.policy.q_net.named_parameters()]
+        averages.append([model.average_weights[name].clone() for name in names])
+        return row
+
+    start = [p.detach().clone() for p in model.policy.q_net.parameters()]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("animarl_algos.learner.offline.train_epoch", watched)
+        model.pretrain()
+    for t, (now, average) in enumerate(zip(snapshots, averages, strict=True), start=1):
+        decay = min(0.3, (1 + t) / (10 + t))
+        start = [decay * a + (1 - decay) * w for a, w in zip(start, now, strict=True)]
+        for a, b in zip(average, start, strict=True):
+            torch.testing.assert_close(a, b)
+
+
+def test_the_rate_warms_up_and_anneals() -> None:
+    settings = OfflineSettings(sequence_length=1, warm_up=4, anneal=True)
+    assert [settings.rate_factor(u, 10**9) for u in range(5)] == pytest.approx(
+        [0.25, 0.5, 0.75, 1.0, 1.0]
+    )
+    assert settings.rate_factor(50, 100) == pytest.approx(0.5)
+    assert settings.rate_factor(100, 100) == pytest.approx(0.0)
+    assert OfflineSettings().rate_factor(99, 100) == 1.0
+
+
+def test_decay_takes_a_share_of_every_weight() -> None:
+    network = cloning().policy.q_net
+    before = [p.detach().clone() for p in network.parameters()]
+    _decay(network, 0.1)
+    for old, new in zip(before, network.parameters(), strict=True):
+        torch.testing.assert_close(new.detach(), 0.9 * old)
+
+
+def test_progress_of_before_had_one_best_epoch() -> None:
+    old = {"epoch": 3, "done": False, "best_epoch": 2, "best_figure": 1.5, "history": []}
+    progress = OfflineProgress.from_json(old)
+    assert (progress.best_epochs, progress.best_figures) == ([2], [1.5])
+    assert OfflineProgress.from_json(progress.as_json()) == progress
+    none = {"epoch": 0, "done": False, "best_epoch": 0, "best_figure": None, "history": []}
+    assert OfflineProgress.from_json(none) == OfflineProgress()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sequence_length": 0}, "offline_kwargs: sequence_length is 0"),
+        ({"burn_in": 3}, "are for windows"),
+        ({"updates_per_epoch": 3}, "are for windows"),
+        ({"average": 1.0}, "offline_kwargs: average is 1.0"),
+        ({"anneal": 1}, "anneal is 1: give true or false"),
+        ({"weight_decay": -1}, "weight_decay is -1"),
+        ({"window": 3}, "'window' is unknown: choose among anneal, average"),
+    ],
+)
+def test_bad_settings_are_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_pair_learner("soft-bc", offline_kwargs=given)
