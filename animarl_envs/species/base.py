@@ -91,7 +91,8 @@ class Species:
         object.__setattr__(self, "boundary_penalty", float(penalty))
         if self.observation not in OBSERVATIONS:
             raise InputError(
-                f"observation is {self.observation!r}: choose {' or '.join(map(repr, OBSERVATIONS))}"
+                f"observation is {self.observation!r}: choose "
+                f"{' or '.join(map(repr, OBSERVATIONS))}"
             )
         self._true_or_false("mirror_symmetric")
         flip = self.planned_flip
