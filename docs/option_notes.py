@@ -79,7 +79,7 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
     "senses_centre": (
         "`True`, `False`",
-        "observation `'paper'` has the distance from the centre too",
+        "`'paper'` has the distance from the centre too",
     ),
     "shared_reward": ("`True`, `False`", "in condition 1 a capture pays every pursuer"),
 }

@@ -161,7 +161,8 @@ class RunFolder:
     @property
     def environment_options(self) -> dict[str, Any]:
         """Options of the training environment; of an older run, those it was trained with."""
-        return OPTIONS_BEFORE | self._read().get("environment", {})
+        recorded: dict[str, Any] = self._read().get("environment", {})
+        return OPTIONS_BEFORE | recorded
 
     def environment(self, species: Species, demos: Demonstrations) -> SlotVecEnv:
         """The training environment: episodes start from the train split.

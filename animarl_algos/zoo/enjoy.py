@@ -124,7 +124,10 @@ def find_model(asked: argparse.Namespace) -> tuple[Path, dict[str, Any]]:
     if not config.is_file():
         return path, {}
     settings = yaml.safe_load(config.read_text())
-    return path, settings.get("env_kwargs") or {}
+    options = settings.get("env_kwargs") or {}
+    if species_of_id(name.gym_id) is not None:
+        options = {"observation": "paper"} | options  # all there was before it was written down
+    return path, options
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -34,6 +34,7 @@ from animarl_algos.zoo.environments import (
 )
 from animarl_algos.zoo.models import check_fit, load_model, reading_model
 from animarl_envs.errors import InputError
+from animarl_envs.species import Species
 
 EVAL_BY_LENGTH = 0
 """An evaluation frequency that stands for a tenth of the run, at most :data:`MOST_BETWEEN`."""
@@ -84,6 +85,8 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             if self.species is not None and name in given:
                 raise InputError(f"--env-kwargs {name}: training sets it itself: {instead}")
         options = found.env_kwargs if self.species is not None else {}
+        if self.species is not None:  # said in full, whatever the default becomes
+            options = {"observation": Species.observation} | options
         options = options | self.env_kwargs
         self.eval_env_kwargs = options | (self._eval_env_kwargs_args or {})
         settings = found.arguments | {

@@ -70,7 +70,7 @@ OTHER = (
     Group(_ahead_left("relative velocity"), EGO, SPEED, "difference", (PAPER, FULL)),
     Group((("distance", 1.0),), "any", LENGTH, "distance", (PAPER, FULL)),
     Group((("bearing", -1.0),), EGO, "rad", "angle", (PAPER,)),
-    Group((("1 / (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"),
+    Group((("inverse of (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"),
     Group(_circle("bearing"), EGO, "1", "unit", of_focus=False),
     Group(_plane("position"), ARENA, LENGTH, "place"),
     Group(_plane("velocity"), ARENA, SPEED, "speed"),
@@ -84,7 +84,7 @@ FIELD = (
     Group((("distance to the edge", 1.0),), ARENA, LENGTH, "inside"),
     Group(_ahead_left("centre of the arena"), EGO, LENGTH, "centre"),
 )
-"""Of the arena: in the paper's where the species senses it, in the full one where there is an edge."""
+"""Of the arena: in the paper's if the species senses it, in the full one if there is an edge."""
 
 (
     POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, FOCUS,
@@ -97,7 +97,7 @@ ABSENT = -1
 
 
 def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
-    """The groups of an observation in order: of whom (0 itself, 1 the focus, ...), column, group."""
+    """The groups of an observation in order: whose (0 itself, 1 the focus, ...), column, group."""
     kind = species.observation
     for column, group in enumerate(OWN):
         if kind in group.seen:
