@@ -32,9 +32,8 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.presets import learner_preset
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename

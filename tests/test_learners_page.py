@@ -11,8 +11,8 @@ import typer.main
 import yaml
 
 from animarl_algos.cli.main import app
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.presets import learner_preset
 
 PAGE = (Path(__file__).parents[1] / "docs" / "learners.md").read_text()
 

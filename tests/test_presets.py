@@ -10,15 +10,10 @@ import pytest
 import yaml
 
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, known_settings, learner_preset
+from animarl_algos.learner.zoo_files import CONFIGS, PRESETS
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.presets import (
-    CONFIGS,
-    PRESETS,
-    known_settings,
-    learner_preset,
-    pipeline_settings,
-)
+from animarl_algos.runs.run_settings import pipeline_settings
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 
@@ -44,7 +39,7 @@ def test_a_file_has_sections_for_every_species(algo: str) -> None:
         paper = learner_preset(algo, environment_id(species), "paper")
         default = learner_preset(algo, environment_id(species), "default")
         assert paper.n_timesteps >= 1 and default.n_timesteps >= 1
-        assert paper.arguments.keys() <= known_settings(algo).keys()
+        assert paper.arguments.keys() <= known_settings().keys()
 
 
 @pytest.mark.parametrize("algo", [name for name in RECIPES if name.startswith("qr-")])
@@ -67,6 +62,7 @@ def test_files_are_plain_data() -> None:
             *(
                 "GruPolicy",
                 "MlpPolicy",
+                "recompute",
                 "episode",
                 "step",
                 "cumulative",
@@ -275,7 +271,7 @@ def test_a_file_that_is_its_own_base_is_refused(
 ) -> None:
     (tmp_path / "dqn.yml").write_text("base: dqdil")
     (tmp_path / "dqdil.yml").write_text("base: dqn")
-    monkeypatch.setattr("animarl_algos.runs.presets.CONFIGS", tmp_path)
+    monkeypatch.setattr("animarl_algos.learner.zoo_files.CONFIGS", tmp_path)
     with pytest.raises(InputError, match="dqn: it is its own base"):
         learner_preset("dqn", AGENT)
 

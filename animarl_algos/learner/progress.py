@@ -1,9 +1,19 @@
-"""A progress bar that counts steps of the world, not of slots."""
+"""Who is told between updates, among them a progress bar that counts steps of the world."""
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm.auto import tqdm
+
+
+class BoundaryHook(Protocol):
+    """Is told between updates, when the state of a run is whole, and when ``learn`` ends."""
+
+    def at_boundary(self) -> None: ...
+
+    def release(self) -> None: ...
 
 
 class ProgressBar(BaseCallback):

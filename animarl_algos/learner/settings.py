@@ -1,16 +1,65 @@
-"""Reading settings that have more than one form."""
+"""What settings a learner has, and reading those that have more than one form."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
-from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.type_aliases import Schedule, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.ranges import COUNT, POSITIVE
 from animarl_envs.errors import InputError
+
+POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
+"""By their names in files and arguments."""
+
+
+class LearnerSettings(TypedDict, total=False):
+    """Keyword arguments of every learner, explained in :class:`.algorithm.SequenceQLearning`.
+
+    What is not given is preset ``default``'s: ``zoo_configs``.
+    """
+
+    learning_rate: float | Schedule
+    buffer_size: int
+    batch_size: int
+    gamma: float
+    tau: float
+    target_update_interval: int | tuple[int, str]
+    train_freq: int | tuple[int, str]
+    gradient_steps: int
+    updates_per_episode: float
+    learning_starts: int
+    exploration_initial_eps: float
+    exploration_final_eps: float
+    exploration_steps: int
+    exploration_fraction: float | None
+    alpha: float
+    lambda1: float
+    lambda2: float
+    lambda3: float
+    max_grad_norm: float | None
+    sequence_length: int | None
+    burn_in: int
+    state_mode: str
+    prioritized: bool
+    replay_buffer_kwargs: dict[str, Any] | None
+    max_episode_steps: int | None
+    offline_epochs: int | None
+    offline_learning_rate: float
+    offline_batch_size: int
+    offline_gamma: float
+    offline_alpha: float
+    offline_scaled_penalties: bool
+    offline_lambda2: float
+    offline_lambda3: float
+    offline_max_grad_norm: float | None
+    offline_patience: int | None
+    policy_kwargs: dict[str, Any] | None
+    stats_window_size: int
 
 
 def as_frequency(value: Any, name: str) -> TrainFreq:
@@ -122,10 +171,6 @@ def linear_start(value: str, place: str) -> float:
     return start
 
 
-def constructed(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Plain settings as the algorithms take them: lists as tuples, ``lin_`` rates as schedules."""
-    ready = {k: tuple(v) if isinstance(v, list) else v for k, v in arguments.items()}
-    rate = ready.get("learning_rate")
-    if isinstance(rate, str):
-        ready["learning_rate"] = LinearSchedule(linear_start(rate, "learning_rate"), 0.0, 1.0)
-    return ready
+def linear_schedule(rate: str) -> LinearSchedule:
+    """A rate ``lin_<number>`` as stable-baselines3 takes it: falling to zero over the run."""
+    return LinearSchedule(linear_start(rate, "learning_rate"), 0.0, 1.0)
