@@ -79,48 +79,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
     seed, device, verbose, tensorboard_log
         As in stable-baselines3.
     settings
-        Those below, and ``policy``. What is not given is preset ``default``'s in ``zoo_configs``,
-        as on the command line: for the species of ``env`` where it has one, else what is common to
-        all; with ``offline_epochs`` above 0, that of the recipe's ``-pt`` name. The numbers:
-        ``animarl_algos.learner.presets.constructor_settings("dqdil", "dqdil-pt", env, {})``.
-    learning_rate, offline_learning_rate
-        Of Adam, a number or (online) a schedule of the remaining progress.
-    buffer_size
-        Replay memory [world steps]; whole episodes are evicted, oldest first.
-    batch_size, offline_batch_size
-        Sequences per individual and update.
-    gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
-        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
-        ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
-        measures the penalties of all actions in units of their mean instead of arena units, as in
-        the paper.
-    tau
-        Share of the online weights that a target update takes over.
-    target_update_interval
-        ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
-    train_freq, gradient_steps
-        ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
-        finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps``
-        updates after n steps of each copy, or with -1 as many as steps were done in all copies.
-    updates_per_episode
-        May be fractional.
-    learning_starts
-        Steps acted at random before the first update.
-    exploration_initial_eps, exploration_final_eps, exploration_steps
-        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
-        steps as a share of ``total_timesteps`` instead.
-    sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
-        See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
-    max_episode_steps
-        Longest episode; None: what the environment declares.
-    offline_epochs
-        Epochs on the demonstrations before the first step in the environment; the best by
-        validation is kept. ``offline_patience`` stops after so many epochs without a better one.
-    policy_kwargs
-        See :class:`animarl_algos.networks.policies.GruPolicy`. This table and
-        ``replay_buffer_kwargs`` go over the preset's key by key.
-    stats_window_size
-        Episodes in the means of the log.
+        Those of :class:`.settings.LearnerSettings`. What is not given, ``policy`` too, is preset
+        ``default``'s in ``zoo_configs``, as on the command line: of the species of ``env`` where it
+        is one of the package's, else what is common to all; with ``offline_epochs`` above 0 that of
+        the recipe's ``-pt`` name. ``default_settings(env)`` returns the numbers.
 
     Raises
     ------
@@ -165,11 +127,19 @@ class SequenceQLearning(OffPolicyAlgorithm):
     updater: Updater
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """``help`` of a recipe shows the parameters too."""
+        """``help`` of a recipe shows all parameters, after what it says itself."""
         super().__init_subclass__(**keywords)
-        _, heading, parameters = inspect.cleandoc(SHARED_DOC).partition("Parameters\n---")
-        if cls.__doc__ is not None and heading not in cls.__doc__:
-            cls.__doc__ = f"{inspect.cleandoc(cls.__doc__)}\n\n{heading}{parameters}"
+        own = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
+        if "Parameters\n---" not in own:
+            cls.__doc__ = "\n\n".join([own, PARAMETERS])
+
+    @classmethod
+    def default_settings(
+        cls, env: GymEnv | str | None = None, *, pretrained: bool = False
+    ) -> dict[str, Any]:
+        """What a learner in ``env`` takes where it is not told; of its ``-pt`` name, if asked."""
+        name = cls.pretrained_preset if pretrained and cls.pretrained_preset else cls.preset
+        return constructor_settings(name, None, env, {})
 
     def __init__(
         self,
@@ -511,4 +481,12 @@ class SequenceQLearning(OffPolicyAlgorithm):
         return ["policy", "policy.optimizer"], []
 
 
-SHARED_DOC = SequenceQLearning.__doc__ or ""
+def _parameters(documented: type) -> str:
+    """What a docstring says under Parameters, to the next empty line."""
+    text = inspect.cleandoc(documented.__doc__ or "")
+    return text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+
+
+PARAMETERS = "\n".join(
+    ["Parameters", "----------", _parameters(SequenceQLearning), _parameters(LearnerSettings)]
+)

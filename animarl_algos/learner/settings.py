@@ -18,9 +18,48 @@ POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
 
 
 class LearnerSettings(TypedDict, total=False):
-    """Keyword arguments of every learner, explained in :class:`.algorithm.SequenceQLearning`.
+    """Keyword arguments of every learner; their defaults are preset ``default``'s.
 
-    What is not given is preset ``default``'s: ``zoo_configs``.
+    Parameters
+    ----------
+    learning_rate, offline_learning_rate
+        Of Adam, a number or (online) a schedule of the remaining progress.
+    buffer_size
+        Replay memory [world steps]; whole episodes are evicted, oldest first.
+    batch_size, offline_batch_size
+        Sequences per individual and update.
+    gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
+        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
+        ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
+        measures the penalties of all actions in units of their mean instead of arena units, as in
+        the paper.
+    tau
+        Share of the online weights that a target update takes over.
+    target_update_interval
+        ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
+    train_freq, gradient_steps
+        ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
+        finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps``
+        updates after n steps of each copy, or with -1 as many as steps were done in all copies.
+    updates_per_episode
+        May be fractional.
+    learning_starts
+        Steps acted at random before the first update.
+    exploration_initial_eps, exploration_final_eps, exploration_steps
+        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
+        steps as a share of ``total_timesteps`` instead.
+    sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
+        See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
+    max_episode_steps
+        Longest episode; None: what the environment declares.
+    offline_epochs
+        Epochs on the demonstrations before the first step in the environment; the best by
+        validation is kept. ``offline_patience`` stops after so many epochs without a better one.
+    policy_kwargs
+        See :class:`animarl_algos.networks.policies.GruPolicy`. This table and
+        ``replay_buffer_kwargs`` go over the preset's key by key.
+    stats_window_size
+        Episodes in the means of the log.
     """
 
     learning_rate: float | Schedule
