@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self, Unpack
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
@@ -39,7 +39,7 @@ from animarl_algos.learner.offline import (
     run_offline_phase,
 )
 from animarl_algos.learner.presets import constructor_settings
-from animarl_algos.learner.progress import BoundaryHook, ProgressBar
+from animarl_algos.learner.progress import BoundaryHook, with_progress_bar
 from animarl_algos.learner.recorder import Recorder, check_environment
 from animarl_algos.learner.settings import (
     POLICIES,
@@ -371,15 +371,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         return total_timesteps, callback
 
     def _init_callback(self, callback: MaybeCallback, progress_bar: bool = False) -> BaseCallback:
-        if progress_bar and self.recipe.online:
-            given = callback if isinstance(callback, list) else [callback]
-            callback = [
-                c if isinstance(c, BaseCallback) else ConvertCallback(c)
-                for c in given
-                if c is not None
-            ]
-            callback.append(ProgressBar())
-        return super()._init_callback(callback)
+        shown = progress_bar and bool(self.recipe.online)
+        return super()._init_callback(with_progress_bar(callback) if shown else callback)
 
     def collect_rollouts(
         self,

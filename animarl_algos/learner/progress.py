@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
+from stable_baselines3.common.type_aliases import MaybeCallback
 from tqdm.auto import tqdm
 
 
@@ -44,3 +45,12 @@ class ProgressBar(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.release()
+
+
+def with_progress_bar(callback: MaybeCallback) -> list[BaseCallback]:
+    """What ``learn`` was given as its callback, and a bar."""
+    given = callback if isinstance(callback, list) else [callback]
+    each = [
+        c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given if c is not None
+    ]
+    return [*each, ProgressBar()]
