@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import beneath, learner_preset, section_of
+from animarl_algos.learner.presets import beneath, constructed, learner_preset, section_of
 from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.learner.zoo_files import CONFIGS
 from animarl_algos.recipes.dqdil import DQDIL
@@ -63,6 +63,15 @@ def make(algo: str, env: Any) -> SequenceQLearning:
 def test_a_learner_without_settings_has_the_presets(algo: str, species: str) -> None:
     model = make(algo, slots(species))
     settings = expected(algo, environment_id(species))
+    assert {name: in_use(model, name) for name in settings} == settings
+
+
+@pytest.mark.parametrize("algo", ["dqn", "dqdil-pt", "qr-bc"])
+def test_a_learner_of_the_paper_takes_nothing_from_the_default(algo: str) -> None:
+    moth = environment_id("silkmoth")  # whose defaults are the furthest from the paper's
+    paper = learner_preset(algo, moth, "paper").arguments
+    model = RECIPES[algo].algorithm(env=slots("silkmoth"), device="cpu", **constructed(paper))
+    settings = beneath() | {"policy_kwargs": {}, "replay_buffer_kwargs": {}} | paper
     assert {name: in_use(model, name) for name in settings} == settings
 
 
@@ -120,7 +129,8 @@ def test_the_settings_are_listed_and_explained_once() -> None:
 
 
 def test_the_settings_of_a_recipe_can_be_looked_up() -> None:
-    plain, pretrained = DQDIL.default_settings("agent"), DQDIL.default_settings(pretrained=True)
+    plain = DQDIL.default_settings(environment_id("agent"))
+    pretrained = DQDIL.default_settings(pretrained=True)
     assert plain["offline_epochs"] == 0 < pretrained["offline_epochs"]
     assert not plain["offline_scaled_penalties"] and pretrained["offline_scaled_penalties"]
 

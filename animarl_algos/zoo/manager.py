@@ -93,7 +93,9 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             "env_kwargs": options,
         }
         print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
-        return beneath() | deepcopy(settings), settings
+        # A trained agent brings what the preset leaves open; a new one takes it from the files.
+        open_ones = {} if self.continue_training else beneath()
+        return open_ones | deepcopy(settings), settings
 
     def _stored_trial(self, number: int) -> dict[str, Any]:
         if not (self.storage and self.study_name):
