@@ -169,7 +169,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         try:
             super().__init__(
                 policy,
-                env,
+                env,  # type: ignore[arg-type]
                 **{name: whole.pop(name) for name in TO_SB3},
                 tensorboard_log=tensorboard_log,
                 verbose=verbose,

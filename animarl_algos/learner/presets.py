@@ -178,5 +178,6 @@ def section_of(env: Any) -> str:
             scenario = env.get_attr("scenario", indices=0)[0]
     elif isinstance(env, gym.Env) and env.has_wrapper_attr("scenario"):
         scenario = env.get_wrapper_attr("scenario")
-    known = isinstance(scenario, Scenario)
-    return environment_id(scenario.species.name) if known else OF_NO_SPECIES
+    if isinstance(scenario, Scenario):
+        return environment_id(scenario.species.name)
+    return OF_NO_SPECIES
