@@ -131,7 +131,7 @@ def update_time(algo: str, mean_length: int, updates: int) -> float:
 
 def filled_learner(algo: str, mean_length: int) -> SequenceQLearning:
     """``algo`` with a replay memory of synthetic episodes, ready to be updated."""
-    model = learner(algo, buffer_size=40_000)
+    model = learner(algo, buffer_size=40_000, offline_epochs=0)
     model.learn(COPIES)
     fill_with_synthetic_episodes(model, mean_length)
     return model
