@@ -25,9 +25,8 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.distances import kde_distance
 from animarl_algos.evaluation.metrics import measure, measure_recordings
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.presets import learner_preset
 from animarl_envs import environment_id
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.fitting.custom_species import species_of

@@ -48,12 +48,11 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.offline import train_epoch
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.learner.validation import validation_figures
-from animarl_algos.learner.settings import constructed
 from animarl_algos.recipes.dqdil import DQDIL
 from animarl_algos.recipes.dqn import DQN
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.presets import learner_preset
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world
@@ -133,7 +132,7 @@ def update_time(algo: str, mean_length: int, updates: int) -> float:
 
 def filled_learner(algo: str, mean_length: int) -> SequenceQLearning:
     """``algo`` with a replay memory of synthetic episodes, ready to be updated."""
-    model = learner(algo, buffer_size=40_000)
+    model = learner(algo, buffer_size=40_000, offline_epochs=0)
     model.learn(COPIES)
     fill_with_synthetic_episodes(model, mean_length)
     return model

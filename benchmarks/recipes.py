@@ -32,9 +32,8 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.presets import learner_preset
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -70,7 +69,7 @@ def require_finite(model: SequenceQLearning) -> None:
         for name, parameter in network.named_parameters():
             if not torch.isfinite(parameter).all():
                 raise FloatingPointError(f"{step}: weight {name} is not finite")
-    for name, (total, _) in model._losses.items():
+    for name, (total, _) in model.updater.losses.items():
         if not torch.isfinite(total).all():
             raise FloatingPointError(f"{step}: loss {name} is not finite")
     for row in model.offline_progress.history:

@@ -40,11 +40,10 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.gradient_step import minibatch_values
 from animarl_algos.learner.offline import OfflineDataset
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.dqcil import DQCIL
 from animarl_algos.recipes.dqdil import DQDIL
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.presets import learner_preset
 from animarl_envs import environment_id
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names

@@ -62,7 +62,6 @@ NOTES: dict[str, tuple[str, str]] = {
         "condition of the world and the other one that is told, as the paper compares them",
     ),
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
-    "observation": ("`'full'`, `'paper'`", "which components are observed"),
     "name": ("a word", "its name"),
     "title": ("text", "shown in pictures"),
     "individuals": ("different names", "pursuers first, the target last"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 from pathlib import Path
 
@@ -11,10 +12,11 @@ import typer.main
 import yaml
 
 from animarl_algos.cli.main import app
+from animarl_algos.learner.presets import learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.presets import learner_preset
 
-PAGE = (Path(__file__).parents[1] / "docs" / "learners.md").read_text()
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "learners.md").read_text()
 
 
 def blocks(kind: str) -> list[str]:
@@ -58,3 +60,10 @@ def test_the_table_names_every_learner() -> None:
     for name in RECIPES:
         assert f"`{name.removeprefix('qr-')}`" in PAGE
         assert f".{named_recipe(name).algorithm.__name__}`" in PAGE
+
+
+def test_the_defaults_are_those_of_the_files() -> None:
+    """``python docs/make_defaults_table.py`` writes them anew."""
+    make = runpy.run_path(str(ROOT / "docs" / "make_defaults_table.py"))
+    _, shown = PAGE.split(make["BEGIN"])
+    assert shown.split(make["END"])[0].strip() == make["table"]().strip()

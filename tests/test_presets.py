@@ -10,15 +10,10 @@ import pytest
 import yaml
 
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, known_settings, learner_preset
+from animarl_algos.learner.zoo_files import CONFIGS, PRESETS
 from animarl_algos.recipes.registry import RECIPES, named_recipe
-from animarl_algos.runs.presets import (
-    CONFIGS,
-    PRESETS,
-    known_settings,
-    learner_preset,
-    pipeline_settings,
-)
+from animarl_algos.runs.run_settings import pipeline_settings
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 
@@ -49,7 +44,7 @@ def test_a_file_has_sections_for_every_species(algo: str) -> None:
         for preset in presets(algo):
             found = learner_preset(algo, environment_id(species), preset)
             assert found.n_timesteps >= 1
-            assert found.arguments.keys() <= known_settings(algo).keys()
+            assert found.arguments.keys() <= known_settings().keys()
 
 
 def test_what_is_not_of_the_paper_has_no_numbers_of_it() -> None:
@@ -80,6 +75,7 @@ def test_files_are_plain_data() -> None:
             *(
                 "GruPolicy",
                 "MlpPolicy",
+                "recompute",
                 "episode",
                 "step",
                 "cumulative",
@@ -293,7 +289,7 @@ def test_a_file_that_is_its_own_base_is_refused(
 ) -> None:
     (tmp_path / "dqn.yml").write_text("base: dqdil")
     (tmp_path / "dqdil.yml").write_text("base: dqn")
-    monkeypatch.setattr("animarl_algos.runs.presets.CONFIGS", tmp_path)
+    monkeypatch.setattr("animarl_algos.learner.zoo_files.CONFIGS", tmp_path)
     with pytest.raises(InputError, match="dqn: it is its own base"):
         learner_preset("dqn", AGENT)
 

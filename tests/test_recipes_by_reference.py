@@ -27,7 +27,10 @@ SETTINGS: dict[str, Any] = {
     "tau": 0.3,
     "target_update_interval": (10, "step"),
     "learning_starts": 20,
+    "exploration_initial_eps": 0.5,
+    "exploration_final_eps": 0.3,
     "exploration_steps": 100,
+    "offline_epochs": 0,
     "seed": 5,
     "device": "cpu",
 }

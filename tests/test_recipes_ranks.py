@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.presets import learner_preset
 
 CHANCE = 3 / 13
 

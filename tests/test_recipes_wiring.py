@@ -24,6 +24,7 @@ NEVER = 10**9
 SETTINGS: dict[str, Any] = {
     "buffer_size": 1000,
     "batch_size": 3,
+    "offline_epochs": 0,
     "policy_kwargs": {"hidden": 6},
     "seed": 2,
     "device": "cpu",

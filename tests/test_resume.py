@@ -56,10 +56,10 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
             if self.model.num_timesteps >= 200:
                 raise KeyboardInterrupt
 
-    straight = make(recipe).learn(STEPS)
+    straight = make(recipe, offline_epochs=0).learn(STEPS)
     with pytest.raises(KeyboardInterrupt):
-        make(recipe).learn(STEPS, callback=Stop(tmp_path, every=150))
-    other = make(recipe, seed=99)
+        make(recipe, offline_epochs=0).learn(STEPS, callback=Stop(tmp_path, every=150))
+    other = make(recipe, offline_epochs=0, seed=99)
     resumed = go_on(other, tmp_path)
     assert torch.equal(weights(straight), weights(resumed))
     assert straight.num_timesteps == resumed.num_timesteps

@@ -28,6 +28,7 @@ LEARN: dict[str, Any] = {
     "exploration_initial_eps": 1.0,
     "exploration_final_eps": 0.1,
     "exploration_steps": 4000,
+    "offline_epochs": 0,
     "seed": 0,
     "device": "cpu",
 }
@@ -83,7 +84,8 @@ def lock_demonstrations() -> Split:
 def test_a_sparse_reward_needs_demonstrations(recipe: type[SequenceQLearning]) -> None:
     offline = {"offline_epochs": 100, "offline_learning_rate": 3e-3, "offline_batch_size": 4}
     online = {"exploration_initial_eps": 0.1, "learning_rate": 3e-4, "gamma": 0.99}
-    settings = LEARN | offline | online | {"offline_alpha": 1.0}
+    scores = {"offline_alpha": 1.0, "offline_scaled_penalties": False, "offline_gamma": 0.99}
+    settings = LEARN | offline | online | scores
     pretrained = recipe(
         "MlpPolicy", toys.Lock(8), demonstrations=lock_demonstrations(), **settings
     ).learn(2_000)

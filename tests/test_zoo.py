@@ -18,8 +18,8 @@ from commands import Done
 from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
+from animarl_algos.learner.presets import known_settings, learner_preset
 from animarl_algos.recipes.registry import RECIPES
-from animarl_algos.runs.presets import known_settings, learner_preset
 from animarl_algos.zoo import enjoy, manager, samplers
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment
@@ -62,7 +62,7 @@ def test_optuna_chooses_settings_that_the_learner_knows(algo: str) -> None:
     wanted = {"dil": {"alpha"}, "cil": {"alpha", "lambda2"}, "aas": {"lambda3"}}
     kind = next((k for k in wanted if k in algo), "")
     assert weights == wanted.get(kind, set())
-    assert drawn.keys() <= known_settings(algo).keys()
+    assert drawn.keys() <= known_settings().keys()
 
 
 @pytest.mark.parametrize("species", SPECIES)

@@ -17,9 +17,8 @@ from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.terminal import evaluation_table
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.presets import pipeline_settings
 from animarl_algos.runs.run_folder import RunFolder
-from animarl_algos.runs.run_settings import RunSettings, asked_species
+from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
 from animarl_envs.species import CUSTOM, SPECIES

@@ -2,26 +2,35 @@
 
 :class:`SequenceQLearning` turns an SB3 off-policy algorithm (DQN, or QRDQN of sb3-contrib) into a
 learner with a memory: K individuals, each with its own network, acting in the slots of a VecEnv and
-learning from whole episodes or pieces of them. What the loss is made of is the recipe's business
-(:mod:`animarl_algos.losses.terms`); how values are represented is the value distribution's.
+learning from whole episodes or pieces of them. The class holds settings and parts; what is done is
+told in the modules beside it: :mod:`.making`, :mod:`.checks`, :mod:`.offline`, :mod:`.online`,
+:mod:`.collecting`, :mod:`.updating`, :mod:`.pace`, :mod:`.saving`. What the loss is made of is the
+recipe's business (:mod:`animarl_algos.losses.terms`); how values are represented is the value
+distribution's.
 """
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+import inspect
+from collections.abc import Iterable
+from typing import Any, ClassVar, Self, Unpack
 
 import numpy as np
 import torch
 from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, Schedule
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, RolloutReturn, TrainFreq
 from stable_baselines3.common.utils import configure_logger
+from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions
-from animarl_algos.learner.checked import CheckedLearner
-from animarl_algos.learner.exploration import fit_boltzmann_temperature
+from animarl_algos.learner import checks, making, online, saving
+from animarl_algos.learner.collecting import Collector, Memory
+from animarl_algos.learner.exploration import LinearDecay, fit_boltzmann_temperature
 from animarl_algos.learner.offline import (
     DemonstrationData,
     OfflineDataset,
@@ -29,18 +38,33 @@ from animarl_algos.learner.offline import (
     refuse_foreign,
     run_offline_phase,
 )
-from animarl_algos.learner.recorder import check_environment
-from animarl_algos.learner.settings import as_frequency, declared_limit, longest_episode
+from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.learner.presets import constructor_settings
+from animarl_algos.learner.progress import BoundaryHook, with_progress_bar
+from animarl_algos.learner.recorder import Recorder, check_environment
+from animarl_algos.learner.settings import (
+    POLICIES,
+    LearnerSettings,
+    as_frequency,
+    declared_limit,
+    longest_episode,
+)
+from animarl_algos.learner.updating import Updater
 from animarl_algos.learner.validation import demonstrated_values
-from animarl_algos.networks.acting_rule import Acting
-from animarl_algos.networks.policies import GruPolicy, MlpPolicy
+from animarl_algos.losses.recipe import Recipe
+from animarl_algos.losses.terms import Phase
+from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
-PAPER_EPOCHS = 30
+TO_SB3 = (
+    "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
+    "gradient_steps", "replay_buffer_kwargs", "stats_window_size", "policy_kwargs",
+)  # fmt: skip
+"""Settings that stable-baselines3's constructor takes and keeps."""
 
 
-class SequenceQLearning(CheckedLearner):
+class SequenceQLearning(OffPolicyAlgorithm):
     """Sequence Q-learning for K independent individuals; see the recipes for what is minimised.
 
     Steps are steps of the world: one step of all slots of a copy counts once.
@@ -54,42 +78,13 @@ class SequenceQLearning(CheckedLearner):
         ``individuals`` and ``num_copies`` trains all individuals.
     demonstrations
         Object with ``train`` and ``val`` datasets; by default the environment's own, if it has any.
-    learning_rate, offline_learning_rate
-        Of Adam, a number or (online) a schedule of the remaining progress.
-    buffer_size
-        Replay memory [world steps]; whole episodes are evicted, oldest first.
-    batch_size, offline_batch_size
-        Sequences per individual and update.
-    gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
-        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
-        ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
-        measures the penalties of all actions in units of their mean instead of arena units, as in
-        the paper.
-    tau
-        Share of the online weights that a target update takes over.
-    target_update_interval
-        ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
-    train_freq, gradient_steps
-        ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
-        finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps``
-        updates after n steps of each copy, or with -1 as many as steps were done in all copies.
-    updates_per_episode
-        May be fractional.
-    learning_starts
-        Steps acted at random before the first update.
-    exploration_initial_eps, exploration_final_eps, exploration_steps
-        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
-        steps as a share of ``total_timesteps`` instead.
-    sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
-        See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
-    max_episode_steps
-        Longest episode; by default what the environment declares.
-    offline_epochs
-        Epochs on the demonstrations before the first step in the environment, by default none, or
-        the paper's 30 where a recipe learns from demonstrations alone; the best by validation is
-        kept, for each individual its own. ``offline_patience`` stops after so many epochs without a
-        better one. How its minibatches are drawn and its steps taken is ``offline_kwargs``, see
-        :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
+    seed, device, verbose, tensorboard_log
+        As in stable-baselines3.
+    settings
+        Those of :class:`.settings.LearnerSettings`. What is not given, ``policy`` too, is preset
+        ``default``'s in ``zoo_configs``, as on the command line: of the species of ``env`` where it
+        is one of the package's, else what is common to all; with ``offline_epochs`` above 0 that of
+        the recipe's ``-pt`` name. ``default_settings(env)`` returns the numbers.
 
     Raises
     ------
@@ -97,162 +92,129 @@ class SequenceQLearning(CheckedLearner):
         If a setting, the environment or the demonstrations do not suit the recipe.
     """
 
-    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
-        "GruPolicy": GruPolicy,
-        "MlpPolicy": MlpPolicy,
-    }
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = dict(POLICIES)
+    recipe: ClassVar[Recipe]
+    quantiles: ClassVar[bool]
+    """Whether values are quantiles of the return."""
+    preset: ClassVar[str]
+    """Name of the file in ``zoo_configs`` whose preset ``default`` completes the settings."""
+    pretrained_preset: ClassVar[str | None] = None
+    """The same with ``offline_epochs``, where it is another."""
+
+    policy: GruPolicy
+    policy_class: type[GruPolicy]
+    replay_buffer: SequenceReplayBuffer | None  # type: ignore[assignment]
+    target_update_interval: int | tuple[int, str]
+    updates_per_episode: float
+    exploration_initial_eps: float
+    exploration_final_eps: float
+    exploration_steps: int
+    exploration_fraction: float | None
+    exploration_schedule: LinearDecay
+    lambda1: float
+    sequence_length: int | None
+    burn_in: int
+    state_mode: str
+    prioritized: bool
+    max_episode_steps: int | None
+    offline_epochs: int
+    offline_learning_rate: float
+    offline_batch_size: int
+    offline_scaled_penalties: bool
+    offline_patience: int | None
+    offline_kwargs: dict[str, Any]
+    offline_settings: OfflineSettings
+    best_weights: dict[str, torch.Tensor] | None
+    average_weights: dict[str, torch.Tensor] | None
+    episode_limit: int | None
+    memory: Memory
+    collector: Collector
+    updater: Updater
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        """``help`` of a recipe shows all parameters, after what it says itself."""
+        super().__init_subclass__(**keywords)
+        own = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
+        if "Parameters\n---" not in own:
+            cls.__doc__ = "\n\n".join([own, PARAMETERS])
+
+    @classmethod
+    def default_settings(
+        cls, env: GymEnv | str | None = None, *, pretrained: bool = False
+    ) -> dict[str, Any]:
+        """What a learner in ``env`` takes where it is not told; of its ``-pt`` name, if asked."""
+        name = cls.pretrained_preset if pretrained and cls.pretrained_preset else cls.preset
+        return constructor_settings(name, None, env, {})
 
     def __init__(
         self,
-        policy: str | type[GruPolicy] = "GruPolicy",
+        policy: str | type[GruPolicy] | None = None,
         env: GymEnv | str | None = None,
         *,
         demonstrations: DemonstrationData | None = None,
-        learning_rate: float | Schedule = 1e-4,
-        buffer_size: int = 500_000,
-        batch_size: int = 32,
-        gamma: float = 0.9,
-        tau: float = 1.0,
-        target_update_interval: int | tuple[int, str] = (2000, "episode"),
-        train_freq: int | tuple[int, str] = (1, "episode"),
-        gradient_steps: int = 1,
-        updates_per_episode: float = 1.0,
-        learning_starts: int = 0,
-        exploration_initial_eps: float = 0.5,
-        exploration_final_eps: float = 0.3,
-        exploration_steps: int = 50_000,
-        exploration_fraction: float | None = None,
-        alpha: float = 1.0,
-        lambda1: float = 1e-5,
-        lambda2: float = 1.0,
-        lambda3: float = 10.0,
-        max_grad_norm: float | None = 10.0,
-        sequence_length: int | None = None,
-        burn_in: int = 0,
-        state_mode: str = "recompute",
-        prioritized: bool = True,
-        replay_buffer_kwargs: dict[str, Any] | None = None,
-        max_episode_steps: int | None = None,
-        offline_epochs: int | None = None,
-        offline_learning_rate: float = 1e-4,
-        offline_batch_size: int = 16,
-        offline_gamma: float = 0.99,
-        offline_alpha: float = 10.0,
-        offline_scaled_penalties: bool = False,
-        offline_lambda2: float = 10.0,
-        offline_lambda3: float = 50.0,
-        offline_max_grad_norm: float | None = 20.0,
-        offline_patience: int | None = None,
-        offline_kwargs: dict[str, Any] | None = None,
-        policy_kwargs: dict[str, Any] | None = None,
-        stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         verbose: int = 0,
         seed: int | None = None,
         device: torch.device | str = "auto",
         _init_setup_model: bool = True,
+        **settings: Unpack[LearnerSettings],
     ) -> None:
+        if env is None and _init_setup_model:
+            raise InputError("there is no environment to learn in: give env=")
+        given = dict(settings) | ({} if policy is None else {"policy": policy})
+        if given.get("offline_epochs", 0) is None:
+            del given["offline_epochs"]
+        whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
+        policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):
             raise InputError(
                 f"policy {policy!r} is unknown: choose {' or '.join(self.policy_aliases)}"
             )
-        arguments: dict[str, Any] = {
-            "learning_rate": learning_rate,
-            "buffer_size": buffer_size,
-            "learning_starts": learning_starts,
-            "batch_size": batch_size,
-            "tau": tau,
-            "gamma": gamma,
-            "train_freq": train_freq,
-            "gradient_steps": gradient_steps,
-            "replay_buffer_kwargs": replay_buffer_kwargs,
-            "stats_window_size": stats_window_size,
-            "tensorboard_log": tensorboard_log,
-            "policy_kwargs": dict(policy_kwargs or {}),
-            "verbose": verbose,
-            "seed": seed,
-            "device": device,
-            "_init_setup_model": False,
-        }
-        if env is None and _init_setup_model:
-            raise InputError("there is no environment to learn in: give env=")
+        policy_kwargs = dict(whole["policy_kwargs"])
         try:
-            super().__init__(policy, env, **arguments)  # type: ignore[arg-type]
+            super().__init__(
+                policy,
+                env,  # type: ignore[arg-type]
+                **{name: whole.pop(name) for name in TO_SB3},
+                tensorboard_log=tensorboard_log,
+                verbose=verbose,
+                seed=seed,
+                device=device,
+                _init_setup_model=False,
+            )  # type: ignore[call-arg]
         except AssertionError as error:
             raise InputError(f"the environment does not suit these learners: {error}") from error
-        self.policy_kwargs = dict(policy_kwargs or {})  # sb3-contrib adds an optimiser of its own
+        self.policy_kwargs = policy_kwargs  # sb3-contrib adds an optimiser of its own
+        for name, value in whole.items():
+            setattr(self, name, value)
         self.demonstrations = demonstrations
-        self.target_update_interval = target_update_interval
-        self.updates_per_episode = updates_per_episode
-        self.exploration_initial_eps = exploration_initial_eps
-        self.exploration_final_eps = exploration_final_eps
-        self.exploration_steps = exploration_steps
-        self.exploration_fraction = exploration_fraction
-        self.exploration_rate = exploration_initial_eps
-        self.alpha = alpha
-        self.lambda1, self.lambda2, self.lambda3 = lambda1, lambda2, lambda3
-        self.max_grad_norm = max_grad_norm
-        self.sequence_length, self.burn_in, self.state_mode = sequence_length, burn_in, state_mode
-        self.prioritized = prioritized
-        self.max_episode_steps = max_episode_steps
-        if offline_epochs is None:
-            offline_epochs = 0 if self.recipe.online else PAPER_EPOCHS
-        self.offline_epochs = offline_epochs
-        self.offline_learning_rate = offline_learning_rate
-        self.offline_batch_size = offline_batch_size
-        self.offline_gamma, self.offline_alpha = offline_gamma, offline_alpha
-        self.offline_scaled_penalties = offline_scaled_penalties
-        self.offline_lambda2, self.offline_lambda3 = offline_lambda2, offline_lambda3
-        self.offline_max_grad_norm = offline_max_grad_norm
-        self.offline_patience = offline_patience
-        self.offline_kwargs = dict(offline_kwargs or {})
+        self.exploration_rate = self.exploration_initial_eps
         self.offline_progress = OfflineProgress()
         self.best_weights = self.average_weights = None
         self.layout = SlotLayout(1, ("agent",), condition_flag=False)
-        self._updates_due = 0.0
-        self._target_count = 0
-        self._rollout_steps = self._rollout_episodes = 0
-        self.acting_rule = {}
+        self.acting_rule: dict[str, Any] = {}
         if _init_setup_model:
-            self.refuse_what_does_not_go_together()
+            checks.refuse_what_does_not_go_together(self)
             self._setup_model()
 
     # -- set up -----------------------------------------------------------------------------------
 
     def _setup_model(self) -> None:
         self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
-        self.refuse_bad_settings()
+        checks.refuse_bad_settings(self)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         if self.env is not None:
             self.layout = SlotLayout.of(self.env)
             self.episode_limit = longest_episode(self.env, self.max_episode_steps)
         self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
-        self.root_seed = self._root_seed()
+        self.root_seed = making.root_seed(self.seed)
         self.observation_size = int(np.prod(self.observation_space.shape or ()))
-        policy_kwargs = {"n_quantiles": self.default_quantiles} | self.policy_kwargs
-        if "optimizer_class" not in policy_kwargs:
-            fused = {"fused": True}  # Adam's steps of all parameters in one call
-            given = policy_kwargs.get("optimizer_kwargs") or {}
-            if not isinstance(given, dict):
-                raise InputError(f"policy_kwargs: optimizer_kwargs is {given!r}: give a table")
-            policy_kwargs["optimizer_kwargs"] = fused | given
-        self.policy = self.policy_class(  # type: ignore[assignment]
-            self.observation_space,
-            self.action_space,
-            self.lr_schedule,
-            individuals=self.layout.individuals,
-            condition_flag=self.layout.condition_flag,
-            treatment_head=self.recipe.needs_condition and self.layout.condition_flag,
-            seed=self.root_seed,
-            **policy_kwargs,
-        ).to(self.device)
-        self.policy.epsilon = self.exploration_rate
-        if self.acting_rule:
-            self.policy.acting = Acting.from_json(self.acting_rule)
+        self.policy = making.make_policy(self)
         if self.env is not None:
-            self.replay_buffer = self._make_replay_buffer()
-        self.boundary_hooks = []
+            self.replay_buffer = making.make_replay_buffer(self)
+        self.boundary_hooks: list[BoundaryHook] = []
+        self.pace = saving.pace_from(vars(self))
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         """Learn in ``env`` from now on, which must suit the networks and the replay memory.
@@ -267,69 +229,80 @@ class SequenceQLearning(CheckedLearner):
             longer than the replay memory holds, or nobody says how long.
         """
         slots = self._wrap_env(env, self.verbose)
-        there, here = SlotLayout.of(slots), self.layout
-        if _described(there) != _described(here):
-            raise InputError(
-                f"the environment has {_described(there)}, this learner {_described(here)}: give "
-                "one with the same individuals"
-            )
+        layout = SlotLayout.of(slots)
+        making.refuse_other_individuals(layout, self.layout)
         if isinstance(slots.action_space, Discrete):
             refuse_other_actions(self.policy.num_actions, int(slots.action_space.n))
         new, copies = self.replay_buffer is None, self.n_envs
         if new:
             self.n_envs = slots.num_envs
         elif self.recipe.online:
-            self._refuse_longer_episodes(self.max_episode_steps or declared_limit(slots))
+            limit = self.max_episode_steps or declared_limit(slots)
+            making.refuse_longer_episodes(limit, self.episode_limit)
         try:
             super().set_env(slots, force_reset)
         except (AssertionError, ValueError) as error:
             self.n_envs = copies
             raise InputError(f"the environment does not suit this learner: {error}") from error
         if new:
-            self.layout = there
+            self.layout = layout
             self.episode_limit = longest_episode(slots, self.max_episode_steps)
-            self.replay_buffer = self._make_replay_buffer()
+            self.replay_buffer = making.make_replay_buffer(self)
 
-    def _refuse_longer_episodes(self, limit: int | None) -> None:
-        assert self.episode_limit is not None
-        if limit is not None and limit > self.episode_limit:
-            raise InputError(
-                f"its episodes last up to {limit} steps and the replay memory holds "
-                f"{self.episode_limit}: give one with a shorter time limit"
-            )
+    def phase(self, name: str) -> Phase:
+        """The numbers of the ``"online"`` or ``"offline"`` phase."""
+        return checks.phase_of(self, name)
 
-    def _root_seed(self) -> int:
-        """The seed of this learner's own random streams; without ``seed``, from the system."""
-        if self.seed is not None:
-            return int(self.seed)
-        return int(np.random.SeedSequence().generate_state(1)[0])
+    def refuse_what_does_not_suit(self) -> None:
+        """Look at the environment and the demonstrations as :meth:`learn` would, before it.
 
-    def _make_replay_buffer(self) -> SequenceReplayBuffer:
-        assert self.episode_limit is not None
-        return SequenceReplayBuffer(
-            self.buffer_size,
-            self.observation_size,
-            self.layout.num_individuals,
-            self.policy.num_actions,
-            self.episode_limit,
-            sequence_length=self.sequence_length,
-            burn_in=self.burn_in,
-            state_mode=self.state_mode,
-            state_size=self.policy.q_net.units,
-            prioritized=self.prioritized,
-            seed=self.root_seed,
-            names=self.layout.individuals,
-            device=self.device,
-            num_copies=self.layout.num_copies,
-            **self.replay_buffer_kwargs,
+        Raises
+        ------
+        InputError
+            If they do not give what the recipe learns from.
+        """
+        assert self.env is not None
+        check_environment(self.env, self.layout, self.recipe)
+        if self.offline_epochs and not self.offline_progress.done:
+            refuse_foreign(self, self._demonstrations())
+
+    # -- learn ------------------------------------------------------------------------------------
+
+    def learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int | None = 100,
+        tb_log_name: str | None = None,
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> Self:
+        """Train: first the offline phase if it is due, then ``total_timesteps`` world steps.
+
+        With ``reset_num_timesteps=False`` running episodes and memories are continued. A recipe
+        without an online phase (BC) returns after the offline one. ``log_interval`` counts
+        episodes.
+        """
+        self.boundary_hooks = []
+        total_timesteps, callback = self._setup_learn(
+            total_timesteps,
+            callback,
+            reset_num_timesteps,
+            type(self).__name__ if tb_log_name is None else tb_log_name,
+            progress_bar,
         )
-
-    # -- before the first step --------------------------------------------------------------------
-
-    def prepare(self, callback: BaseCallback, *, progress_bar: bool) -> None:
-        """Run the offline phase if it is due, and set the exploration for the steps to come."""
-        if self.offline_epochs:
-            self.pretrain(progress_bar=progress_bar)
+        try:
+            if self.offline_epochs:
+                self.pretrain(progress_bar=progress_bar)
+            if self.recipe.online:
+                callback.on_training_start(locals(), globals())
+                online.alternate(self, total_timesteps, callback, log_interval)
+                callback.on_training_end()
+            self.at_boundary()  # where an interruption of the last stretch is raised
+        finally:
+            for hook in self.boundary_hooks:
+                hook.release()
+        return self
 
     def pretrain(self, *, progress_bar: bool = False) -> OfflineProgress:
         """Run the offline phase, or what is left of it; returns its learning curves.
@@ -350,19 +323,6 @@ class SequenceQLearning(CheckedLearner):
         run_offline_phase(self, self._demonstrations(), progress_bar=progress_bar)
         return self.offline_progress
 
-    def refuse_what_does_not_suit(self) -> None:
-        """Look at the environment and the demonstrations as :meth:`learn` would, before it.
-
-        Raises
-        ------
-        InputError
-            If they do not give what the recipe learns from.
-        """
-        assert self.env is not None
-        check_environment(self.env, self.layout, self.recipe)
-        if self.offline_epochs and not self.offline_progress.done:
-            refuse_foreign(self, self._demonstrations())
-
     def _demonstrations(self) -> DemonstrationData:
         """Those that were given, or else the environment's own."""
         if self.demonstrations is not None:
@@ -375,6 +335,80 @@ class SequenceQLearning(CheckedLearner):
             )
         data: DemonstrationData = own() if callable(own) else own
         return data
+
+    def at_boundary(self) -> None:
+        """Between updates: let the hooks (checkpoints) look at a state that is whole."""
+        for hook in self.boundary_hooks:
+            hook.at_boundary()
+
+    def reset_optimizer(self, learning_rate: float) -> None:
+        """A new optimiser for the online network, with nothing accumulated."""
+        policy = self.policy
+        policy.optimizer = policy.optimizer_class(
+            policy.q_net.parameters(),
+            lr=learning_rate,  # type: ignore[call-arg]
+            **policy.optimizer_kwargs,
+        )
+
+    def _setup_learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        reset_num_timesteps: bool = True,
+        tb_log_name: str = "run",
+        progress_bar: bool = False,
+    ) -> tuple[int, BaseCallback]:
+        if self.env is None:
+            raise InputError(
+                "there is no environment to learn in: give env=, or call set_env first"
+            )
+        check_environment(self.env, self.layout, self.recipe)
+        if reset_num_timesteps or self._last_obs is None:
+            self.memory = self.policy.initial_state(self.n_envs)
+            assert self.replay_buffer is not None
+            self.replay_buffer.drop_running()
+            self.pace.restart()
+        total_timesteps, callback = super()._setup_learn(
+            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+        )
+        self._last_obs = np.array(self._last_obs)
+        self.updater = Updater(self.policy, self.recipe.online)
+        self.collector = Collector(self.policy, Recorder(self.env, self.layout, self.recipe))
+        online.start_exploration(self, total_timesteps)
+        return total_timesteps, callback
+
+    def _init_callback(self, callback: MaybeCallback, progress_bar: bool = False) -> BaseCallback:
+        shown = progress_bar and bool(self.recipe.online)
+        return super()._init_callback(with_progress_bar(callback) if shown else callback)
+
+    def collect_rollouts(
+        self,
+        env: VecEnv,
+        callback: BaseCallback,
+        train_freq: TrainFreq,
+        replay_buffer: SequenceReplayBuffer,  # type: ignore[override]
+        action_noise: ActionNoise | None = None,
+        learning_starts: int = 0,
+        log_interval: int | None = None,
+    ) -> RolloutReturn:
+        """Act until ``train_freq`` is reached; see :func:`animarl_algos.learner.online.collect`."""
+        return online.collect(
+            self, env, callback, train_freq, replay_buffer, learning_starts, log_interval
+        )
+
+    def train(self, gradient_steps: int, batch_size: int = 32) -> None:
+        """``gradient_steps`` updates on sequences from the replay memory."""
+        assert self.replay_buffer is not None
+        self._update_learning_rate(self.policy.optimizer)
+        progress = 1.0 - self._current_progress_remaining
+        self.updater.run(
+            self.replay_buffer, gradient_steps, batch_size, self.phase("online"), progress
+        )
+        self._n_updates += gradient_steps
+
+    def dump_logs(self) -> None:
+        """Write the log; see :func:`animarl_algos.learner.online.write_log`."""
+        online.write_log(self)
 
     # -- act --------------------------------------------------------------------------------------
 
@@ -397,7 +431,62 @@ class SequenceQLearning(CheckedLearner):
         fitted = [fit_boltzmann_temperature(v, a) for v, a in zip(shown.values, shown.actions)]
         return np.array(fitted)
 
+    # -- save -------------------------------------------------------------------------------------
 
-def _described(layout: SlotLayout) -> str:
-    flag = "a" if layout.condition_flag else "no"
-    return f"the individuals {', '.join(layout.individuals)} and {flag} condition flag"
+    def save(
+        self,
+        path: saving.Place,
+        exclude: Iterable[str] | None = None,
+        include: Iterable[str] | None = None,
+    ) -> None:
+        """All settings and the networks, as in stable-baselines3; epsilon and temperature too."""
+        with saving.with_saved_numbers(self):
+            super().save(path, exclude, include)
+
+    @classmethod
+    def load(cls, path: saving.Place, *arguments: Any, **keywords: Any) -> Self:  # type: ignore[override]
+        """A learner from :meth:`save`; arguments as in stable-baselines3.
+
+        The file holds pickles, which can run code: load only your own.
+        """
+        with saving.found_where_they_stood():
+            return super().load(path, *arguments, **keywords)
+
+    def save_replay_buffer(self, path: saving.Place) -> None:
+        """Write the replay memory as an ``npz`` archive, whatever the name of ``path``."""
+        saving.save_replay(self._the_buffer(), path)
+
+    def load_replay_buffer(self, path: saving.Place, truncate_last_traj: bool = True) -> None:
+        """Read the finished episodes of :meth:`save_replay_buffer`; training begins new ones.
+
+        Raises
+        ------
+        InputError
+            If it is none, or was saved with other settings.
+        """
+        buffer = self._the_buffer()
+        saving.load_replay(buffer, path)
+        buffer.allocate_staging(self.layout.num_copies)
+        self._last_obs = None
+
+    def _the_buffer(self) -> SequenceReplayBuffer:
+        if self.replay_buffer is None:
+            raise InputError("there is no replay memory: give env=, or call set_env first")
+        return self.replay_buffer
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), *saving.NOT_IN_ZIP]
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []
+
+
+def _parameters(documented: type) -> str:
+    """What a docstring says under Parameters, to the next empty line."""
+    text = inspect.cleandoc(documented.__doc__ or "")
+    return text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+
+
+PARAMETERS = "\n".join(
+    ["Parameters", "----------", _parameters(SequenceQLearning), _parameters(LearnerSettings)]
+)

@@ -14,15 +14,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.type_aliases import Schedule
+from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
+from animarl_algos.data.slots import SlotLayout
 from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.learner.offline_settings import OfflineSettings
-from animarl_algos.learner.online import OnlineLoop
 from animarl_algos.learner.validation import (
     Episodes,
     Figures,
@@ -30,10 +33,11 @@ from animarl_algos.learner.validation import (
     named_figures,
     validation_figures,
 )
-from animarl_algos.losses.recipe import Selection
-from animarl_algos.losses.terms import ScoredActionsTemporalDifference
+from animarl_algos.losses.recipe import Recipe, Selection
+from animarl_algos.losses.terms import Phase, ScoredActionsTemporalDifference
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -128,9 +132,15 @@ class OfflineProgress:
         self.__dict__.update(self.__class__().__dict__ | state)
 
 
-class OfflineLearner(OnlineLoop):
-    """What the offline phase needs of a learner, beside what the online loop needs."""
+class OfflineLearner(Protocol):
+    """What the offline phase needs of a learner: its networks, settings and log."""
 
+    recipe: ClassVar[Recipe]
+    policy: GruPolicy
+    layout: SlotLayout
+    env: VecEnv | None
+    lr_schedule: Schedule
+    device: torch.device
     observation_size: int
     root_seed: int
     offline_epochs: int
@@ -142,14 +152,20 @@ class OfflineLearner(OnlineLoop):
     best_weights: dict[str, torch.Tensor] | None
     average_weights: dict[str, torch.Tensor] | None
 
+    @property
+    def logger(self) -> Logger: ...
+
+    def phase(self, name: str) -> Phase:
+        """The numbers of the ``"offline"`` phase."""
+        ...
+
+    def at_boundary(self) -> None:
+        """Called before each epoch, when all that a checkpoint holds is whole."""
+        ...
+
     def reset_optimizer(self, learning_rate: float) -> None:
         """A new optimiser for the online network, with nothing accumulated."""
-        policy = self.policy
-        policy.optimizer = policy.optimizer_class(
-            policy.q_net.parameters(),
-            lr=learning_rate,  # type: ignore[call-arg]
-            **policy.optimizer_kwargs,
-        )
+        ...
 
 
 def run_offline_phase(

@@ -1,9 +1,20 @@
-"""A progress bar that counts steps of the world, not of slots."""
+"""Who is told between updates, among them a progress bar that counts steps of the world."""
 
 from __future__ import annotations
 
-from stable_baselines3.common.callbacks import BaseCallback
+from typing import Protocol
+
+from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
+from stable_baselines3.common.type_aliases import MaybeCallback
 from tqdm.auto import tqdm
+
+
+class BoundaryHook(Protocol):
+    """Is told between updates, when the state of a run is whole, and when ``learn`` ends."""
+
+    def at_boundary(self) -> None: ...
+
+    def release(self) -> None: ...
 
 
 class ProgressBar(BaseCallback):
@@ -34,3 +45,12 @@ class ProgressBar(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.release()
+
+
+def with_progress_bar(callback: MaybeCallback) -> list[BaseCallback]:
+    """What ``learn`` was given as its callback, and a bar."""
+    given = callback if isinstance(callback, list) else [callback]
+    each = [
+        c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given if c is not None
+    ]
+    return [*each, ProgressBar()]

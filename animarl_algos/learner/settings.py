@@ -1,16 +1,109 @@
-"""Reading settings that have more than one form."""
+"""What settings a learner has, and reading those that have more than one form."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
-from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.type_aliases import Schedule, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.ranges import COUNT, POSITIVE
 from animarl_envs.errors import InputError
+
+POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
+"""By their names in files and arguments."""
+
+
+class LearnerSettings(TypedDict, total=False):
+    """Keyword arguments of every learner; their defaults are preset ``default``'s.
+
+    Parameters
+    ----------
+    learning_rate, offline_learning_rate
+        Of Adam, a number or (online) a schedule of the remaining progress.
+    buffer_size
+        Replay memory [world steps]; whole episodes are evicted, oldest first.
+    batch_size, offline_batch_size
+        Sequences per individual and update.
+    gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
+        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
+        ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
+        measures the penalties of all actions in units of their mean instead of arena units, as in
+        the paper.
+    tau
+        Share of the online weights that a target update takes over.
+    target_update_interval
+        ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
+    train_freq, gradient_steps
+        ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
+        finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps``
+        updates after n steps of each copy, or with -1 as many as steps were done in all copies.
+    updates_per_episode
+        May be fractional.
+    learning_starts
+        Steps acted at random before the first update.
+    exploration_initial_eps, exploration_final_eps, exploration_steps
+        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
+        steps as a share of ``total_timesteps`` instead.
+    sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
+        See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
+    max_episode_steps
+        Longest episode; None: what the environment declares.
+    offline_epochs
+        Epochs on the demonstrations before the first step in the environment; the best by
+        validation is kept, for each individual its own. ``offline_patience`` stops after so many
+        epochs without a better one.
+    offline_kwargs
+        How its minibatches are drawn and its steps taken, see
+        :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
+    policy_kwargs
+        See :class:`animarl_algos.networks.policies.GruPolicy`. This table and
+        ``replay_buffer_kwargs`` go over the preset's key by key.
+    stats_window_size
+        Episodes in the means of the log.
+    """
+
+    learning_rate: float | Schedule
+    buffer_size: int
+    batch_size: int
+    gamma: float
+    tau: float
+    target_update_interval: int | tuple[int, str]
+    train_freq: int | tuple[int, str]
+    gradient_steps: int
+    updates_per_episode: float
+    learning_starts: int
+    exploration_initial_eps: float
+    exploration_final_eps: float
+    exploration_steps: int
+    exploration_fraction: float | None
+    alpha: float
+    lambda1: float
+    lambda2: float
+    lambda3: float
+    max_grad_norm: float | None
+    sequence_length: int | None
+    burn_in: int
+    state_mode: str
+    prioritized: bool
+    replay_buffer_kwargs: dict[str, Any] | None
+    max_episode_steps: int | None
+    offline_epochs: int | None
+    offline_learning_rate: float
+    offline_batch_size: int
+    offline_gamma: float
+    offline_alpha: float
+    offline_scaled_penalties: bool
+    offline_lambda2: float
+    offline_lambda3: float
+    offline_max_grad_norm: float | None
+    offline_patience: int | None
+    offline_kwargs: dict[str, Any] | None
+    policy_kwargs: dict[str, Any] | None
+    stats_window_size: int
 
 
 def as_frequency(value: Any, name: str) -> TrainFreq:
@@ -122,10 +215,6 @@ def linear_start(value: str, place: str) -> float:
     return start
 
 
-def constructed(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Plain settings as the algorithms take them: lists as tuples, ``lin_`` rates as schedules."""
-    ready = {k: tuple(v) if isinstance(v, list) else v for k, v in arguments.items()}
-    rate = ready.get("learning_rate")
-    if isinstance(rate, str):
-        ready["learning_rate"] = LinearSchedule(linear_start(rate, "learning_rate"), 0.0, 1.0)
-    return ready
+def linear_schedule(rate: str) -> LinearSchedule:
+    """A rate ``lin_<number>`` as stable-baselines3 takes it: falling to zero over the run."""
+    return LinearSchedule(linear_start(rate, "learning_rate"), 0.0, 1.0)

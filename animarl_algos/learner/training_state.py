@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.offline import OfflineProgress
+from animarl_algos.learner.pace import Pace
+from animarl_algos.learner.saving import PACE_NAMES, pace_numbers
 
 COUNTERS = (
-    "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates", "_updates_due",
-    "_target_count", "_rollout_steps", "_rollout_episodes", "_current_progress_remaining",
-    "exploration_rate", "root_seed",
+    "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates",
+    "_current_progress_remaining", "exploration_rate", "root_seed",
 )  # fmt: skip
 
 
@@ -36,7 +37,7 @@ def training_state(
     model: SequenceQLearning,
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]:
     """All that is needed to go on exactly, but the replay: JSON-like, arrays, tensors."""
-    counters = {name: getattr(model, name) for name in COUNTERS}
+    counters = {name: getattr(model, name) for name in COUNTERS} | pace_numbers(model.pace)
     counters["offline_progress"] = model.offline_progress.as_json()
     counters["policy_random_state"] = model.policy.random_state
     counters["late_episodes"] = [
@@ -71,6 +72,7 @@ def restore_training_state(
     """
     for name in COUNTERS:
         setattr(model, name, counters[name])
+    model.pace = Pace(**{key: counters[name] for key, name in PACE_NAMES.items()})
     model.offline_progress = OfflineProgress.from_json(counters["offline_progress"])
     model.policy.random_state = counters["policy_random_state"]
     model.ep_info_buffer = deque(counters["late_episodes"], maxlen=model._stats_window_size)

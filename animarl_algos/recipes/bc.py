@@ -21,9 +21,11 @@ class BC(DQN):
     """``J = J_AS + lambda1 J_l2``, offline only: ``learn`` runs the offline epochs and returns."""
 
     recipe: ClassVar[Recipe] = BC_RECIPE
+    preset: ClassVar[str] = "bc"
 
 
 class QRBC(QRDQN):
     """BC on the mean of quantiles."""
 
     recipe: ClassVar[Recipe] = BC_RECIPE
+    preset: ClassVar[str] = "qr-bc"

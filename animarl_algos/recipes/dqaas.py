@@ -23,9 +23,11 @@ class DQAAS(DQN):
     """``J = J_DQ + lambda3 J_AS + lambda1 J_l2``, the label aligned by dynamic time warping."""
 
     recipe: ClassVar[Recipe] = DQAAS_RECIPE
+    preset: ClassVar[str] = "dqaas"
 
 
 class QRDQAAS(QRDQN):
     """DQAAS on quantiles."""
 
     recipe: ClassVar[Recipe] = DQAAS_RECIPE
+    preset: ClassVar[str] = "qr-dqaas"

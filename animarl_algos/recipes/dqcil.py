@@ -24,9 +24,13 @@ class DQCIL(DQN):
     """DQDIL plus ``lambda2 J_tr``, the treatment predicted through gradient reversal."""
 
     recipe: ClassVar[Recipe] = DQCIL_RECIPE
+    preset: ClassVar[str] = "dqcil"
+    pretrained_preset: ClassVar[str | None] = "dqcil-pt"
 
 
 class QRDQCIL(QRDQN):
     """DQCIL on quantiles."""
 
     recipe: ClassVar[Recipe] = DQCIL_RECIPE
+    preset: ClassVar[str] = "qr-dqcil"
+    pretrained_preset: ClassVar[str | None] = "qr-dqcil-pt"

@@ -29,9 +29,13 @@ class DQDIL(DQN):
     """
 
     recipe: ClassVar[Recipe] = DQDIL_RECIPE
+    preset: ClassVar[str] = "dqdil"
+    pretrained_preset: ClassVar[str | None] = "dqdil-pt"
 
 
 class QRDQDIL(QRDQN):
     """DQDIL on quantiles."""
 
     recipe: ClassVar[Recipe] = DQDIL_RECIPE
+    preset: ClassVar[str] = "qr-dqdil"
+    pretrained_preset: ClassVar[str | None] = "qr-dqdil-pt"

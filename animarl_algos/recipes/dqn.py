@@ -14,7 +14,8 @@ DQN_RECIPE = Recipe(name="dqn", online=(TemporalDifference(), WeightDecay()))
 
 
 class DQN(SequenceQLearning, stable_baselines3.DQN):  # type: ignore[misc]
-    """Deep Q-network of the paper: ``J = J_DQ + lambda1 J_l2``; arguments: the base class's."""
+    """Deep Q-network of the paper: ``J = J_DQ + lambda1 J_l2``."""
 
     recipe: ClassVar[Recipe] = DQN_RECIPE
-    default_quantiles: ClassVar[int | None] = None
+    quantiles: ClassVar[bool] = False
+    preset: ClassVar[str] = "dqn"

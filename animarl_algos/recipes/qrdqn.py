@@ -14,8 +14,9 @@ from animarl_algos.recipes.dqn import DQN_RECIPE
 class QRDQN(SequenceQLearning, sb3_contrib.QRDQN):  # type: ignore[misc]
     """Quantile twin of :class:`animarl_algos.recipes.dqn.DQN`; all recipes exist on it.
 
-    The number of quantiles is ``policy_kwargs={"n_quantiles": ...}``, by default 20.
+    The number of quantiles is ``policy_kwargs={"n_quantiles": ...}``.
     """
 
     recipe: ClassVar[Recipe] = DQN_RECIPE
-    default_quantiles: ClassVar[int | None] = 20
+    quantiles: ClassVar[bool] = True
+    preset: ClassVar[str] = "qr-dqn"

@@ -21,9 +21,11 @@ class SoftBC(DQN):
     """Cross-entropy with soft labels, offline only; ``offline_kwargs`` shrink the weights."""
 
     recipe: ClassVar[Recipe] = SOFT_BC_RECIPE
+    preset: ClassVar[str] = "soft-bc"
 
 
 class QRSoftBC(QRDQN):
     """Soft-label cloning on the mean of quantiles."""
 
     recipe: ClassVar[Recipe] = SOFT_BC_RECIPE
+    preset: ClassVar[str] = "qr-soft-bc"

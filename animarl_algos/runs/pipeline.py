@@ -15,6 +15,7 @@ import torch
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.checkpoint import (
     CheckpointCallback,
     latest_checkpoint,
@@ -32,7 +33,6 @@ from animarl_algos.data.focal import FocalPolicy, focal_drivers
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
-from animarl_algos.learner.settings import constructed
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS

@@ -9,7 +9,8 @@ from typing import Any
 import gymnasium as gym
 import torch
 
-from animarl_algos.runs.presets import PRESETS, LearnerPreset, learner_preset
+from animarl_algos.learner.presets import LearnerPreset, learner_preset
+from animarl_algos.learner.zoo_files import PRESETS, read_preset
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -21,6 +22,8 @@ from animarl_envs.fitting.custom_species import species_of
 
 BEHAVIOUR_CLONING = "bc"
 FIT_METHODS = ("joint", "onset")
+PIPELINE: dict[str, Any] = {"test_epsilon": 0.5, "fit_method": "joint"}
+"""Keys of ``zoo_configs/pipeline.yml``, each with a value of its kind."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +89,11 @@ class RunSettings:
             self.overrides if own else shared,
             config=self.config if own else None,
         )
+
+
+def pipeline_settings(env_id: str, preset: str) -> dict[str, Any]:
+    """``test_epsilon`` and ``fit_method`` of ``zoo_configs/pipeline.yml``."""
+    return read_preset("pipeline", env_id, preset, PIPELINE)[0]
 
 
 def check_device(device: str) -> None:

@@ -23,10 +23,11 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.presets import LearnerPreset, beneath, learner_preset
 from animarl_algos.learner.progress import ProgressBar
+from animarl_algos.learner.zoo_files import merged
 from animarl_algos.ranges import COUNT, COUNT_OR_NONE
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.presets import LearnerPreset, learner_preset, merged
 from animarl_algos.zoo.environments import (
     slot_environment,
     species_of_id,
@@ -95,7 +96,9 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             "env_kwargs": options,
         }
         print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
-        return deepcopy(settings), settings
+        # A trained agent brings what the preset leaves open; a new one takes it from the files.
+        open_ones = {} if self.continue_training else beneath()
+        return open_ones | deepcopy(settings), settings
 
     def _stored_trial(self, number: int) -> dict[str, Any]:
         if not (self.storage and self.study_name):

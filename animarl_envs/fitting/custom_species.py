@@ -72,7 +72,7 @@ def species_of(
     longest = int(demos.lengths.max()) - 1
     conditions = numbers.conditions or _conditions(demos)
     own: dict[str, Any] = {}
-    if isinstance(numbers, SearchSpecies) and HEADING in demos.signals:
+    if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
     return with_options(
         numbers,

@@ -1,17 +1,16 @@
-"""Settings of the learners, read from ``zoo_configs``: plain data, checked, never evaluated.
+"""Files of ``zoo_configs``: plain data, checked, never evaluated.
 
 A file holds a section per environment id and in it the presets ``paper`` and ``default``. The
 section ``common`` goes under every section of its file, and the files named by ``base`` under
-both, so that a number stands in one place. Keys are arguments of the algorithm and rl_zoo3's
-``n_timesteps``, ``n_envs`` and ``env_kwargs``. What goes over another setting replaces it, but
-tables (``env_kwargs``, ``policy_kwargs``, ``replay_buffer_kwargs``) are merged key by key.
+both, so that a number stands in one place. What goes over another setting replaces it, but tables
+(``env_kwargs``, ``policy_kwargs``, ``replay_buffer_kwargs``) are merged key by key.
 """
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from copy import deepcopy
+from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -19,109 +18,12 @@ from typing import Any
 
 import yaml
 
-from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.learner.settings import checked_value
-from animarl_envs import SPECIES, environment_id
+from animarl_algos.learner.settings import POLICIES, checked_value
 from animarl_envs.errors import InputError
 
 CONFIGS = resources.files("zoo_configs")
 PRESETS = ("paper", "default")
-SURROUNDINGS: dict[str, Any] = {"n_timesteps": 1, "n_envs": 1, "env_kwargs": None}
-"""What a section says beside the algorithm's arguments; 1 where a whole number is asked for."""
-PIPELINE: dict[str, Any] = {"test_epsilon": 0.5, "fit_method": "joint"}
-"""Keys of ``pipeline.yml``."""
-POLICIES = tuple(SequenceQLearning.policy_aliases)
-NOT_FOR_FILES = {
-    "self", "env", "demonstrations", "seed", "device", "verbose", "tensorboard_log",
-    "_init_setup_model",
-}  # fmt: skip
 Sections = dict[str, dict[str, dict[str, Any]]]
-
-
-@dataclass(frozen=True)
-class LearnerPreset:
-    """A learner's settings in one environment.
-
-    Attributes
-    ----------
-    n_timesteps
-        Steps of the world.
-    n_envs
-        Copies of the world.
-    env_kwargs
-        Options of the training environment.
-    arguments
-        Of the algorithm, plain data; :func:`animarl_algos.learner.settings.constructed` makes them ready.
-    """
-
-    n_timesteps: int
-    n_envs: int
-    env_kwargs: dict[str, Any]
-    arguments: dict[str, Any]
-
-
-def learner_preset(
-    algo: str,
-    env_id: str,
-    preset: str = "default",
-    overrides: Mapping[str, Any] | None = None,
-    *,
-    config: str | Path | None = None,
-) -> LearnerPreset:
-    """The settings of ``algo`` in an environment, ``overrides`` over those of the file.
-
-    Parameters
-    ----------
-    algo
-        Name of a recipe, such as ``qr-dqcil-pt``.
-    env_id
-        Gymnasium id.
-    preset
-        ``"paper"`` or ``"default"``.
-    overrides
-        Settings that go over the file's.
-    config
-        A file of the same format to read instead of ``zoo_configs/<algo>.yml``.
-
-    Raises
-    ------
-    InputError
-        If there is no such preset, a key is unknown, or a value is of the wrong kind.
-    """
-    known = known_settings(algo)
-    found, listed = read_preset(algo if config is None else Path(config), env_id, preset, known)
-    if preset == "paper" and not listed:
-        ids = [environment_id(name) for name in SPECIES]
-        if not any(read_preset(algo, each, preset, known)[1] for each in ids):
-            raise InputError(f"{algo} is not of the paper: choose preset 'default'")
-        raise InputError(
-            f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of "
-            f"{', '.join(ids)}"
-        )
-    given = (overrides or {}).items()
-    found = merged(found, {k: _checked(k, v, known, f"{algo}: setting {k!r}") for k, v in given})
-    missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
-    if missing:
-        raise InputError(f"{config or algo}: it does not say {missing[0]} for {env_id}: add it")
-    arguments = {key: found[key] for key in sorted(found) if key not in SURROUNDINGS}
-    env_kwargs = found.get("env_kwargs") or {}
-    if not isinstance(env_kwargs, dict):
-        raise InputError(f"{config or algo}: env_kwargs is {env_kwargs!r}: give a table of options")
-    return LearnerPreset(found["n_timesteps"], found["n_envs"], env_kwargs, arguments)
-
-
-def known_settings(algo: str) -> dict[str, Any]:
-    """Keys that a file may hold for ``algo``, each with its default (for its kind)."""
-    parameters = inspect.signature(named_recipe(algo).algorithm.__init__).parameters
-    arguments = {k: p.default for k, p in parameters.items() if k not in NOT_FOR_FILES}
-    whole = {"offline_epochs": 0}  # its own default depends on the recipe
-    return arguments | whole | SURROUNDINGS
-
-
-def pipeline_settings(env_id: str, preset: str) -> dict[str, Any]:
-    """``test_epsilon`` and ``fit_method`` of ``zoo_configs/pipeline.yml``."""
-    return read_preset("pipeline", env_id, preset, PIPELINE)[0]
 
 
 def read_preset(
@@ -134,7 +36,7 @@ def read_preset(
     Raises
     ------
     InputError
-        See :func:`learner_preset`.
+        If there is no such preset, a key is unknown, or a value is of the wrong kind.
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r} is unknown: choose {' or '.join(PRESETS)}")
@@ -189,7 +91,7 @@ def read_file(config: str | Path, known: Mapping[str, Any]) -> tuple[list[str], 
     file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
     name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"
     try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        content = parsed(file.read_text(encoding="utf-8"))
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"{name}: there is no such configuration") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -207,6 +109,17 @@ def read_file(config: str | Path, known: Mapping[str, Any]) -> tuple[list[str], 
     }
 
 
+def parsed(text: str) -> Any:
+    """The data in a YAML text; its caller may change it."""
+    return deepcopy(_parsed_once(text))
+
+
+@lru_cache
+def _parsed_once(text: str) -> Any:
+    """Every learner that is made reads the same few files, and parsing takes milliseconds each."""
+    return yaml.safe_load(text)
+
+
 def _checked_section(
     presets: Any, place: str, known: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
@@ -222,13 +135,20 @@ def _checked_section(
         if not isinstance(settings, dict):
             raise InputError(f"{place}: {preset} is {settings!r}: give a table of settings")
         section[preset] = {
-            key: _checked(key, value, known, f"{place}: {preset}: {key!r}")
+            key: checked_setting(key, value, known, f"{place}: {preset}: {key!r}")
             for key, value in settings.items()
         }
     return section
 
 
-def _checked(key: str, value: Any, known: Mapping[str, Any], place: str) -> Any:
+def checked_setting(key: str, value: Any, known: Mapping[str, Any], place: str) -> Any:
+    """The value, of the kind that ``known`` has for this key.
+
+    Raises
+    ------
+    InputError
+        If the key is unknown or the value of another kind; the sentence starts with ``place``.
+    """
     if key not in known:
         raise InputError(f"{place} is unknown: choose among {', '.join(sorted(known))}")
     value = checked_value(key, value, known[key], place)
