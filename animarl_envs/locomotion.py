@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,7 @@ ACTION_VECTORS: NDArray[np.float64] = np.array(
 """Accelerations of the 13 actions of one magnitude in the egocentric frame, ``(13, 2)``, unit
 vectors or zero."""
 
-Value = TypeVar("Value", float, NDArray[np.float64])
+Value = TypeVar("Value", float, NDArray[Any])
 
 
 def next_velocity(

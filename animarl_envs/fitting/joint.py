@@ -148,8 +148,10 @@ def _alternate(
     tracks = (data.velocity, data.next_velocity)
     for _ in range(ITERATIONS):
         _assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
-        sums = _sums(*tracks, action, level, error, _limit(error), data.dt, len(thrusts))
-        new_damping, new_thrusts = _solve(*sums, thrusts, data.dt, least_speed)
+        vv, vn, va, aa, an = _sums(
+            *tracks, action, level, error, _limit(error), data.dt, len(thrusts)
+        )
+        new_damping, new_thrusts = _solve(vv, vn, va, aa, an, thrusts, data.dt, least_speed)
         if not (new_thrusts > 0).all():
             return damping, thrusts, math.inf
         change = max(abs(new_damping - damping), np.max(np.abs(new_thrusts - thrusts) / thrusts))

@@ -65,7 +65,9 @@ def track(
     arena = demos.arena if arena is None else arena
     recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
     starts = demos.offsets.astype(np.int64)
-    state = [np.ascontiguousarray(a[starts[:-1]].transpose(1, 2, 0)) for a in (recorded, velocity)]
+    position_now, velocity_now = (
+        np.ascontiguousarray(a[starts[:-1]].transpose(1, 2, 0)) for a in (recorded, velocity)
+    )
     paths, speeds = np.empty_like(recorded), np.empty_like(velocity)
     actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
     candidates, otherwise = _foci(demos.roles)
@@ -75,10 +77,10 @@ def track(
     for t in range(int(demos.lengths.max())):
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
-            *state, paths, speeds, actions,
+            position_now, velocity_now, paths, speeds, actions,
         )  # fmt: skip
         if arena.rebound:
-            _hold_by_walls(arena, *state)
+            _hold_by_walls(arena, position_now, velocity_now)
     return Tracking(paths, speeds, actions)
 
 
