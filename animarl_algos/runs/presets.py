@@ -20,8 +20,8 @@ from typing import Any
 import yaml
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.learner.settings import checked_value
+from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 
@@ -52,7 +52,8 @@ class LearnerPreset:
     env_kwargs
         Options of the training environment.
     arguments
-        Of the algorithm, plain data; :func:`animarl_algos.learner.settings.constructed` makes them ready.
+        Of the algorithm, plain data; :func:`~animarl_algos.learner.settings.constructed` makes
+        them ready.
     """
 
     n_timesteps: int
