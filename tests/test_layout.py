@@ -20,6 +20,7 @@ PACKAGES = ("animarl_envs", "animarl_algos")
 # From low to high; a room imports from itself and from rooms below. A package's own name is its
 # front door (``__init__``), the last of its rooms.
 ROOMS = (
+    "animarl_envs.compiling",
     "animarl_envs.errors",
     "animarl_envs.files",
     "animarl_envs.checks",

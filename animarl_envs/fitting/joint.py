@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import math
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import Transitions
 from animarl_envs.locomotion import Locomotion
@@ -180,7 +180,7 @@ def _nearest(
     return error, action
 
 
-@nb.njit(cache=True)
+@jit
 def _assign(  # type: ignore[no-untyped-def]
     velocity, next_velocity, focus, damping, impulse, error, action
 ):
@@ -215,7 +215,7 @@ def _assign(  # type: ignore[no-untyped-def]
             error[t] = square
 
 
-@nb.njit(cache=True)
+@jit
 def _solve(velocity, next_velocity, action, error, limit, dt):  # type: ignore[no-untyped-def]
     """Least squares for v' = (1 - d) v + u (dt a) over the steps with ``error <= limit``."""
     vv, va, aa, vn, an = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -12,8 +12,8 @@ import numba as nb
 import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.compiling import jit
 from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
-from animarl_envs.worlds.compiling import jit
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 LOOKAHEAD = 6  # [steps] that the target looks ahead, the action held

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from animarl_envs.compiling import jit, part
 from animarl_envs.worlds.arctangent import angle_of
-from animarl_envs.worlds.compiling import jit, part
 
 DX, DY, DVX, DVY, DISTANCE = 0, 1, 2, 3, 4
 RELATIVE = 5

@@ -15,6 +15,7 @@ import numpy as np
 from numba.core import types
 from numba.experimental import structref
 
+from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import ACTION, REPLAY
@@ -113,7 +114,7 @@ def _read(b, position, heading, senses, table, pattern, step):  # type: ignore[n
     return left, right
 
 
-@nb.njit(cache=True)
+@jit
 def start(  # type: ignore[no-untyped-def]
     mask, demo_position, demo_velocity, demo_start, demo_hits, demo_heading, candidates,
     num_candidates, demo_group, demo_pattern, demo_phase, first, table, senses, random, demo,
@@ -182,7 +183,7 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@jit
 def bundle(  # type: ignore[no-untyped-def]
     driver, demos, demo_hits, table, senses, numbers, demo, condition, pattern, phase, position,
     velocity, heading, body_angle, odour, components, reward, terminated, truncated, outcome,
@@ -196,7 +197,7 @@ def bundle(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@jit
 def step(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, 1)``."""
     damping, thrust, contact_radius, time_limit, warmup = state.numbers
@@ -257,7 +258,7 @@ def step(asked, state):  # type: ignore[no-untyped-def]
         )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@jit
 def sense_recorded(velocity, start, condition, hits, demo_heading, senses, out):  # type: ignore[no-untyped-def]
     heading = np.empty((2, 1))
     body_angle = np.empty(1)
