@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import os
 import re
 import shutil
 import subprocess
@@ -111,6 +112,7 @@ def test_a_wheel_is_built_and_used_in_an_empty_environment(tmp_path: Path) -> No
 
 def run(*command: str, cwd: Path) -> str:
     """What a command prints; if it fails, that is shown."""
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
