@@ -1,5 +1,7 @@
 # make demo   make the environment, run the main job on packaged demonstrations, name the report
 # make test   lint, types, tests with coverage
+# make slow   the tests that take minutes
+# make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices; hours for all
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +9,7 @@ STAMP := $(VENV)/.installed
 # Two files of tests at a time; the tests of one file share what they make.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: demo test slow lint types docs clean
+.PHONY: demo test slow mutants lint types clean
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 10000 --seed 0 --out out/demo \
@@ -19,6 +21,9 @@ test: $(STAMP) lint types
 slow: $(STAMP)
 	$(PYTEST) -m slow
 
+mutants: $(STAMP)
+	$(BIN)/python tools/mutants.py $(MODULES) $(if $(SAMPLE),--sample $(SAMPLE))
+
 lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -29,9 +34,10 @@ types: $(STAMP)
 clean:
 	rm -rf $(VENV) out build *.egg-info
 
-# torch comes first and by itself, so that no other package can ask for another build of it.
+# torch comes first and by itself, so that no other package can ask for another build of it; which
+# one stands in constraints.txt.
 $(STAMP): setup.cfg pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || python3 -m venv $(VENV)
-	$(BIN)/python -m pip install -q --disable-pip-version-check torch==2.13.0
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[all]'
 	touch $(STAMP)

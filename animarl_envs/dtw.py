@@ -14,14 +14,12 @@ from __future__ import annotations
 import math
 from typing import Any, Protocol
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-
-jit = nb.njit(cache=True, error_model="numpy")
 
 
 @jit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
@@ -11,6 +12,7 @@ from report_inputs import make_demos, make_rollouts, report_inputs, report_page
 from rich.console import Console
 
 from animarl_algos.evaluation import Evaluation, evaluate, measure
+from animarl_algos.evaluation.metrics import METRICS, Metric, add_metric
 from animarl_algos.report import evaluation_table, panels
 from animarl_algos.report.report import render_report
 from animarl_envs.errors import InputError
@@ -65,3 +67,50 @@ def test_the_terminal_table_names_every_method() -> None:
     for name in ("demonstrated", "random", "BC", "DQAAS", "DQCIL", "DQDIL", "all episodes"):
         assert name in text
     assert "record" not in text  # demonstrations may be synthetic
+
+
+@pytest.fixture
+def pace() -> Iterator[Metric]:
+    """A metric of somebody's own: one entry, and nothing else changed."""
+    metric = Metric(
+        key="pace",
+        label="Pace",
+        unit="arena units / s",
+        measure=lambda episodes: episodes.path_length / (episodes.rollouts.lengths - 1),
+        planned=True,
+        more_less=("faster", "slower"),
+        caption="Path length over duration.",
+        heading="pace",
+    )
+    add_metric(metric)
+    yield metric
+    METRICS.remove(metric)
+
+
+def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
+    with pytest.raises(InputError, match="'pace' already"):
+        add_metric(pace)
+    inputs = report_inputs()
+    before = inputs.evaluation
+    again = evaluate(
+        inputs.rollouts, inputs.demos, seed=0, planned_flip=(0, 1), resamples=100,
+        distance_resamples=50,
+    )  # fmt: skip
+    for name in ("metrics", "comparison", "pairs", "contrasts"):
+        table, known = getattr(again, name), getattr(before, name)
+        if name == "metrics":
+            assert (table["pace"] > 0).all()
+            table = table[known.columns]
+        else:
+            assert "pace" in set(table["metric"])
+            table = table[table["metric"] != "pace"].reset_index(drop=True)
+        pd.testing.assert_frame_equal(table, known)  # what was there stays as it was
+    rows = again.comparison.query("metric == 'pace' and method == 'dqdil' and counting == 'all'")
+    assert rows[["to_recorded", "kde", "wasserstein"]].notna().all(axis=None)
+    page = render_report(dataclasses.replace(inputs, evaluation=again))
+    assert page.count("Path length over duration.") == 1
+    assert "Pace by method" in page and "Pace, all episodes: " in page and "Pace: gate" in page
+    columns = [str(column.header) for column in evaluation_table(again).columns]
+    assert columns[-3:] == ["pace", "KDE", "within starts"]
+    # An evaluation from before it was added still makes its page.
+    assert render_report(inputs) == report_page()

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.comparison import comparison_table, contrast_table, pair_table
+from animarl_algos.evaluation.comparison import comparison_table, pair_table
+from animarl_algos.evaluation.contrasts import contrast_table
 from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.metrics import (
     dtw_distances,

@@ -6,7 +6,6 @@ which the target was reached). The two can point in opposite directions, so both
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from animarl_algos.evaluation.distances import (
     bootstrap_distances,
     null_distances,
 )
-from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
+from animarl_algos.evaluation.metrics import METRICS, Metric
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
 from animarl_algos.evaluation.statistics import (
     RESAMPLES,
@@ -30,7 +29,6 @@ from animarl_algos.evaluation.statistics import (
     cells,
     draw_weights,
     percentile_interval,
-    permutation_anova,
     resampled_means,
     within_demo_intervals,
 )
@@ -39,9 +37,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BASELINE = "BC"
-PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
-GATE_LEVEL = 0.05
-SEEDS_FOR_GATE = 3  # with fewer seeds, labels are exchanged within demonstrations instead
 PAIR_COLUMNS = [
     "metric", "counting", "first", "second", "difference", "difference_low", "difference_high"
 ]  # fmt: skip
@@ -98,6 +93,11 @@ def factual(metrics: pd.DataFrame) -> pd.DataFrame:
     return kept
 
 
+def counted_metrics() -> list[tuple[Metric, str]]:
+    """Every metric with every rule of what counts; a share among captures would say nothing."""
+    return [(m, rule) for m in METRICS for rule in COUNTING if rule == "all" or not m.share]
+
+
 def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:
     """One method's metric as cells of seed and demonstration."""
     counts = rows["captured"].to_numpy() if counting == "captures" else True
@@ -136,9 +136,7 @@ def comparison_table(
     weights = draw_resamples(metrics, num_demos, rng, resamples)
     by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
     table = []
-    for metric, counting in [(m, c) for m in METRICS for c in COUNTING]:
-        if metric is RETURN and counting == "captures":
-            continue
+    for metric, counting in counted_metrics():
         nulls: dict[int, Distances] = {}
         gathered = {
             name: method_cells(rows, metric.key, num_demos, counting)
@@ -159,16 +157,18 @@ def comparison_table(
                 "demos": int((data.counts.sum(axis=0) > 0).sum()),
                 "seeds": len(data.counts),
             }
-            compared = name != RECORDED and metric.of_recordings
-            _put(row, "mean", weights.mean(name, data))
-            _put(row, "within", within.get(name, UNDEFINED))
-            _put(
+            simulation = name != RECORDED
+            put_interval(row, "mean", weights.mean(name, data))
+            put_interval(row, "within", within.get(name, UNDEFINED))
+            put_interval(
                 row,
                 "to_recorded",
-                weights.difference(name, data, RECORDED, reference) if compared else UNDEFINED,
+                weights.difference(name, data, RECORDED, reference)
+                if simulation and metric.of_recordings
+                else UNDEFINED,
             )
             distances, null = Distances(UNDEFINED, UNDEFINED), Distances(UNDEFINED, UNDEFINED)
-            if compared and metric is not RETURN:
+            if simulation and metric.has_distribution:
                 values = rows[metric.key].where(rows["captured"] | (counting == "all"))
                 truth = reference.cell_means[0]
                 distances = bootstrap_distances(
@@ -177,10 +177,10 @@ def comparison_table(
                 if number not in nulls:
                     nulls[number] = null_distances(truth, number, rng, distance_resamples)
                 null = nulls[number]
-            _put(row, "kde", distances.kde)
-            _put(row, "kde_null", null.kde)
-            _put(row, "wasserstein", distances.wasserstein)
-            _put(row, "wasserstein_null", null.wasserstein)
+            put_interval(row, "kde", distances.kde)
+            put_interval(row, "kde_null", null.kde)
+            put_interval(row, "wasserstein", distances.wasserstein)
+            put_interval(row, "wasserstein_null", null.wasserstein)
             table.append(row)
     return pd.DataFrame(table)
 
@@ -203,81 +203,17 @@ def pair_table(
     simulated = metrics[metrics["method"] != RECORDED].groupby("method", sort=False)
     by_method = {str(name): rows for name, rows in simulated}
     table = []
-    for metric, counting in [(m, c) for m in METRICS for c in COUNTING]:
-        if metric is RETURN and counting == "captures":
-            continue
+    for metric, counting in counted_metrics():
         data = {n: method_cells(r, metric.key, num_demos, counting) for n, r in by_method.items()}
         for first, second in permutations(data, 2):
             row: dict[str, Any] = {
                 "metric": metric.key, "counting": counting, "first": first, "second": second
             }  # fmt: skip
-            _put(row, "difference", weights.difference(first, data[first], second, data[second]))
+            put_interval(
+                row, "difference", weights.difference(first, data[first], second, data[second])
+            )
             table.append(row)
     return pd.DataFrame(table, columns=PAIR_COLUMNS)
-
-
-def contrast_table(
-    metrics: pd.DataFrame,
-    num_demos: int,
-    rng: np.random.Generator,
-    *,
-    planned: Sequence[tuple[str, str]] = PLANNED_CONTRASTS,
-    resamples: int = RESAMPLES,
-) -> pd.DataFrame:
-    """The planned contrasts, behind their gate; empty if fewer than two methods take part.
-
-    Compared is the gap to the recordings: per seed and demonstration, the absolute difference
-    between the mean over repetitions and the recorded value; for DTW the distance itself. All
-    episodes count. A negative difference means that the first method is closer.
-
-    The gate is a one-way ANOVA over the methods that take part, with a permutation null: over
-    training seeds where every method has at least three, otherwise within demonstrations, and then
-    it speaks of these trained networks only.
-    """
-    import pandas as pd
-
-    columns = [
-        "metric", "first", "second", "difference", "difference_low", "difference_high",
-        "gate_f", "gate_p", "gate_unit", "gate_passed",
-    ]  # fmt: skip
-    metrics = factual(metrics)
-    by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
-    pairs = []
-    for a, b in planned:
-        first, second = find_method(by_method, a), find_method(by_method, b)
-        if first is not None and second is not None:
-            pairs.append((first, second))
-    taking_part = list(dict.fromkeys(name for pair in pairs for name in pair))
-    if len(taking_part) < 2 or num_demos < 2:
-        return pd.DataFrame(columns=columns)
-    weights = draw_resamples(metrics, num_demos, rng, resamples)
-    table = []
-    for metric in (PATH_LENGTH, DURATION, DTW):
-        truth = method_cells(by_method[RECORDED], metric.key, num_demos).cell_means
-        gaps = {
-            name: gap_cells(method_cells(by_method[name], metric.key, num_demos), truth, metric)
-            for name in taking_part
-        }
-        gate = _gate(list(gaps.values()), rng, resamples)
-        for first, second in pairs:
-            row: dict[str, Any] = {"metric": metric.key, "first": first, "second": second}
-            _put(row, "difference", weights.difference(first, gaps[first], second, gaps[second]))
-            row |= {
-                "gate_f": gate.f,
-                "gate_p": gate.p,
-                "gate_unit": gate.unit,
-                "gate_passed": gate.p < GATE_LEVEL,
-            }
-            table.append(row)
-    return pd.DataFrame(table, columns=columns)
-
-
-def gap_cells(data: Cells, truth: Floats, metric: Metric) -> Cells:
-    """Absolute gap of each cell mean to the recording's value ``(1, demos)``; DTW as it is."""
-    means = data.cell_means
-    gaps = np.abs(means - truth) if metric.of_recordings else means
-    present = np.isfinite(gaps)
-    return Cells(np.where(present, gaps, 0.0), present.astype(np.float64))
 
 
 def find_method(names: Any, wanted: str) -> str | None:
@@ -290,14 +226,6 @@ def interval(row: Any, key: str) -> Interval:
     return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
 
 
-def _gate(gaps: list[Cells], rng: np.random.Generator, permutations: int) -> Any:
-    seeds = {len(gap.sums) for gap in gaps}
-    if len(seeds) == 1 and seeds.pop() >= SEEDS_FOR_GATE:
-        per_seed = np.stack([gap.sums.sum(axis=1) / gap.counts.sum(axis=1) for gap in gaps])
-        return permutation_anova(per_seed, rng, permutations, paired=False, unit="seeds")
-    per_demo = np.stack([np.nanmean(gap.cell_means, axis=0) for gap in gaps])
-    return permutation_anova(per_demo, rng, permutations, paired=True, unit="demonstrations")
-
-
-def _put(row: dict[str, Any], key: str, value: Interval) -> None:
+def put_interval(row: dict[str, Any], key: str, value: Interval) -> None:
+    """Put what :func:`interval` reads into a row."""
     row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}

@@ -1,8 +1,14 @@
-"""What is measured of each episode: return, path length, duration, and DTW to the demonstration."""
+"""What is measured of each episode, and where it is shown: all there is to say about a metric.
+
+A new metric is one entry in ``METRICS``. The table of episodes, the comparison with the recordings,
+the report's figures, tables and sentences and the table in the terminal all follow the entries.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,26 +25,149 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Episodes:
+    """What metrics are worked out from: rollouts and the demonstrations they started from."""
+
+    rollouts: Rollouts
+    demos: Demonstrations
+
+    @cached_property
+    def dtw(self) -> Floats:
+        """``(rollouts,)``: mean DTW distance of those who move by themselves [arena unit]."""
+        return self._mean_over_movers(dtw_distances(self.rollouts, self.demos))
+
+    @property
+    def path_length(self) -> Floats:
+        """``(rollouts,)``: mean over those who move by themselves [arena unit]."""
+        return self._mean_over_movers(path_lengths(self.rollouts))
+
+    def _mean_over_movers(self, values: Floats) -> Floats:
+        return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A column of the metrics table, as figures and tables name it."""
+    """One number per episode.
+
+    Parameters
+    ----------
+    key
+        Its column in ``metrics.csv`` and its name in the other tables.
+    label, unit
+        As figures, tables and sentences name it.
+    measure
+        ``(rollouts,)`` values of some episodes.
+    share
+        It is 0 or 1: shown in percent, without distribution, and over all episodes alone.
+    of_recordings
+        Recordings have it too, so that it can be compared with theirs. False: it is itself a
+        comparison with them.
+    planned
+        The planned contrasts are worked out for it.
+    more_less
+        What the mean is when above and below that of the recordings; it has a sentence then.
+    caption
+        Of its figure in the report; without one it has no part of its own there.
+    per_step
+        The same per step, a column in its table.
+    heading
+        Of its column in the terminal; without one it is not shown there.
+    """
 
     key: str
     label: str
     unit: str
-    of_recordings: bool = True  # False: a comparison with them, which they lack themselves
+    measure: Callable[[Episodes], Floats]
+    share: bool = False
+    of_recordings: bool = True
+    planned: bool = False
+    more_less: tuple[str, str] | None = None
+    caption: str = ""
+    per_step: Metric | None = None
+    heading: str = ""
+
+    @property
+    def has_distribution(self) -> bool:
+        """Whether its distribution is compared with that of the recordings."""
+        return self.of_recordings and not self.share
 
     @property
     def axis(self) -> str:
-        return f"{self.label} ({self.unit})" if self.unit else self.label
+        """Of a figure."""
+        unit = "% of episodes" if self.share else self.unit
+        return f"{self.label} ({unit})" if unit else self.label
 
 
-RETURN = Metric("return", "Target reached", "share of episodes")
-PATH_LENGTH = Metric("path_length", "Path length", "arena units")
-DURATION = Metric("duration", "Duration", "s")
-DTW = Metric("dtw", "DTW distance", "arena units", of_recordings=False)
-DTW_PER_STEP = Metric("dtw_per_step", "DTW distance per step", "arena units", of_recordings=False)
-METRICS = (RETURN, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP)
+RETURN = Metric(
+    key="return",
+    label="Target reached",
+    unit="share of episodes",
+    measure=lambda episodes: episodes.rollouts.captured.astype(float),
+    share=True,
+    caption="Share of episodes in which a pursuer reached the target (the moth the source), all "
+    "episodes.",
+    heading="target\nreached, %",
+)
+PATH_LENGTH = Metric(
+    key="path_length",
+    label="Path length",
+    unit="arena units",
+    measure=lambda episodes: episodes.path_length,
+    planned=True,
+    more_less=("longer", "shorter"),
+    caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, and "
+    "captures only.",
+    heading="path length",
+)
+DURATION = Metric(
+    key="duration",
+    label="Duration",
+    unit="s",
+    measure=lambda episodes: (episodes.rollouts.lengths - 1) * episodes.rollouts.dt,
+    planned=True,
+    more_less=("longer", "shorter"),
+    caption="Duration per episode: all episodes, and captures only.",
+    heading="duration, s",
+)
+DTW_PER_STEP = Metric(
+    key="dtw_per_step",
+    label="DTW distance per step",
+    unit="arena units",
+    measure=lambda episodes: (
+        episodes.dtw
+        / np.maximum(episodes.rollouts.lengths, episodes.demos.lengths[episodes.rollouts.demo])
+    ),
+    of_recordings=False,
+)
+DTW = Metric(
+    key="dtw",
+    label="DTW distance",
+    unit="arena units",
+    measure=lambda episodes: episodes.dtw,
+    of_recordings=False,
+    planned=True,
+    caption="DTW distance of each rollout to the demonstration that it started from, mean over the "
+    "pursuers (or the moth's), summed along the warping path: all episodes, and captures only.",
+    per_step=DTW_PER_STEP,
+    heading="DTW distance",
+)
+
+METRICS = [RETURN, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP]
+"""In the order in which they are shown. Resampling goes by it too: put new ones last."""
+
+
+def add_metric(metric: Metric) -> None:
+    """Have one more metric measured and shown, in this process.
+
+    Raises
+    ------
+    InputError
+        If there is one of that key.
+    """
+    if any(metric.key == known.key for known in METRICS):
+        raise InputError(f"there is a metric {metric.key!r} already: give it another key")
+    METRICS.append(metric)
 
 
 def path_lengths(rollouts: Rollouts) -> Floats:
@@ -103,8 +232,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             f"the rollouts of {rollouts.method} were not made from {demos.name}: "
             "evaluate them against the demonstrations they started from"
         )
-    movers = rollouts.movers
-    dtw = dtw_distances(rollouts, demos)[:, movers].mean(axis=1)
+    episodes = Episodes(rollouts, demos)
     return pd.DataFrame(
         {
             "method": rollouts.method,
@@ -115,11 +243,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             "cue": rollouts.cue,
             "outcome": rollouts.outcome,
             "captured": rollouts.captured,
-            RETURN.key: rollouts.captured.astype(float),
-            PATH_LENGTH.key: path_lengths(rollouts)[:, movers].mean(axis=1),
-            DURATION.key: (rollouts.lengths - 1) * rollouts.dt,
-            DTW.key: dtw,
-            DTW_PER_STEP.key: dtw / np.maximum(rollouts.lengths, demos.lengths[rollouts.demo]),
+            **{metric.key: metric.measure(episodes) for metric in METRICS},
         }
     )
 

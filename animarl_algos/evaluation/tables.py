@@ -12,10 +12,10 @@ import numpy as np
 
 from animarl_algos.evaluation.comparison import (
     comparison_table,
-    contrast_table,
     factual,
     pair_table,
 )
+from animarl_algos.evaluation.contrasts import contrast_table
 from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.metrics import measure, measure_recordings

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch.nn import functional
+
+from animarl_envs.compiling import jit
 
 
 def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -72,7 +73,7 @@ def _rows(tensor: torch.Tensor) -> NDArray[Any]:
     return rows
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@jit(fastmath={"contract", "nsz"})
 def _loss_and_gradient(current, target, tau, loss, gradient):  # type: ignore[no-untyped-def]
     """Fill ``loss`` (N,) and its derivative ``gradient`` (N, Q) by ``current`` (N, Q)."""
     quantiles = current.shape[1]

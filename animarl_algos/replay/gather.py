@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.rings import NO_LABEL, Frames, Sequences
+from animarl_envs.compiling import jit
 
 
 class BatchArrays(NamedTuple):
@@ -32,7 +32,7 @@ class BatchArrays(NamedTuple):
     action_penalties: NDArray[np.float32]
 
 
-@nb.njit(cache=True)
+@jit
 def sort_by_length(sequences, slots, order):  # type: ignore[no-untyped-def]
     """Order of ``slots`` ``(B,)`` by decreasing trained length; equal ones keep their order."""
     for b in range(len(slots)):
@@ -44,7 +44,7 @@ def sort_by_length(sequences, slots, order):  # type: ignore[no-untyped-def]
         order[place] = b
 
 
-@nb.njit(cache=True)
+@jit
 def extent(sequences, slots):  # type: ignore[no-untyped-def]
     """Longest prefix and longest trained part among ``slots`` ``(K, B)``."""
     burn_in, trained = 0, 0
@@ -55,7 +55,7 @@ def extent(sequences, slots):  # type: ignore[no-untyped-def]
     return burn_in, trained
 
 
-@nb.njit(cache=True)
+@jit
 def gather(frames, action_penalties, sequences, slots, burn_in, no_action, out, active):  # type: ignore[no-untyped-def]
     """Copy the sequences in ``slots`` ``(K, B)`` into ``out``, padded and aligned.
 

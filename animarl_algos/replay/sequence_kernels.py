@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
 from animarl_algos.replay.gather import sort_by_length
 from animarl_algos.replay.rings import EPISODES, NEXT, NEXT_ROW, NO_LABEL, OLDEST, ROWS_USED
 from animarl_algos.replay.sum_tree import find_leaf, set_leaf
+from animarl_envs.compiling import jit
 from animarl_envs.worlds.streams import next_uniform
 
 BAD_ACTION, TOO_LONG = -1, -2  # what stage_steps refuses
 PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
 
 
-@nb.njit(cache=True)
+@jit
 def _copy_frame(source, i, target, j):  # type: ignore[no-untyped-def]
     _, individuals, size = source.observations.shape
     for k in range(individuals):
@@ -27,7 +27,7 @@ def _copy_frame(source, i, target, j):  # type: ignore[no-untyped-def]
     target.warmup[j] = source.warmup[i]
 
 
-@nb.njit(cache=True)
+@jit
 def _evict_oldest(ring):  # type: ignore[no-untyped-def]
     """Forget the oldest episode with all its sequences."""
     sequences, cursor, trees = ring.sequences, ring.cursor, ring.trees
@@ -43,12 +43,12 @@ def _evict_oldest(ring):  # type: ignore[no-untyped-def]
     cursor[EPISODES] -= 1
 
 
-@nb.njit(cache=True)
+@jit
 def _has_trained_step(warmup, begin, end):  # type: ignore[no-untyped-def]
     return not warmup[begin:end].all()
 
 
-@nb.njit(cache=True)
+@jit
 def _commit(staging, step, copy, ring, alpha, stride, burn_in, max_episodes):  # type: ignore[no-untyped-def]
     """Move the finished episode of a copy from the staging rows to the ring.
 
@@ -99,7 +99,7 @@ def _commit(staging, step, copy, ring, alpha, stride, burn_in, max_episodes):  #
     sequences.frames[slot] = steps + 1
 
 
-@nb.njit(cache=True)
+@jit
 def stage_steps(staging, step, stride, burn_in, num_actions):  # type: ignore[no-untyped-def]
     """Write one step of every copy into the staging rows; the number of episodes that ended.
 
@@ -148,7 +148,7 @@ def stage_steps(staging, step, stride, burn_in, num_actions):  # type: ignore[no
     return ended
 
 
-@nb.njit(cache=True)
+@jit
 def commit_ended(staging, step, ring, alpha, stride, burn_in, max_episodes):  # type: ignore[no-untyped-def]
     """Move the episodes that ended from staging to the ring, in the order of the copies."""
     for c in range(len(staging.step_count)):
@@ -157,7 +157,7 @@ def commit_ended(staging, step, ring, alpha, stride, burn_in, max_episodes):  # 
             staging.step_count[c] = 0
 
 
-@nb.njit(cache=True)
+@jit
 def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: ignore[no-untyped-def]
     """Draw B sequences for each of K individuals, sorted by decreasing length.
 
@@ -195,7 +195,7 @@ def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: i
             weights[k, b] /= largest
 
 
-@nb.njit(cache=True)
+@jit
 def update_priorities(ring, alpha, serials, errors):  # type: ignore[no-untyped-def]
     """Set p_i = (|error_i| + floor)^alpha; sequences evicted since the draw are passed over."""
     cursor, num_slots = ring.cursor, len(ring.sequences.first)

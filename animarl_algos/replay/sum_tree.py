@@ -12,6 +12,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.worlds.streams import next_uniform
 
 
@@ -41,14 +42,14 @@ def find_leaf(trees, k, mass):  # type: ignore[no-untyped-def]
     return node - leaves
 
 
-@nb.njit(cache=True)
+@jit
 def set_leaves(trees, k, leaves, values):  # type: ignore[no-untyped-def]
     """Give several leaves of tree ``k`` their priorities."""
     for i in range(len(leaves)):
         set_leaf(trees, k, leaves[i], values[i])
 
 
-@nb.njit(cache=True)
+@jit
 def draw_leaves(trees, streams, k, stratified, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` with leaves of tree ``k``, drawn in proportion to their priorities.
 

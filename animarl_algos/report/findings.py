@@ -7,7 +7,7 @@ from typing import Any
 
 from animarl_algos.evaluation.comparison import BASELINE, COUNTING, find_method, interval
 from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WORLD_SHIFT
-from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN, Metric
+from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.report import panels
 from animarl_algos.report import sentences as wording
 from animarl_algos.report.blocks import Block, Gallery, Group, Heading, Row, Table, Text
@@ -31,30 +31,17 @@ def metrics(inputs: ReportInputs) -> Iterator[Block]:
         "training seeds; repetitions from one start are never counted as independent. Captures "
         "are episodes in which the target was reached."
     )
-    for metric in (RETURN, PATH_LENGTH, DURATION, DTW):
+    measured = set(evaluation.comparison["metric"])
+    for metric in (m for m in METRICS if m.caption and m.key in measured):
         yield Heading(metric.label)
-        yield Gallery(panels.metric_panels(inputs, metric), _metric_caption(metric))
+        yield Gallery(panels.metric_panels(inputs, metric), metric.caption)
         yield _metric_table(inputs, metric)
-
-
-def _metric_caption(metric: Metric) -> str:
-    what = {
-        RETURN.key: "Share of episodes in which a pursuer reached the target (the moth the "
-        "source), all episodes.",
-        PATH_LENGTH.key: "Path length per episode, mean over the pursuers (or the moth's): all "
-        "episodes, and captures only.",
-        DURATION.key: "Duration per episode: all episodes, and captures only.",
-        DTW.key: "DTW distance of each rollout to the demonstration that it started from, mean "
-        "over the pursuers (or the moth's), summed along the warping path: all episodes, and "
-        "captures only.",
-    }
-    return what[metric.key]
 
 
 def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
     comparison = inputs.evaluation.comparison
     rows = comparison[comparison["metric"] == metric.key]
-    percent = metric is RETURN
+    percent = metric.share
     with_recorded = bool(rows["to_recorded"].notna().any())
     baseline = find_method(inputs.rollouts, BASELINE)
     groups = []
@@ -77,21 +64,23 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
                     inputs.evaluation.pairs, str(row["method"]), baseline, metric, counting
                 )
                 cells.append(with_interval(less, percent))
-            if metric is DTW:
-                cells += _dtw_cells(inputs, row)
+            if not metric.of_recordings:
+                cells += _further_cells(inputs, row, metric)
             lines.append(Row(cells, strong=row["method"] == inputs.learner))
-        groups.append(Group(COUNTING[counting].capitalize() if metric is not RETURN else "", lines))
+        groups.append(Group("" if metric.share else COUNTING[counting].capitalize(), lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
     columns += ["Minus recorded"] if with_recorded else []
     columns += [f"Minus {BASELINE}"] if baseline is not None else []
     note = ""
-    if metric is DTW:
-        columns += ["Within starts", f"Minus {method_label(inputs.learner)}", "Per step"]
+    if not metric.of_recordings:
+        columns += ["Within starts", f"Minus {method_label(inputs.learner)}"]
         note = (
             " Within starts: the mean with what all methods share of a start taken out "
             "(Cousineau 2005, Morey 2008), to compare methods where episodes differ much in length."
-            " Per step: the distance over the frames of the longer of the two paths."
         )
+        if metric.per_step is not None:
+            columns.append("Per step")
+            note += " Per step: the distance over the frames of the longer of the two paths."
     return Table(
         f"{metric.label} by method",
         columns,
@@ -100,15 +89,17 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
     )
 
 
-def _dtw_cells(inputs: ReportInputs, row: Any) -> list[str]:
-    """Within starts, minus the learner, per step."""
+def _further_cells(inputs: ReportInputs, row: Any, metric: Metric) -> list[str]:
+    """Of a distance to the recordings: within starts, minus the learner, per step."""
     evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
-    step = comparison_row(evaluation.comparison, name, METRICS[-1], counting)
-    return [
+    cells = [
         with_interval(interval(row, "within")),
-        with_interval(pair_difference(evaluation.pairs, name, inputs.learner, DTW, counting)),
-        NOTHING if step is None else with_interval(interval(step, "mean")),
+        with_interval(pair_difference(evaluation.pairs, name, inputs.learner, metric, counting)),
     ]
+    if metric.per_step is not None:
+        step = comparison_row(evaluation.comparison, name, metric.per_step, counting)
+        cells.append(NOTHING if step is None else with_interval(interval(step, "mean")))
+    return cells
 
 
 def distances(inputs: ReportInputs) -> Iterator[Block]:
@@ -124,7 +115,8 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
         "from chance; the distance is biased upwards, and so is its interval.",
     )
     groups = []
-    for metric in (PATH_LENGTH, DURATION):
+    measured = set(evaluation.comparison["metric"])
+    for metric in (m for m in METRICS if m.has_distribution and m.key in measured):
         for counting in COUNTING:
             lines = []
             for name in inputs.rollouts:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.comparison import COUNTING, factual, interval
 from animarl_algos.evaluation.decisions import Decisions
-from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
+from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH, Metric
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, interpretation
@@ -67,20 +67,20 @@ def speeds(inputs: ReportInputs) -> tuple[list[Image], tuple[int, int]]:
 
 
 def metric_panels(inputs: ReportInputs, metric: Metric) -> list[Image]:
-    """All episodes and captures side by side; of the return a single panel of means."""
+    """All episodes and captures side by side; of a share a single panel of means."""
     comparison = inputs.evaluation.comparison
     rows = factual(inputs.evaluation.metrics)
     names = [RECORDED, *inputs.rollouts] if metric.of_recordings else list(inputs.rollouts)
-    if metric is RETURN:
+    if metric.share:
         percent = {n: _times(_mean(comparison, n, metric, "all"), 100.0) for n in names}
         figure = figures.interval_rows(
             percent,
-            "Episodes in which the target was reached (%)",
+            metric.axis,
             title=COUNTING["all"].capitalize(),
             reference=percent[RECORDED].estimate,
             limits=(-2.0, 102.0),
         )
-        return [to_image(figure, "Share of episodes in which the target was reached, by method")]
+        return [to_image(figure, f"{metric.axis} by method, {COUNTING['all']}")]
     images = []
     for counting in COUNTING:
         counted = rows[rows["captured"]] if counting == "captures" else rows
@@ -100,9 +100,9 @@ def metric_panels(inputs: ReportInputs, metric: Metric) -> list[Image]:
 
 
 def distance_panels(inputs: ReportInputs) -> list[Image]:
-    """Kernel-density distance by method with its null band: path length, duration."""
+    """Kernel-density distance by method with its null band, a panel per metric."""
     images = []
-    for metric in (PATH_LENGTH, DURATION):
+    for metric in (metric for metric in METRICS if metric.has_distribution):
         values, nulls = {}, {}
         for name in inputs.rollouts:
             row = comparison_row(inputs.evaluation.comparison, name, metric)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.comparison import interval
-from animarl_algos.evaluation.metrics import DTW, DURATION, PATH_LENGTH, RETURN, Metric
+from animarl_algos.evaluation.metrics import DTW, METRICS, RETURN, Metric
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.report.style import method_label
@@ -121,15 +121,18 @@ def _share(row: Any) -> str:
 
 
 def _likeness(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
-    for metric in (PATH_LENGTH, DURATION):
+    for metric in METRICS:
         row = comparison_row(comparison, learner, metric)
-        if row is None or not math.isfinite(row["to_recorded"]):
+        if metric.more_less is None or row is None or not math.isfinite(row["to_recorded"]):
             continue
+        more, less = metric.more_less
         gap = interval(row, "to_recorded")
         if gap.excludes_zero:
             size = gap if gap.estimate > 0 else Interval(-gap.estimate, -gap.high, -gap.low)
-            longer = "longer" if gap.estimate > 0 else "shorter"
-            words = f"{with_interval(size)} {metric.unit} {longer} than recorded"
+            words = (
+                f"{with_interval(size)} {metric.unit} {more if gap.estimate > 0 else less} "
+                "than recorded"
+            )
         else:
             words = (
                 f"not told apart from the recordings on average (difference "

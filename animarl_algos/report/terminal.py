@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from animarl_algos.evaluation.comparison import COUNTING, interval
-from animarl_algos.evaluation.metrics import DTW, DURATION, METRICS, PATH_LENGTH, RETURN
+from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.sentences import comparison_row, with_interval
@@ -52,21 +52,17 @@ def evaluation_table(
     )
     table.add_column("method", no_wrap=True)
     table.add_column("n", justify="right", no_wrap=True, min_width=3)
-    for heading in (
-        "target\nreached, %", "path length", "KDE", "duration, s", "KDE", "DTW distance",
-        "within starts",
-    ):  # fmt: skip
+    shown = [metric for metric in METRICS if metric.heading]
+    headings = [h for m in shown for h in (m.heading, *(["KDE"] if m.has_distribution else []))]
+    for heading in (*headings, "within starts"):
         table.add_column(heading, justify="right", no_wrap=True)
     for name in comparison["method"].unique():
         cells = []
-        for metric in METRICS:
-            row = comparison_row(comparison, str(name), metric, counting)
-            if metric is RETURN:
-                row = comparison_row(comparison, str(name), metric)
-            if metric in (RETURN, PATH_LENGTH, DURATION, DTW):
-                value = None if row is None else interval(row, "mean")
-                cells.append("" if value is None else with_interval(value, metric is RETURN))
-            if metric in (PATH_LENGTH, DURATION):
+        for metric in shown:
+            which = "all" if metric.share else counting
+            row = comparison_row(comparison, str(name), metric, which)
+            cells.append("" if row is None else with_interval(interval(row, "mean"), metric.share))
+            if metric.has_distribution:
                 cells.append("" if row is None else _against_null(row))
         own = comparison_row(comparison, str(name), DTW, counting)
         cells.append("" if own is None else with_interval(interval(own, "within")))

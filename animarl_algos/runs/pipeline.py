@@ -14,32 +14,32 @@ from pathlib import Path
 import torch
 from stable_baselines3.common.logger import configure
 
+from animarl_algos.data.focal import FocalPolicy, focal_drivers
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.decisions import Decisions, decide_along
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.checkpoint import (
     CheckpointCallback,
     latest_checkpoint,
     load_checkpoint,
     steps_done,
 )
+from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.recorder import check_environment
-from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.decisions import Decisions, decide_along
-from animarl_algos.evaluation.tables import Evaluation, evaluate
+from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
-from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.data.focal import FocalPolicy, focal_drivers
-from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
-from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.importing.readers import read
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.importing.readers import read
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds import make_world

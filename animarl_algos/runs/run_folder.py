@@ -22,19 +22,19 @@ from typing import Any
 
 import pandas as pd
 
+from animarl_algos.data.vec_env import SlotVecEnv, species_options
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
+from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
-from animarl_algos.data.vec_env import SlotVecEnv, species_options
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit
+from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
-from animarl_envs.fitting.custom_species import species_of
 
 PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scipy",

@@ -15,10 +15,10 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import refuse_other_species
 from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
-from animarl_envs.fitting.custom_species import species_of
 
 BEHAVIOUR_CLONING = "bc"
 FIT_METHODS = ("joint", "onset")

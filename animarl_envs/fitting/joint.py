@@ -19,10 +19,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import Transitions
 from animarl_envs.locomotion import Locomotion
@@ -256,7 +256,7 @@ def _scratch(steps: int) -> tuple[Floats, Floats, NDArray[np.int64]]:
     return np.empty(steps), np.empty((steps, 2)), np.empty(steps, dtype=np.int64)
 
 
-@nb.njit(cache=True)
+@jit
 def _assign(  # type: ignore[no-untyped-def]
     velocity, next_velocity, focus, damping, impulses, error, action, level
 ):
@@ -300,7 +300,7 @@ def _assign(  # type: ignore[no-untyped-def]
             error[t] = square
 
 
-@nb.njit(cache=True)
+@jit
 def _sums(velocity, next_velocity, action, level, error, limit, dt, thrusts):  # type: ignore[no-untyped-def]
     """Inner products over the steps with ``error <= limit``, those with actions per thrust."""
     vv, vn = 0.0, 0.0

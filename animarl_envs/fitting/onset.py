@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
@@ -109,7 +109,7 @@ def _resampled(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np.floa
     return np.column_stack([onset / top, onset / data.dt])
 
 
-@nb.njit(cache=True)
+@jit
 def _weighted_medians(value, episode, weights, out):  # type: ignore[no-untyped-def]
     """Median of ascending ``value`` with each entry repeated as often as its episode was drawn."""
     for b in range(weights.shape[0]):
@@ -119,7 +119,7 @@ def _weighted_medians(value, episode, weights, out):  # type: ignore[no-untyped-
         out[b] = np.nan if total == 0 else _repeated_median(value, episode, weights[b], 0, total)
 
 
-@nb.njit(cache=True)
+@jit
 def _repeated_median(value, episode, weight, first, total):  # type: ignore[no-untyped-def]
     """Median of ``value[first:]`` whose repeats add up to ``total``."""
     low, high = (total - 1) // 2, total // 2
@@ -133,7 +133,7 @@ def _repeated_median(value, episode, weight, first, total):  # type: ignore[no-u
     return np.nan
 
 
-@nb.njit(cache=True)
+@jit
 def _weighted_top_medians(value, episode, weights, quantile, out):  # type: ignore[no-untyped-def]
     """Median of the entries above the quantile (linear interpolation), per resample."""
     count = value.shape[0]

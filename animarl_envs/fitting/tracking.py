@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES, Arena
+from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
@@ -169,7 +169,7 @@ def _hold_by_walls(arena: Arena, position: Floats, velocity: Floats) -> None:
     rebound(field, position, velocity)
 
 
-@nb.njit(cache=True)
+@jit
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
     position, velocity, paths, speeds, actions,

@@ -10,10 +10,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
-import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
@@ -277,7 +277,7 @@ def _flat_demonstrations(scenario: Scenario) -> FlatDemos:
     )
 
 
-@nb.njit(cache=True)
+@jit
 def _begin(  # type: ignore[no-untyped-def]
     mask, wanted, count, demo_condition, fixed, warms_up, random, demo, condition, step_count,
     terminated, truncated, outcome, warming, components, reward,
@@ -308,7 +308,7 @@ def _begin(  # type: ignore[no-untyped-def]
                 components[i, c, b] = 0.0
 
 
-@nb.njit(cache=True)
+@jit
 def _add_noise(mask, seen, deviation, random, observation):  # type: ignore[no-untyped-def]
     B, K, n = seen.shape
     for b in range(B):

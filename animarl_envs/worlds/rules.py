@@ -12,7 +12,7 @@ import numba as nb
 import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
-from animarl_envs.worlds.compiling import jit
+from animarl_envs.compiling import jit
 from animarl_envs.worlds.transition import next_velocity
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]

@@ -13,6 +13,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.compiling import jit
+
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
@@ -54,7 +56,7 @@ def next_normal(state, b):  # type: ignore[no-untyped-def]
     return radius * math.cos(2.0 * math.pi * next_uniform(state, b))
 
 
-@nb.njit(cache=True)
+@jit
 def _scramble(seeds, state):  # type: ignore[no-untyped-def]
     for b in range(len(seeds)):
         state[b] = mix(seeds[b] + _GOLDEN)

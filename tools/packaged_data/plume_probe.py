@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_npz
 from animarl_envs.species import SILKMOTH
@@ -100,7 +100,7 @@ def read_along(
     return out
 
 
-@nb.njit(cache=True)
+@jit
 def _read_runs(  # type: ignore[no-untyped-def]
     antennae, frame, start, chosen, shift, bits, rows, columns, source_row, source_column, cell, out
 ):  # fmt: skip

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.networks.kernels.feed_forward import affine, head_units, rectify
 from animarl_algos.networks.kernels.gru_kernels import sigmoid_float32, tanh_float32
 from animarl_algos.networks.networks import StackedQNetwork
+from animarl_envs.compiling import jit
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@jit(fastmath={"contract", "nsz"})
 def _decide(  # type: ignore[no-untyped-def]
     observation, previous_action, hidden, q_values,
     flagged, sees_previous, recurrent, skip, hidden_head, mean, sd, limit,

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba as nb
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from animarl_envs.compiling import jit
 
 _ZERO = np.float32(0.0)
 
@@ -79,7 +80,7 @@ def _array(tensor: torch.Tensor) -> NDArray[Any]:
     return array
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@jit(fastmath={"contract", "nsz"})
 def _forward(units, weight, bias, actions, values):  # type: ignore[no-untyped-def]
     individuals, rows, quantiles = values.shape
     for k in range(individuals):
@@ -95,7 +96,7 @@ def _forward(units, weight, bias, actions, values):  # type: ignore[no-untyped-d
                     value[q] += unit * row[q]
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@jit(fastmath={"contract", "nsz"})
 def _backward(  # type: ignore[no-untyped-def]
     grad, units, weight_back, actions, grad_units, grad_weight, grad_bias
 ):

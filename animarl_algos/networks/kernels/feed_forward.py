@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.networks.kernels.compiled import runs_compiled
+from animarl_envs.compiling import jit
 
 MOST_ROWS = 256
 """Rows (of all individuals together) up to which these loops are the faster way."""
@@ -172,7 +173,7 @@ def head_units(features, flag, flagged, weight, bias, head):  # type: ignore[no-
     rectify(head)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@jit(fastmath=_FASTMATH)
 def _forward(  # type: ignore[no-untyped-def]
     values, observations, previous_actions, flagged, sees_previous,
     weight_1, bias_1, weight_2, bias_2,
@@ -225,7 +226,7 @@ def _rectify_back(slope, output):  # type: ignore[no-untyped-def]
         slope[j] = slope[j] if output[j] > _ZERO else _ZERO
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@jit(fastmath=_FASTMATH)
 def _backward(  # type: ignore[no-untyped-def]
     grad_features, grad_values, observations, previous_actions, flagged, sees_previous,
     weight_1, bias_1, weight_2, bias_2,

@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
+
 # tanh as a quotient of polynomials in x^2, the approximation of Eigen and XLA, within a few float32
 # roundings of the true value and free of branches, so that compilers vectorise it.
 _TANH_LIMIT = np.float32(7.90531110763549805)
@@ -45,7 +47,7 @@ def sigmoid_float32(x):  # type: ignore[no-untyped-def]
     return _HALF + _HALF * tanh_float32(_HALF * x)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@jit(fastmath={"contract", "nsz"})
 def _forward(gates, hidden_n, hidden, state, weight, bias, active, scratch):  # type: ignore[no-untyped-def]
     individuals, _, units = hidden.shape
     for k in range(individuals):
@@ -75,7 +77,7 @@ def _forward(gates, hidden_n, hidden, state, weight, bias, active, scratch):  # 
             start += active[t]
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"})
+@jit(fastmath={"contract", "nsz"})
 def _backward(  # type: ignore[no-untyped-def]
     grad_hidden,
     gates,

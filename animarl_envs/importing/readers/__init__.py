@@ -6,9 +6,8 @@ from animarl_envs.importing.readers import (
     authors,
     collections,
     deeplabcut,
-    minari,
     mothvr,
-    native,
+    own,
     pose,
     tables,
     trackers,
@@ -28,6 +27,6 @@ from animarl_envs.importing.readers.registry import (
 
 __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
-    "default_recipe", "find_reader", "follow", "get_reader", "minari", "mothvr", "native", "pose",
+    "default_recipe", "find_reader", "follow", "get_reader", "mothvr", "own", "pose",
     "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
 ]  # fmt: skip

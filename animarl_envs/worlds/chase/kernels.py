@@ -15,10 +15,10 @@ from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.senses import observe
-from animarl_envs.worlds.compiling import jit, part
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
 from animarl_envs.worlds.transition import next_velocity

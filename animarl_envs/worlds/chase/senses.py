@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.compiling import jit, part
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.arctangent import angle_of
 from animarl_envs.worlds.chase import layout
-from animarl_envs.worlds.compiling import jit, part
 from animarl_envs.worlds.exponential import log_of, tanh_of
 
 DX, DY, DVX, DVY, APART = 0, 1, 2, 3, 4

@@ -30,10 +30,10 @@ import math
 from dataclasses import dataclass, fields
 from importlib import resources
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 
 REACH = 3.0  # a filament is followed this many radii R from its centre
@@ -156,7 +156,7 @@ class FilamentModel:
         )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@jit
 def paint(field, time, filaments, rate, oldest, radius, growth, extent, cell, x0, y0):  # type: ignore[no-untyped-def]
     """Add the concentration at ``time`` to ``field`` (rows, columns).
 

@@ -22,6 +22,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.worlds.plume.filaments import FilamentModel, paint
 
@@ -353,7 +354,7 @@ def _read_movie(path: Path | None) -> Iterator[NDArray[Any]]:
         raise InputError(f"plume movie {path}: it cannot be read ({error}): convert it") from None
 
 
-@nb.njit(cache=True)
+@jit
 def _spread(hits, bottom, top, left, right, stencil, packed):  # type: ignore[no-untyped-def]
     """Set the bits of cells within the stencil's reach of a hit; clear the hits on the way."""
     rows, columns = hits.shape
@@ -369,7 +370,7 @@ def _spread(hits, bottom, top, left, right, stencil, packed):  # type: ignore[no
                         packed[index >> 3] |= np.uint8(1 << (index & 7))
 
 
-@nb.njit(cache=True)
+@jit
 def _model_table(filaments, constants, threshold, frame_time, dt, stencil, rows, columns, bits):  # type: ignore[no-untyped-def]
     """Fill ``bits`` (steps, bytes): frames of a step united, spread over the antenna, packed."""
     field = np.zeros((rows, columns), dtype=np.float32)

@@ -7,10 +7,10 @@ the rest is a :class:`animarl_envs.worlds.search.senses.Body`; the plume's table
 
 from __future__ import annotations
 
-import numba as nb
 from numba.core import types
 from numba.experimental import structref
 
+from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.search.senses import orient, read, sense, wake
@@ -20,7 +20,7 @@ from animarl_envs.worlds.transition import next_velocity
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
 
 
-@nb.njit(cache=True)
+@jit
 def start(  # type: ignore[no-untyped-def]
     mask, demo_position, demo_velocity, demo_start, demo_hits, demo_heading, candidates,
     num_candidates, demo_group, demo_pattern, demo_phase, first, table, senses, random, demo,
@@ -73,7 +73,7 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@jit
 def bundle(  # type: ignore[no-untyped-def]
     driver, demos, demo_hits, demo_heading, table, senses, numbers, demo, condition, pattern, phase,
     position, velocity, body, components, reward, terminated, truncated, outcome, step_count,
@@ -87,7 +87,7 @@ def bundle(  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@nb.njit(cache=True)
+@jit
 def step(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, 1)``."""
     damping, thrust, pushes, contact_radius, time_limit, warmup = state.numbers
@@ -145,7 +145,7 @@ def step(asked, state):  # type: ignore[no-untyped-def]
         sense(b, vx, vy, left, right, condition[b], senses, body, sensed, b)
 
 
-@nb.njit(cache=True)
+@jit
 def sense_recorded(velocity, start, condition, hits, demo_heading, senses, body, out):  # type: ignore[no-untyped-def]
     """Observations of recorded frames; ``body`` is scratch of one copy."""
     for e in range(len(start) - 1):

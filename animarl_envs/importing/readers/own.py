@@ -1,4 +1,4 @@
-"""A Minari dataset that this project wrote (its ``main_data.hdf5``, or the folder around it)."""
+"""Files that this project wrote: its own ``.npz``, and the Minari datasets that it exports."""
 
 from __future__ import annotations
 
@@ -6,7 +6,22 @@ from pathlib import Path
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.importing.minari_io import DATA_FILE, import_minari
+from animarl_envs.importing.readers.guards import check_npz, npz_members
 from animarl_envs.importing.readers.registry import register_reader
+
+_MEMBERS = {"positions.npy", "lengths.npy", "initial_velocity.npy", "meta.npy"}
+
+
+@register_reader(
+    "animarl",
+    "demonstrations of this project (.npz)",
+    sniff=lambda path: npz_members(path) >= _MEMBERS,
+    extensions=(".npz",),
+)
+def read_native(path: Path) -> Demonstrations:
+    """Read a file written by :meth:`Demonstrations.save`."""
+    check_npz(path)
+    return Demonstrations.load(path)
 
 
 @register_reader(

@@ -1,0 +1,124 @@
+"""How kernels are compiled, and where machine code is kept: under a key of all their sources.
+
+Kernels inline each other across modules, but numba keeps the code of each under the date of its own
+file alone. So it is kept in a folder that is named after a hash of every source a kernel may hold a
+part of: an edit of the transition, or another numba, has all that use it compiled anew. Folders of
+old sources stay behind, beside Python's own ``__pycache__`` files, and may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import hashlib
+import re
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numba as nb
+from numba.misc.appdirs import AppDirs
+
+_HERE = Path(__file__).resolve().parent
+# Modules with kernels, or with constants in capitals that kernels take in as they are compiled.
+_KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
+_IMPORTS = re.compile(r"^from (\w+(?:\.\w+)+) import (\([^)]*\)|.*)$", re.MULTILINE)
+_CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
+
+
+def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a kernel: machine code kept on disk, divisions by zero as NumPy's.
+
+    A decorator, with or without further options of ``numba.njit``.
+    """
+    if function is None:
+        return functools.partial(jit, **options)
+    with _cache_folder(function.__module__.partition(".")[0]):
+        return nb.njit(cache=True, **{"error_model": "numpy", **options})(function)
+
+
+def part(function: Callable[..., Any]) -> Any:
+    """Compile a part of a kernel, which is never called alone."""
+    return jit(function, forceinline=True)
+
+
+@contextmanager
+def _cache_folder(package: str) -> Iterator[None]:
+    """numba takes a kernel's folder from its settings, once, when it is decorated."""
+    of_user = nb.config.CACHE_DIR
+    nb.config.CACHE_DIR = str(_folder(package, of_user))
+    try:
+        yield
+    finally:
+        nb.config.CACHE_DIR = of_user
+
+
+@functools.cache
+def _folder(package: str, of_user: str) -> Path:
+    """Where the machine code of a package is kept; ``NUMBA_CACHE_DIR`` is kept to if it is set."""
+    name = f"kernels-{source_key(package)}"
+    usual = (_HERE / "__pycache__", Path(AppDirs("animarl", appauthor=False).user_cache_dir))
+    for root in (Path(of_user),) if of_user else usual:
+        if _can_write(root / name):
+            return root / name
+    return _temporary() / name
+
+
+def _can_write(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+@functools.cache
+def _temporary() -> Path:
+    """A folder of this process alone: a shared one could hold code that somebody else put there."""
+    folder = Path(tempfile.mkdtemp(prefix="animarl-kernels-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    warnings.warn(
+        "there is no folder to keep compiled kernels in, so every start compiles them anew: set "
+        "NUMBA_CACHE_DIR to a folder that can be written",
+        stacklevel=2,
+    )
+    return folder
+
+
+@functools.cache
+def source_key(package: str) -> str:
+    """Hash of numba's version and of the sources that kernels of a package are made of.
+
+    These are the modules of the environments and of ``package`` that have kernels, and those that
+    such modules take constants from.
+    """
+    digest = hashlib.sha256(nb.__version__.encode())
+    roots = {_HERE.name: _HERE}
+    locations = getattr(sys.modules.get(package), "__path__", None)
+    roots |= {package: Path(next(iter(locations)))} if locations else {}
+    for path in _kernel_sources(roots):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _kernel_sources(roots: dict[str, Path]) -> list[Path]:
+    found: set[Path] = set()
+    for root in roots.values():
+        for path in root.rglob("*.py"):
+            text = path.read_text(encoding="utf-8")
+            if not _KERNELS.search(text):
+                continue
+            found.add(path)
+            for module, names in _IMPORTS.findall(text):
+                top, *below = module.split(".")
+                if top in roots and _CONSTANT.search(names):
+                    source = roots[top].joinpath(*below)
+                    found |= {p for p in (source.with_suffix(".py"), source / "__init__.py")
+                              if p.is_file()}  # fmt: skip
+    return sorted(found)

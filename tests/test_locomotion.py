@@ -1,0 +1,93 @@
+"""The equation of motion and its inverse, by known answers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from animarl_envs.errors import InputError
+from animarl_envs.locomotion import (
+    ACTION_ANGLES,
+    ACTION_VECTORS,
+    COAST,
+    NUM_ACTIONS,
+    Locomotion,
+    action_directions,
+    apply_actions,
+    infer_actions,
+    velocities,
+)
+
+DT = 0.1
+OWN = Locomotion(0.25, 3.0)
+
+
+def test_actions_turn_right_in_steps_of_thirty_degrees_and_the_last_is_none() -> None:
+    assert (NUM_ACTIONS, COAST) == (13, 12)
+    assert ACTION_VECTORS.shape == (NUM_ACTIONS, 2)
+    for k in range(12):
+        angle = math.radians(-30 * k)
+        assert ACTION_ANGLES[k] == pytest.approx(angle)
+        assert ACTION_VECTORS[k] == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-15)
+    assert ACTION_ANGLES.shape == (12,)
+    assert ACTION_VECTORS[COAST].tolist() == [0.0, 0.0]
+
+
+def test_one_step_by_hand() -> None:
+    """v' = (1 - 0.25) (2, -4) + 3 a 0.1, with the focus straight up."""
+    velocity, focus = np.array([2.0, -4.0]), np.array([0.0, 1.0])
+    for action, push in ((0, (0, 1)), (3, (1, 0)), (6, (0, -1)), (9, (-1, 0)), (COAST, (0, 0))):
+        after = apply_actions(velocity, np.array(action), focus, OWN, DT)
+        assert after == pytest.approx([1.5 + 0.3 * push[0], -3.0 + 0.3 * push[1]])
+        assert action_directions(np.array(action), focus) == pytest.approx(push)
+
+
+def test_the_action_taken_is_found_again() -> None:
+    rng = np.random.default_rng(0)
+    velocity = rng.normal(size=(26, 3, 2))
+    angle = rng.uniform(0, 2 * np.pi, (26, 3))
+    focus = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    actions = np.broadcast_to(np.arange(26)[:, None] % 13, (26, 3))
+    after = apply_actions(velocity, actions, focus, OWN, DT)
+    found = infer_actions(velocity, after, focus, OWN, DT)
+    assert found.dtype == np.int8 and found.shape == (26, 3)
+    np.testing.assert_array_equal(found, actions)
+    # The nearest of the 13: less than half a push is none, a little more is one.
+    for share, nearest in ((0.49, COAST), (0.51, 0), (1.8, 0)):
+        pushed = 0.75 * velocity + share * 0.3 * focus
+        assert (infer_actions(velocity, pushed, focus, OWN, DT) == nearest).all()
+
+
+def test_velocities_belong_to_the_positions_they_led_to() -> None:
+    positions = np.array([[[1.0, 2.0]], [[1.5, 2.0]], [[1.5, 1.0]]])
+    found = velocities(positions, np.array([[7.0, 8.0]]), 0.5)
+    assert found.tolist() == [[[7.0, 8.0]], [[1.0, 0.0]], [[0.0, -2.0]]]
+
+
+def test_speeds_under_constant_thrust() -> None:
+    assert OWN.terminal_speed(DT) == pytest.approx(3.0 * 0.1 / 0.25)
+    assert Locomotion(0.0, 3.0).terminal_speed(DT) == math.inf
+    assert OWN.top_speed(DT, 2) == pytest.approx(0.6)
+    assert OWN.top_speed(DT, 2, initial=0.1) == pytest.approx(0.7)
+    assert OWN.top_speed(DT, 100) == pytest.approx(1.2)
+    assert OWN.top_speed(DT, 1, initial=5.0) == pytest.approx(5.0)  # it can only slow down
+    assert Locomotion(1.0, 0.1).terminal_speed(1.0) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("damping", "thrust", "said"),
+    [
+        (-0.01, 1.0, "damping is -0.01"),
+        (1.01, 1.0, "damping is 1.01"),
+        (math.nan, 1.0, "damping is nan"),
+        (0.5, 0.0, "thrust is 0.0"),
+        (0.5, math.inf, "thrust is inf"),
+        (0.5, math.nan, "thrust is nan"),
+    ],
+)
+def test_impossible_parameters_are_refused(damping: float, thrust: float, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Locomotion(damping, thrust)
+    assert Locomotion(0.0, 1e-9) != Locomotion(1.0, 1e-9)

@@ -1,0 +1,52 @@
+"""The names that ``animarl_algos`` gives at its front door, and that they cost nothing unasked."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import animarl_algos
+from animarl_algos.recipes.registry import RECIPES
+
+LOADED = """
+import json, sys
+import animarl_algos
+dir(animarl_algos)
+heavy = {"torch", "numba", "numpy", "gymnasium", "pandas", "stable_baselines3", "animarl_envs"}
+print(json.dumps(sorted(heavy & set(sys.modules))))
+"""
+
+
+def test_importing_the_learners_loads_nothing() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED], capture_output=True, text=True, check=True
+    )
+    assert json.loads(done.stdout) == []
+
+
+@pytest.mark.parametrize("name", animarl_algos.__all__)
+def test_every_public_name_is_there_and_called_so(name: str) -> None:
+    value = getattr(animarl_algos, name)
+    assert value.__name__ == name
+    assert value is getattr(animarl_algos, name)
+    assert name in dir(animarl_algos)
+
+
+def test_every_learner_has_a_public_name() -> None:
+    classes = {named.algorithm for named in RECIPES.values()}
+    public = {getattr(animarl_algos, name) for name in animarl_algos.__all__}
+    assert classes <= public
+
+
+def test_the_table_and_the_list_agree() -> None:
+    assert sorted(animarl_algos._HOME) == sorted(animarl_algos.__all__)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'DQNN'"):
+        _ = animarl_algos.DQNN
+    with pytest.raises(ImportError):
+        exec("from animarl_algos import DQNN")
