@@ -3,8 +3,8 @@
 Gneiting and Raftery (2007, J. Am. Stat. Assoc. 102, 359): for forecasts X, X' drawn independently
 and what came true, y, the score is E|X - y| - E|X - X'| / 2, smallest on average for the
 distribution that y is drawn from. For numbers it is the continuous ranked probability score.
-The first term alone, the mean error, is smallest for a simulator that always returns the median; the
-second one gives back what an honest spread costs.
+The first term alone, the mean error, is smallest for a simulator that always returns the median;
+the second one gives back what an honest spread costs.
 """
 
 from __future__ import annotations

@@ -207,9 +207,7 @@ def verdict(
     prepared = _Prepared.of(recorded, smoothing)
     counted = prepared.filtered(_factual(rollouts, recorded))
     rows = _rows(prepared, counted, streams[0])
-    comparison = _Classified.of(
-        prepared, counted, floor, baselines or {}, references, streams[1:3]
-    )
+    comparison = _Classified.of(prepared, counted, floor, baselines or {}, references, streams[1:3])
     rows.append(_auc_row(comparison))
     words = _overall(rows, comparison)
     untrained = (baselines or {}).get("untrained")
@@ -270,9 +268,7 @@ def _filtered(rollouts: Rollouts, smoothing: int) -> Rollouts:
 # -- rows -----------------------------------------------------------------------------------------
 
 
-def _rows(
-    prepared: _Prepared, counted: Rollouts, rng: np.random.Generator
-) -> list[dict[str, Any]]:
+def _rows(prepared: _Prepared, counted: Rollouts, rng: np.random.Generator) -> list[dict[str, Any]]:
     """The rows of endings and of motion."""
     starts = np.unique(counted.demo)
     exchanges = Exchanges.draw(counted.demo, prepared.demos.num_episodes, rng)
@@ -384,7 +380,7 @@ class _Classified:
         ceiling = tracked = UNDEFINED
         if (random := baselines.get("random")) is not None:
             drawn = prepared.filtered(_factual(random, demos))
-            ceiling = tell_apart(own, windows(drawn), rng).auc
+            ceiling = tell_apart(own, windows(drawn), rng, deals=1).auc
         if floor is not None:
             if floor.positions.shape != demos.positions.shape:
                 raise InputError(
@@ -398,7 +394,7 @@ class _Classified:
         else:
             others = windows(prepared.filtered(Rollouts.from_demonstrations(references)))
             apart = replace(others, group=others.group + own.group.max() + 1)
-            among = tell_apart(own, apart, null_rng).auc
+            among = tell_apart(own, apart, null_rng, deals=1).auc
         return cls(simulated, among, tracked, ceiling, block)
 
 
@@ -428,9 +424,11 @@ def _auc_row(found: _Classified) -> dict[str, Any]:
 def _overall(rows: list[dict[str, Any]], found: _Classified) -> tuple[str, ...]:
     """What is wrong, each thing once; the areas and the endings only if nothing else is said."""
     wrong = [row for row in rows if not row["alike"]]
-    plain = [row["verdict"] for row in wrong if row["measure"] not in (OUTCOMES, AUC)]
-    rest = [row["verdict"] for row in wrong if row["measure"] in (OUTCOMES, AUC)]
-    return tuple(dict.fromkeys(plain or rest)) or (LIKE,)
+    plain = {row["measure"]: row["verdict"] for row in wrong}
+    rest = [plain.pop(key) for key in (OUTCOMES, AUC) if key in plain]
+    if "leaving" in plain:  # who left is in the table
+        plain = {k: words for k, words in plain.items() if k not in ("target_out", "pursuer_out")}
+    return tuple(dict.fromkeys(plain.values())) or tuple(rest) or (LIKE,)
 
 
 def _farther(

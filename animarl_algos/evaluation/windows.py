@@ -1,7 +1,8 @@
 """Short windows of motion as rows of numbers, for a classifier to look at.
 
-Every window is described by the same few series (speeds, acceleration, turning, distances, bearings,
-place in the arena) of all individuals, each summed up by its mean, spread, extremes and median.
+Every window is described by the same few series (speeds, acceleration, turning, distances,
+bearings, place in the arena) of all individuals, each summed up by its mean, spread, extremes and
+median.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 WINDOW = 2.0  # [s]
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 MOST_PARTS = 10_000  # of one demonstration
-NOISE_SHARE = 0.1  # of a median step: what a filter may leave of the tracking noise
+NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
 SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
 DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
 
@@ -134,9 +135,9 @@ def suggested_smoothing(recorded: Rollouts) -> int:
     """Frames of the moving average after which tracking noise no longer shows in a step.
 
     White noise of the positions makes successive accelerations anti-correlated: their covariance
-    at lag one is -4 times its variance, and noise-free motion adds nothing negative. An average
-    over n frames leaves sqrt(2)/n of it in a step, which may be a tenth of the median moving step;
-    n is at most a quarter of a window.
+    at lag one is -4 times its variance, to which damped motion adds little. An average over n
+    frames leaves sqrt(2)/n of it in a step, which may be a fifth of the median moving step; n is
+    at most a quarter of a window.
     """
     widest = max(1, round(WINDOW / recorded.dt / 4))
     noise, step = tracking_noise(recorded), recorded.speeds() * recorded.dt

@@ -7,7 +7,7 @@ checkpoints/        the last whole checkpoint of each learner
 policies/           final weights of each learner (tensors only)
 logs/               learning curves: CSV and TensorBoard
 rollouts/           on the test split, by method
-evaluation/         tables
+evaluation/         tables, and the verdict
 report.html
 """
 
@@ -36,8 +36,8 @@ from animarl_envs.species import Species
 from animarl_envs.fitting.custom_species import species_of
 
 PACKAGES = (
-    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scipy",
-    "stable-baselines3", "torch",
+    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
+    "scipy", "stable-baselines3", "torch",
 )  # fmt: skip
 
 
