@@ -45,9 +45,9 @@ TREES: dict[str, Any] = {
 class Telling:
     """How well two sets of windows are told apart.
 
-    ``auc`` has a 95 % interval over demonstrations and training sets, and is undefined (NaN) where there are not two
-    demonstrations of each side; ``windows`` counts both sides; ``importance`` is by how much the
-    area falls when the features of one kind are shuffled.
+    ``auc`` has a 95 % interval over demonstrations and training sets, and is undefined (NaN) where
+    there are not two demonstrations of each side; ``windows`` counts both sides; ``importance`` is
+    by how much the area falls when the features of one kind are shuffled.
     """
 
     auc: Interval

@@ -81,8 +81,9 @@ class Verdict:
         One row per question, columns ``measure, label, unit, recorded, simulated, difference,
         difference_low, difference_high, distance, null, p, recorded_null, energy, energy_pooled,
         alike, verdict``. ``distance`` is what was tested against ``null``, the 95 % quantile of
-        exchanged recordings: the Wasserstein distance where there is a ``recorded_null`` (the same
-        quantile for recordings drawn from recordings), the absolute difference elsewhere.
+        exchanged recordings: the Wasserstein distance where there is a ``recorded_null`` (the
+        upper end of the central 95 % for recordings drawn from recordings), the absolute
+        difference elsewhere.
         ``energy`` is the mean energy score over starts, ``energy_pooled`` what recordings of other
         starts score. In the row ``auc``, ``recorded`` and ``null`` are those of
         recordings among themselves.
@@ -406,7 +407,7 @@ def _auc_row(found: _Classified) -> dict[str, Any]:
     row = _row(measure, RECORDED_SCALE, among.estimate, auc.estimate, gap, tested)
     if not math.isfinite(auc.estimate):
         return row | {"alike": True, "verdict": "too few demonstrations to say"}
-    if auc.low <= max(0.5, among.high):
+    if auc.low <= np.fmax(0.5, among.estimate):
         return row | {"alike": True, "verdict": "not told apart"}
     if auc.estimate <= NEAR_AUC:
         return row | {"alike": True, "verdict": "hardly told apart"}
