@@ -128,10 +128,10 @@ class Verdict:
         """Whether nothing was found wrong."""
         return self.words == (LIKE,)
 
-    def row(self, measure: str) -> pd.Series[Any]:
-        """The row of one measure."""
-        found: pd.Series[Any] = self.table.set_index("measure").loc[measure]
-        return found
+    def row(self, measure: str) -> dict[str, Any]:
+        """The row of one measure, by column."""
+        chosen = self.table[self.table["measure"] == measure]
+        return {str(column): chosen[column].iloc[0] for column in chosen}
 
     def save(self, folder: str | Path) -> None:
         """Write ``verdict.csv`` and ``verdict.json`` into a folder."""
