@@ -124,7 +124,13 @@ def report_inputs() -> ReportInputs:
         demos=demos,
         rollouts=rollouts,
         evaluation=evaluate(
-            rollouts, demos, seed=0, planned_flip=(0, 1), resamples=100, distance_resamples=50
+            rollouts,
+            demos,
+            seed=0,
+            learner="dqdil",
+            planned_flip=(0, 1),
+            resamples=100,
+            distance_resamples=50,
         ),
         conditions=("individual", "shared"),
         fit=locomotion_fit(demos.individuals),

@@ -16,6 +16,7 @@ from animarl_algos.cli.fit import format_fit_table
 from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.terminal import evaluation_table
+from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
@@ -57,6 +58,7 @@ def run_command(
     console.print(evaluation_table(evaluation))
     _say(console, "4/4", "writing the report")
     page = pipeline.report(run)
+    console.print(verdict_table(evaluation.verdict))
     console.print(f"\nOpen [bold]{page}[/bold]", soft_wrap=True, highlight=False)
 
 
@@ -99,7 +101,10 @@ def evaluate_command(
 
       animarl evaluate runs/agents
     """
-    _console().print(evaluation_table(pipeline.evaluate_run(RunFolder(run))))
+    evaluation = pipeline.evaluate_run(RunFolder(run))
+    console = _console()
+    console.print(evaluation_table(evaluation))
+    console.print(verdict_table(evaluation.verdict))
 
 
 def report_command(

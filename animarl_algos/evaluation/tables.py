@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
+from animarl_algos.evaluation.verdict import Tracked, Verdict, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -38,7 +39,8 @@ class Evaluation:
     ``metrics`` has one row per rollout and recording, ``comparison`` one per method, metric and
     counting rule, ``pairs`` one per ordered pair of methods, ``contrasts`` one per planned contrast
     (may be empty), ``counterfactual`` one per quantity (empty if no cue was flipped).
-    ``fingerprint`` is that of the evaluated demonstrations.
+    ``verdict`` says of one method whether it moves like the recordings. ``fingerprint`` is that of
+    the evaluated demonstrations.
     """
 
     metrics: pd.DataFrame
@@ -46,17 +48,19 @@ class Evaluation:
     pairs: pd.DataFrame
     contrasts: pd.DataFrame
     counterfactual: pd.DataFrame
+    verdict: Verdict
     fingerprint: str
     seed: int
     resamples: int
     distance_resamples: int
 
     def save(self, folder: str | Path) -> Path:
-        """Write one CSV per table and ``evaluation.json``, each whole or not at all."""
+        """Write a CSV per table, the verdict and ``evaluation.json``, each whole or not at all."""
         folder = Path(folder)
         for name in TABLES:
             with write_then_rename(folder / f"{name}.csv") as part:
                 getattr(self, name).to_csv(part, index=False)
+        self.verdict.save(folder)
         with write_then_rename(folder / "evaluation.json") as part:
             part.write_text(json.dumps(self._numbers(), indent=2) + "\n")
         return folder
@@ -81,7 +85,7 @@ class Evaluation:
                     tables[name] = pd.read_csv(folder / f"{name}.csv", float_precision="round_trip")
                 except pd.errors.EmptyDataError:
                     tables[name] = pd.DataFrame()
-            return cls(**tables, **numbers)
+            return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:
             raise InputError(
                 f"{folder}: {Path(error.filename).name} is missing: evaluate the run again"
@@ -101,7 +105,11 @@ def evaluate(
     demos: Demonstrations,
     *,
     seed: int,
+    learner: str | None = None,
     planned_flip: tuple[int, int] | None = None,
+    floor: Tracked | None = None,
+    references: Demonstrations | None = None,
+    smoothing: int = 1,
     resamples: int = RESAMPLES,
     distance_resamples: int = DISTANCE_RESAMPLES,
 ) -> Evaluation:
@@ -116,6 +124,10 @@ def evaluate(
         The evaluated demonstrations, which the rollouts started from.
     seed
         Of the resampling.
+    learner
+        The method that the verdict is about; the first by default.
+    floor, references, smoothing
+        See :func:`~animarl_algos.evaluation.verdict.verdict`.
     planned_flip
         See :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
     """
@@ -123,6 +135,11 @@ def evaluate(
 
     if not rollouts:
         raise InputError("there are no rollouts to evaluate: collect those of one method at least")
+    learner = learner or next(iter(rollouts))
+    if learner not in rollouts:
+        raise InputError(
+            f"there are no rollouts of {learner!r}: choose one of {', '.join(rollouts)}"
+        )
     tables = [measure_recordings(demos)]
     tables += [measure(r, demos).assign(method=name) for name, r in rollouts.items()]
     metrics = pd.concat(tables, ignore_index=True)
@@ -151,6 +168,15 @@ def evaluate(
         )
         if flipped
         else pd.DataFrame(),
+        verdict=verdict(
+            demos,
+            replace(rollouts[learner], method=learner),
+            seed=seed,
+            floor=floor,
+            baselines={name: r for name, r in rollouts.items() if name != learner},
+            references=references,
+            smoothing=smoothing,
+        ),
         fingerprint=demos.fingerprint(),
         seed=seed,
         resamples=resamples,

@@ -25,6 +25,7 @@ from animarl_algos.report.blocks import (
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.sentences import NOTHING, number, with_interval
 from animarl_algos.report.style import method_label
+from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence
 from animarl_envs.fitting import IndividualFit
 
 
@@ -44,14 +45,20 @@ def summary(inputs: ReportInputs) -> Summary:
     """The sentences at the top, worked out from the tables."""
     comparison = inputs.evaluation.comparison
     return Summary(
-        wording.headline(comparison, inputs.evaluation.pairs, inputs.learner),
+        [
+            verdict_sentence(inputs.evaluation.verdict),
+            *wording.headline(comparison, inputs.evaluation.pairs, inputs.learner),
+        ],
         wording.cautions(comparison, inputs.learner, inputs.demos.synthetic),
     )
 
 
 def build_sections(inputs: ReportInputs) -> list[Section]:
     """All sections that have something to show, in order."""
+    demonstrated = "Demonstrated" if inputs.demos.synthetic else "Recorded"
+    verdict = verdict_blocks(inputs.evaluation.verdict, demonstrated)
     candidates = [
+        Section("verdict", "Verdict", list(verdict)),
         Section("trajectories", "Trajectories", list(_trajectories(inputs))),
         Section("speeds", "Speeds", list(_speeds(inputs))),
         Section("metrics", "Metrics", list(findings.metrics(inputs))),

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
 
@@ -221,11 +222,14 @@ def _for_all(policy: Policy, scenario: Scenario, focal: str | None) -> Policy:
 def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
     rollouts = roll_out(run, progress_bar=progress_bar)
+    demos = run.demos
     evaluation = evaluate(
         rollouts,
-        run.demos.select(split="test"),
+        demos.select(split="test"),
         seed=run.settings.seed,
         planned_flip=species_of(run).planned_flip,
+        learner=method_name(run.settings.algo),
+        references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
     )
     evaluation.save(run.path / "evaluation")
     return evaluation

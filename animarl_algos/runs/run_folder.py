@@ -7,7 +7,7 @@ checkpoints/        the last whole checkpoint of each learner
 policies/           final weights of each learner (tensors only)
 logs/               learning curves: CSV and TensorBoard
 rollouts/           on the test split, by method
-evaluation/         tables
+evaluation/         tables, and the verdict
 report.html
 """
 
@@ -37,8 +37,8 @@ from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
 
 PACKAGES = (
-    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scipy",
-    "stable-baselines3", "torch",
+    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
+    "scipy", "stable-baselines3", "torch",
 )  # fmt: skip
 OPTIONS_BEFORE = {"observation": "paper", "rebound": False}
 """Options of the world in runs that were recorded before these existed."""

@@ -1,0 +1,222 @@
+"""Which of these two is recorded? A classifier's answer, after Lopez-Paz and Oquab (2017, ICLR).
+
+Boosted trees look at windows of motion (:mod:`animarl_algos.evaluation.windows`). How often they
+rank a simulated window above a recorded one, the area under the ROC curve, is 0.5 if nothing
+distinguishes the two and 1 if everything does.
+
+They are always asked about demonstrations that they were not trained on: folds are dealt by
+demonstration, and a rollout goes with the recording that it started from. Only windows of one fold
+are compared with each other. (Pooling the scores of all folds would push the null below 0.5, since
+a fold's mean score moves against its share of the classes.) Of a *fixed* set dealt in two halves
+this remains: what one half has more of in the test fold, it has less of in the training folds, so
+recordings among themselves may come out a little below 0.5 in small sets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, percentile_interval
+from animarl_algos.evaluation.windows import Windows
+from animarl_envs.errors import MissingExtraError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+FOLDS = 5
+DEALS = 2  # the folds are dealt anew so many times, and the answers joined
+NULL_HALVES = 3
+MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
+BOOTSTRAP = 1000
+LEVELS = 63  # of a feature, as many as the trees tell apart
+TREES: dict[str, Any] = {
+    "max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 10,
+    "l2_regularization": 1.0, "max_bins": LEVELS + 1, "early_stopping": False,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Telling:
+    """How well two sets of windows are told apart.
+
+    ``auc`` has a 95 % interval over demonstrations and training sets, and is undefined (NaN) where
+    there are not two demonstrations of each side; ``windows`` counts both sides; ``importance`` is
+    by how much the area falls when the features of one kind are shuffled.
+    """
+
+    auc: Interval
+    windows: tuple[int, int] = (0, 0)
+    importance: Mapping[str, float] = field(default_factory=dict)
+
+
+def tell_apart(
+    first: Windows,
+    second: Windows,
+    rng: np.random.Generator,
+    *,
+    deals: int = DEALS,
+    importance: bool = False,
+) -> Telling:
+    """Area under the ROC curve of a cross-fitted classifier, ``second`` against ``first``.
+
+    Parameters
+    ----------
+    first, second
+        Recorded and simulated. Windows of the same group (demonstration) are in one fold.
+    rng
+        Deals the folds, thins, shuffles and resamples.
+    deals
+        How often the folds are dealt.
+    importance
+        Whether to shuffle features too, one kind after the other.
+    """
+    first, second = _thinned(first, rng), _thinned(second, rng)
+    values = _levels(np.concatenate([first.values, second.values]))
+    simulated = np.repeat([False, True], [len(first), len(second)])
+    names, group = np.unique(np.concatenate([first.group, second.group]), return_inverse=True)
+    sides = [np.isin(names, side.group) for side in (first, second)]
+    folds = min([FOLDS, *(int(side.sum()) for side in sides)])
+    sizes = (len(first), len(second))
+    if folds < 2:
+        return Telling(UNDEFINED, sizes)
+    kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
+    wins, pairs = np.zeros((2, len(names), len(names)))
+    fallen: dict[str, list[float]] = {}
+    for deal in range(deals):
+        fold = _deal(kind, folds, rng)[group]
+        for number in range(folds):
+            test = fold == number
+            if len(np.unique(simulated[test])) < 2:
+                continue
+            model = _fitted(values[~test], simulated[~test])
+            sides_here, group_here = simulated[test], group[test]
+            won, met = _compare(model(values[test]), sides_here, group_here, len(names))
+            wins += won
+            pairs += met
+            if importance and deal == 0:
+                for what in dict.fromkeys(first.kinds.tolist()):
+                    shuffled, columns = values[test], first.kinds == what
+                    shuffled[:, columns] = rng.permutation(shuffled[:, columns])
+                    without, _ = _compare(model(shuffled), sides_here, group_here, len(names))
+                    fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
+    drawn = _resampled(kind, rng)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        areas = np.einsum("rg,rg->r", drawn @ wins, drawn) / np.einsum(
+            "rg,rg->r", drawn @ pairs, drawn
+        )
+    auc = _widened(percentile_interval(float(wins.sum() / pairs.sum()), areas), folds)
+    return Telling(auc, sizes, {what: float(np.mean(by)) for what, by in fallen.items()})
+
+
+def among_themselves(
+    recorded: Windows, rng: np.random.Generator, halves: int = NULL_HALVES
+) -> Interval:
+    """The area for recordings against recordings: two halves of the demonstrations, repeatedly.
+
+    Estimate and ends of the interval are means over the ``halves``.
+    """
+    groups = np.unique(recorded.group)
+    found = []
+    for _ in range(halves):
+        dealt = rng.permutation(groups)
+        one, other = dealt[: len(groups) // 2], dealt[len(groups) // 2 :]
+        auc = tell_apart(recorded.of(one), recorded.of(other), rng, deals=1).auc
+        found.append((auc.estimate, auc.low, auc.high))
+    estimate, low, high = np.mean(found, axis=0).tolist()
+    return Interval(estimate, low, high)
+
+
+def _widened(interval: Interval, folds: int) -> Interval:
+    """The interval with the variance between training sets, which a bootstrap of scores lacks.
+
+    What one fold is tested on, the others were trained on, so folds err together. Nadeau and
+    Bengio (2003, Machine Learning 52, 239) put the variance of a cross-validated mean at
+    1 + folds * n_test / n_train times that of independent folds.
+    """
+    factor = math.sqrt(1.0 + folds / (folds - 1))
+    middle = interval.estimate
+    low, high = (middle + factor * (end - middle) for end in (interval.low, interval.high))
+    return Interval(middle, max(low, 0.0), min(high, 1.0))
+
+
+def _thinned(windows: Windows, rng: np.random.Generator) -> Windows:
+    if len(windows) <= MOST_WINDOWS:
+        return windows
+    kept = np.sort(rng.choice(len(windows), MOST_WINDOWS, replace=False))
+    return Windows(windows.values[kept], windows.group[kept], windows.kinds)
+
+
+def _levels(values: Floats) -> Floats:
+    """Every feature as its level among all windows; trees ask for nothing but the order.
+
+    Where it is not defined, it has a level of its own, -1.
+    The library would find the levels again in every fit, which takes it ten times as long as to
+    grow the trees.
+    """
+    levels = np.full(values.shape, -1.0)
+    for column in range(values.shape[1]):
+        known = np.isfinite(values[:, column])
+        if known.any():
+            ordered = values[known, column]
+            edges = np.unique(np.quantile(ordered, np.arange(1, LEVELS) / LEVELS))
+            levels[known, column] = np.searchsorted(edges, ordered, side="right")
+    return levels
+
+
+def _deal(kind: Ints, folds: int, rng: np.random.Generator) -> Ints:
+    """The fold of every group, ``(groups,)``; each kind of group is spread over all folds."""
+    fold = np.empty(len(kind), dtype=np.int64)
+    for one in np.unique(kind):
+        members = rng.permutation(np.flatnonzero(kind == one))
+        fold[members] = np.arange(len(members)) % folds
+    return fold
+
+
+def _resampled(kind: Ints, rng: np.random.Generator) -> Floats:
+    """How often each group is drawn, ``(BOOTSTRAP, groups)``, within its kind."""
+    drawn = np.zeros((BOOTSTRAP, len(kind)))
+    for one in np.unique(kind):
+        members = np.flatnonzero(kind == one)
+        even = np.full(len(members), 1.0 / len(members))
+        drawn[:, members] = rng.multinomial(len(members), even, size=BOOTSTRAP)
+    return drawn
+
+
+def _fitted(values: Floats, simulated: NDArray[np.bool_]) -> Any:
+    """A function that scores windows, fitted with both classes of equal weight, on one thread."""
+    try:
+        from sklearn.ensemble import HistGradientBoostingClassifier
+        from threadpoolctl import threadpool_limits
+    except ImportError as error:
+        raise MissingExtraError("telling simulation from recording", "algos") from error
+    share = simulated.mean()
+    weights = np.where(simulated, 0.5 / share, 0.5 / (1.0 - share))
+    model = HistGradientBoostingClassifier(random_state=0, **TREES)
+    with threadpool_limits(1):
+        model.fit(values, simulated, sample_weight=weights)
+
+    def scores(windows: Floats) -> Floats:
+        with threadpool_limits(1):
+            return np.asarray(model.decision_function(windows))
+
+    return scores
+
+
+def _compare(
+    scores: Floats, simulated: NDArray[np.bool_], group: Ints, groups: int
+) -> tuple[Floats, Floats]:
+    """Pairs won by simulated windows, ties by halves, and all pairs, ``(groups, groups)`` each.
+
+    Rows are the groups of the recorded, columns those of the simulated windows.
+    """
+    below, above = scores[~simulated], scores[simulated]
+    margin = np.sign(above[None, :] - below[:, None])
+    won = (margin + 1.0) / 2.0
+    rows, columns = np.eye(groups)[group[~simulated]], np.eye(groups)[group[simulated]]
+    return rows.T @ won @ columns, np.outer(rows.sum(axis=0), columns.sum(axis=0))

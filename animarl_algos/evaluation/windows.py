@@ -1,0 +1,242 @@
+"""Short windows of motion as rows of numbers, for a classifier to look at.
+
+Every window is described by the same few series (speeds, acceleration, turning, distances,
+bearings, place in the arena) of all individuals, each summed up by its mean, spread, extremes and
+median.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError
+
+Floats = NDArray[np.float64]
+
+WINDOW = 2.0  # [s]
+FEWEST_STEPS = 4  # of a window, where decisions are slow
+MOST_PARTS = 10_000  # of one demonstration
+NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
+SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
+DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows of one side of a comparison.
+
+    Parameters
+    ----------
+    values
+        ``(windows, features)``, NaN where a feature is not defined.
+    group
+        ``(windows,)``, the demonstration that each is of, or started from; or the part of it.
+    kinds
+        ``(features,)``, what each feature is about: one of the names above.
+    """
+
+    values: Floats
+    group: NDArray[np.int64]
+    kinds: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def of(self, groups: NDArray[np.integer]) -> Windows:
+        """Those of some demonstrations."""
+        chosen = np.isin(self.group, groups)
+        return replace(self, values=self.values[chosen], group=self.group[chosen])
+
+
+def window_features(
+    rollouts: Rollouts,
+    arena: Arena,
+    *,
+    window: float = WINDOW,
+    smoothing: int = 1,
+    block: int | None = None,
+) -> Windows:
+    """Describe all windows of all episodes.
+
+    Windows lie end to end from the first frame of an episode. What is left over at its end is a
+    window too if it is at least half as long; an episode shorter than a window is one short window.
+    Recordings and rollouts are cut alike, and of a short window only the frames that exist count.
+
+    Parameters
+    ----------
+    rollouts
+        Of one method, or the recordings
+        (:meth:`~animarl_algos.evaluation.rollouts.Rollouts.from_demonstrations`).
+    arena
+        For the distance to its edge; in an open field that to the origin, the source, is taken.
+    window
+        Length [s], at least four steps.
+    smoothing
+        Frames of the moving average that positions go through first; 1 for none.
+    block
+        Where demonstrations are too few: so many successive windows of one make a group of their
+        own, the same stretch of time in the recording and in its rollouts.
+
+    Raises
+    ------
+    InputError
+        If ``window`` is not positive or ``smoothing`` not odd and positive.
+    """
+    if not window > 0:
+        raise InputError(f"the window is {window} s: give a positive length")
+    steps = max(FEWEST_STEPS, round(window / rollouts.dt))
+    positions = smoothed(rollouts.positions, rollouts.lengths, smoothing)
+    first, count, episode = _cut(rollouts.lengths, steps)
+    group = rollouts.demo[episode]
+    if block is not None:
+        place = (first - rollouts.offsets[episode]) // steps
+        group = group * MOST_PARTS + np.minimum(place // block, MOST_PARTS - 1)
+    offsets = np.arange(steps + 1)
+    frames = first[:, None] + np.minimum(offsets, count[:, None])
+    paths = positions[frames]
+    paths[offsets > count[:, None]] = np.nan
+    columns, kinds = [], []
+    for kind, series in _series(paths, rollouts.dt, arena):
+        summed_up = _summary(series)
+        columns.append(summed_up)
+        kinds += [kind] * summed_up.shape[1]
+    return Windows(np.concatenate(columns, axis=1), group, np.array(kinds))
+
+
+def smoothed(positions: Floats, lengths: NDArray[np.int64], frames: int) -> Floats:
+    """Centred moving average within episodes, over fewer frames towards their ends.
+
+    Parameters
+    ----------
+    positions
+        ``(frames, individuals, 2)``, episodes end to end.
+    frames
+        Odd; 1 leaves the positions as they are.
+    """
+    if frames < 1 or frames % 2 == 0:
+        raise InputError(f"smoothing is over {frames} frames: give an odd number, 1 for none")
+    if frames == 1:
+        return np.asarray(positions)
+    ends = np.cumsum(lengths)
+    last, begin = np.repeat(ends - 1, lengths), np.repeat(ends - lengths, lengths)
+    here = np.arange(len(positions))
+    reach = np.minimum(frames // 2, np.minimum(here - begin, last - here))
+    total = np.concatenate([np.zeros((1, *positions.shape[1:])), np.cumsum(positions, axis=0)])
+    summed = total[here + reach + 1] - total[here - reach]
+    return np.asarray(summed / (2 * reach + 1)[:, None, None])
+
+
+def suggested_smoothing(recorded: Rollouts) -> int:
+    """Frames of the moving average after which tracking noise no longer shows in a step.
+
+    White noise of the positions makes successive accelerations anti-correlated: their covariance
+    at lag one is -4 times its variance, to which damped motion adds little. An average over n
+    frames leaves sqrt(2)/n of it in a step, which may be a fifth of the median moving step; n is
+    at most a quarter of a window.
+    """
+    widest = max(1, round(WINDOW / recorded.dt / 4))
+    noise, step = tracking_noise(recorded), recorded.speeds() * recorded.dt
+    moving = step[step > 0]
+    if noise == 0 or moving.size == 0:
+        return 1
+    needed = int(np.ceil(np.sqrt(2) * noise / (NOISE_SHARE * float(np.median(moving)))))
+    return min(needed | 1, widest - 1 + widest % 2) if needed > 1 else 1
+
+
+def tracking_noise(recorded: Rollouts) -> float:
+    """Standard deviation of white noise of the recorded positions, per axis [arena unit]."""
+    products = []
+    for index in range(len(recorded)):
+        bend = np.diff(recorded.path(index), n=2, axis=0)
+        if len(bend) > 1:
+            products.append((bend[1:] * bend[:-1]).ravel())
+    if not products:
+        return 0.0
+    return float(np.sqrt(max(0.0, -np.concatenate(products).mean() / 4.0)))
+
+
+def _cut(
+    lengths: NDArray[np.int64], steps: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """First frame, steps and episode of every window."""
+    first, count, episode = [], [], []
+    start = 0
+    for index, length in enumerate(lengths.tolist()):
+        left = length - 1
+        for begin in range(0, max(left, 1), steps):
+            here = min(steps, left - begin)
+            if begin == 0 or here >= steps / 2:
+                first.append(start + begin)
+                count.append(here)
+                episode.append(index)
+        start += length
+    return np.array(first), np.array(count), np.array(episode)
+
+
+def _series(paths: Floats, dt: float, arena: Arena) -> list[tuple[str, Floats]]:
+    """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``."""
+    steps, num = paths.shape[1] - 1, paths.shape[2]
+    series: list[tuple[str, Floats]] = []
+    quarter = max(1, steps // 4)
+    for k in range(num):
+        own = paths[:, :, k]
+        for stride in sorted({1, quarter, steps}):
+            moved = own[:, stride:] - own[:, :-stride]
+            series.append((SPEED, np.linalg.norm(moved, axis=-1) / (stride * dt)))
+        moved = np.diff(own, axis=1)
+        bend = np.linalg.norm(np.diff(moved, axis=1), axis=-1)
+        series.append((ACCELERATION, bend / dt**2))
+        for stride in sorted({1, quarter}):
+            moved = own[:, stride:] - own[:, :-stride]
+            series.append((TURNING, _angle(moved[:, :-stride], moved[:, stride:])))
+        series.append((PLACE, _to_edge(own, arena)))
+        moved = np.diff(own, axis=1)
+        centre = -own[:, :-1]
+        if num == 1:
+            series.append((BEARING, _angle(moved, centre)))
+        for other in range(num):
+            between = paths[:, :, other] - own
+            if other != k:
+                series.append((BEARING, _angle(moved, between[:, :-1])))
+            if other > k:
+                series.append((DISTANCE, np.linalg.norm(between, axis=-1)))
+    return series
+
+
+def _to_edge(points: Floats, arena: Arena) -> Floats:
+    """Distance to the edge of the recorded field, or to the origin of an open one."""
+    if arena.shape == "square":
+        return np.asarray(arena.size - np.abs(points).max(axis=-1))
+    radius = np.linalg.norm(points, axis=-1)
+    return np.asarray(radius if arena.shape == "open" else arena.size - radius)
+
+
+def _angle(first: Floats, second: Floats) -> Floats:
+    """Unsigned angle between vectors [rad]; NaN where one of them is zero."""
+    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+    dot = (first * second).sum(axis=-1)
+    angle = np.abs(np.arctan2(cross, dot))
+    return np.where((cross == 0) & (dot == 0), np.nan, angle)
+
+
+def _summary(series: Floats) -> Floats:
+    """Mean, standard deviation, least, median and greatest of each row, ``(windows, 5)``.
+
+    A series of a single value gives that alone. NaN is left out; a row of nothing else is NaN.
+    """
+    ordered = np.sort(series, axis=1)  # NaN comes last
+    if ordered.shape[1] == 1:
+        return np.asarray(ordered)
+    number = np.isfinite(ordered).sum(axis=1)
+    last = np.maximum(number - 1, 0)
+    rows = np.arange(len(ordered))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.nansum(ordered, axis=1) / number
+        spread = np.sqrt(np.nansum((ordered - mean[:, None]) ** 2, axis=1) / number)
+    middle = (ordered[rows, last // 2] + ordered[rows, (last + 1) // 2]) / 2
+    return np.stack([mean, spread, ordered[:, 0], middle, ordered[rows, last]], axis=1)

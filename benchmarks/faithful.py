@@ -1,0 +1,338 @@
+"""Do trained simulators move like the recordings? Every data set, several seeds, one table.
+
+    python benchmarks/faithful.py --quick
+    python benchmarks/faithful.py --seed 0 --seed 1 --seed 2 --out docs/results/faithful
+    python benchmarks/faithful.py --only agents-share --algo bc --out out/bc
+    python benchmarks/faithful.py --test --seed 0 --seed 1 --seed 2 --out docs/results/test
+
+Every cell (data set and seed) is imported, fitted, trained with the default preset and rolled out
+by the functions of the pipeline; then comes the verdict on the validation split. ``--test`` asks
+about the test split, once, at the end. Finished cells are kept under ``--out`` and not made again.
+The recordings lie in $ANIMARL_DATA (by default ../shared/data); those that are not there are left
+out and named.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import torch
+import typer
+from animarl_algos.runs.presets import pipeline_settings
+from rich.console import Console
+
+from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
+from animarl_algos.report.verdict_section import verdict_table
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_folder import versions
+from animarl_algos.runs.run_settings import RunSettings
+from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.files import write_then_rename
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.worlds import make_world
+
+DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+ROLLOUTS, QUICK_ROLLOUTS = 250, 60
+FOLDS = 6  # of the cross-validation over the silkmoths' runs
+ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
+
+
+@dataclass(frozen=True)
+class Bar:
+    """What must hold of one row of the verdict.
+
+    ``kind``: ``"alike"`` (inside its null or within a tenth), ``"null"`` (a Wasserstein distance
+    within what recordings against recordings give), ``"p"`` (above the limit), ``"auc"`` (at most
+    the limit), ``"floor"`` (an area at most so much above closed-loop tracking), ``"difference"``
+    and ``"relative"`` (of the means, at most the limit).
+    """
+
+    measure: str
+    kind: str
+    limit: float = math.nan
+
+    def met(self, found: Verdict) -> bool | None:
+        """Whether it holds; None where that cannot be said."""
+        table = found.table.set_index("measure")
+        if self.measure not in table.index:
+            return True  # an ending that neither side knows
+        row = table.loc[self.measure]
+        value, limit = {
+            "alike": (0.0 if row["alike"] else 1.0, 0.5),
+            "null": (row["distance"], row["recorded_null"]),
+            "p": (-row["p"], -self.limit),
+            "auc": (row["simulated"], self.limit),
+            "floor": (row["simulated"], found.floor.estimate + self.limit),
+            "difference": (abs(row["difference"]), self.limit),
+            "relative": (abs(row["difference"]), self.limit * abs(row["recorded"])),
+        }[self.kind]
+        return bool(value <= limit) if math.isfinite(value) and math.isfinite(limit) else None
+
+    @property
+    def words(self) -> str:
+        return {
+            "alike": "inside its null or within 10 %",
+            "null": "within the null of recordings",
+            "p": f"p > {self.limit:g}",
+            "auc": f"at most {self.limit:g}",
+            "floor": f"at most {self.limit:g} above the floor",
+            "difference": f"within {self.limit:g}",
+            "relative": f"within {100 * self.limit:g} %",
+        }[self.kind]
+
+
+DISTRIBUTIONS = (Bar("duration", "null"), Bar("path_length", "null"))
+AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65))
+MOTHS = (
+    Bar("reached", "difference", 0.10), *DISTRIBUTIONS, Bar("median_speed", "relative", 0.10),
+    Bar("auc", "auc", 0.70),
+)  # fmt: skip
+WALLED = (
+    Bar("leaving", "difference", 0.0), Bar("mean_speed", "relative", 0.15),
+    Bar("slow_steps", "difference", 0.08), Bar("auc", "floor", 0.10),
+)  # fmt: skip
+PACKAGED = tuple(
+    Bar(key, "alike")
+    for key in ("reached", "target_out", "pursuer_out", "leaving", "duration", "path_length",
+                "mean_speed", "median_speed", "slow_steps", "turning")
+) + (Bar("auc", "auc", 0.65),)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A set of demonstrations: how it is imported, how it is split, and what must hold.
+
+    ``importing`` are the arguments of ``animarl import``, paths below the data folder; without them
+    the set is the packaged one of that name. ``folds``: cross-validated over recordings.
+    """
+
+    name: str
+    bars: tuple[Bar, ...]
+    importing: str | None = None
+    folds: int = 1
+
+    def files(self) -> list[Path]:
+        """The recordings, none where they are not there."""
+        pattern = "" if self.importing is None else shlex.split(self.importing)[0]
+        return sorted(DATA.glob(pattern)) if pattern else []
+
+    def load(self, folder: Path) -> Demonstrations:
+        if self.importing is None:
+            return load_packaged(self.name)
+        out = folder / f"{self.name}.npz"
+        if not out.exists():
+            options = shlex.split(self.importing)[1:]
+            command = ["import", *map(str, self.files()), *options, "--out", str(out)]
+            subprocess.run([*ANIMARL, *command], check=True, stdout=subprocess.DEVNULL)
+        return Demonstrations.load(out)
+
+
+SETS = (
+    *(DataSet(name, PACKAGED) for name in packaged_names()),
+    DataSet("agents-indiv", AGENTS, "agents_collab_hunting/episodes_c2ae_indiv_slow2.4.npz"),
+    DataSet("agents-share", AGENTS, "agents_collab_hunting/episodes_c2ae_share_slow2.4.npz"),
+    DataSet("moths", MOTHS, "silkmoth_mothvr/raw/*.csv --source mothvr", FOLDS),
+    DataSet(
+        "termites", (*WALLED, Bar("duration", "null")),
+        "termite_tandem/tracks_30fps_int16.npz --option kind=Cf --arena-width 145 "
+        "--farther-than 0.36786 --closer-than 0.12262",
+    ),
+    DataSet(
+        "fly-groups", WALLED,
+        "fly_groups12/tracks_24fps_int16.npz --individuals fly_1,fly_2,fly_3 --piece 60",
+    ),
+    DataSet(
+        "courtship", WALLED,
+        "fly_courtship_sleapclip/clip.2node.slp --fps 25 --target female --keypoint thorax "
+        "--decision-rate 12.5",
+    ),
+)  # fmt: skip
+
+
+def folded(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
+    """The demonstrations as they are split, or once per fold with recordings dealt to it."""
+    if folds == 1:
+        yield demos
+        return
+    names = np.random.default_rng(0).permutation(np.unique(demos.recording))
+    fold = {name: i % folds for i, name in enumerate(names.tolist())}
+    own = np.array([fold[name] for name in demos.recording.tolist()])
+    for number in range(folds):
+        split = np.where(own == number, "val", "train")
+        split[own == (number + 1) % folds] = "test"
+        yield replace(demos, split=split)
+
+
+def trained(
+    demos: Demonstrations, folder: Path, algo: str, seed: int, split: str, rollouts: int
+) -> tuple[Rollouts, Rollouts]:
+    """Fit, train, roll out from the starts of a split: the learner's rollouts and random ones."""
+    species = demos.species if demos.species in SPECIES else CUSTOM
+    asked = RunSettings(
+        file=demos.name, species=species, algo=algo, steps=1, seed=seed, baselines=False,
+        **pipeline_settings(environment_id(species), "default"),
+    )  # fmt: skip
+    preset = asked.learner()
+    asked = replace(asked, steps=preset.n_timesteps, copies=preset.n_envs)
+    run = pipeline.open_run(asked, folder, shlex.join(sys.argv), demos)
+    policy = pipeline.test_policies(run, progress_bar=False)[pipeline.method_name(algo)]
+    spec = run.species(demos, pipeline.fit(run))
+    world = partial(make_world, make_scenario(spec, demos=demos, split=split))
+    starts = int((demos.split == split).sum())
+    collect = partial(
+        collect_rollouts, world, seed=seed, repetitions=max(2, math.ceil(rollouts / starts))
+    )
+    told = run.environment(spec, demos).condition_flag
+    name = pipeline.method_name(algo)
+    return (
+        collect(policy, method=name, cue="actual" if told else None),
+        collect(RandomPolicy(seed), method="random"),
+    )
+
+
+def judged(
+    one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int
+) -> tuple[Verdict, float]:
+    """The verdict of a cell and the processor time from the file to it [s]."""
+    began = time.process_time()
+    demos = one.load(out / "imported")
+    parts, used = [], []
+    for number, fold in enumerate(folded(demos, one.folds)):
+        folder = out / "runs" / f"{one.name}-{algo}-{seed}-{number}"
+        index = np.flatnonzero(fold.split == split)
+        both = trained(fold, folder, algo, seed, split, math.ceil(rollouts / one.folds))
+        parts.append([replace(r, demo=index[r.demo]) for r in both])
+        used.append(index)
+    kept = np.sort(np.concatenate(used))
+    joined = [Rollouts.concatenate(list(side)) for side in zip(*parts)]
+    ours, random = (replace(r, demo=np.searchsorted(kept, r.demo)) for r in joined)
+    others = np.setdiff1d(np.flatnonzero(demos.split != "test"), kept)
+    found = verdict(
+        demos.select(episodes=kept),
+        ours,
+        seed=seed,
+        baselines={"random": random},
+        references=demos.select(episodes=others) if len(others) and one.folds == 1 else None,
+    )
+    return found, time.process_time() - began
+
+
+def bar_rows(one: DataSet, found: Verdict) -> list[dict[str, Any]]:
+    """Every bar of a data set beside what was found."""
+    table, rows = found.table.set_index("measure"), []
+    for bar in one.bars:
+        if bar.measure in table.index:
+            row = table.loc[bar.measure]
+            met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found)]
+            keys = ("label", "recorded", "simulated", "difference_low", "difference_high",
+                    "distance", "null", "recorded_null", "p", "verdict")  # fmt: skip
+            rows.append({k: row[k] for k in keys} | {"bar": bar.words, "met?": met})
+    return rows
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option(help="These data sets; repeatable.")] = None,
+    algo: Annotated[str, typer.Option(help="The learner.")] = "dqdil-pt",
+    seed: Annotated[list[int] | None, typer.Option(help="Of all; repeatable.")] = None,
+    test: Annotated[bool, typer.Option(help="Ask about the test split.")] = False,
+    quick: Annotated[bool, typer.Option(help="Packaged sets, one seed, few rollouts.")] = False,
+    rollouts: Annotated[int | None, typer.Option(help="Per cell, at least two a start.")] = None,
+    out: Annotated[Path, typer.Option(help="Where cells and tables go.")] = Path("out/faithful"),
+) -> None:
+    """Import, fit, train, roll out, and ask for the verdict."""
+    torch.set_num_threads(1)
+    console = Console(width=128)
+    known = [one.name for one in SETS]
+    if unknown := sorted(set(only or []) - set(known)):
+        raise typer.BadParameter(f"{unknown[0]!r} is unknown: choose among {', '.join(known)}")
+    split = "test" if test else "val"
+    number = rollouts or (QUICK_ROLLOUTS if quick else ROLLOUTS)
+    (out / "imported").mkdir(parents=True, exist_ok=True)
+    lines: list[dict[str, Any]] = []
+    for one in SETS:
+        if (only and one.name not in only) or (quick and one.importing):
+            continue
+        if one.importing and not one.files():
+            console.print(f"{one.name}: its recordings are not in {DATA}: left out")
+            continue
+        for s in (seed or [0])[: 1 if quick else None]:
+            cell = out / "cells" / f"{one.name}-{algo}-{s}-{split}-{number}"
+            if not (cell / "cell.json").exists():
+                found, seconds = judged(one, out, algo, s, split, number)
+                found.save(cell)
+                with write_then_rename(cell / "cell.json") as part:
+                    part.write_text(json.dumps({"seconds": seconds, "commit": commit()}))
+            found = Verdict.load(cell)
+            done = json.loads((cell / "cell.json").read_text())
+            console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")
+            console.print(verdict_table(found))
+            head = {"set": one.name, "seed": s, "overall": found.overall, **done}
+            lines += [head | row for row in bar_rows(one, found)]
+    if lines:
+        write(pd.DataFrame(lines), out, split)
+        console.print(markdown(pd.DataFrame(lines)), soft_wrap=True, highlight=False, markup=False)
+
+
+def write(table: pd.DataFrame, out: Path, split: str) -> None:
+    """The table as CSV, JSON with all that repeats it, and Markdown."""
+    command = shlex.join(["python", *sys.argv])
+    with write_then_rename(out / "faithful.csv") as part:
+        table.to_csv(part, index=False)
+    rows = [[asdict(bar) for bar in one.bars] for one in SETS]
+    record = {
+        "command": command, "split": split, "commit": commit(), "versions": versions(),
+        "seeds": sorted(set(table["seed"].tolist())),
+        "bars": dict(zip((one.name for one in SETS), rows)),
+        "rows": json.loads(table.to_json(orient="records")),
+    }  # fmt: skip
+    with write_then_rename(out / "faithful.json") as part:
+        part.write_text(json.dumps(record, indent=2) + "\n")
+    found = ", ".join(f"{name} {number}" for name, number in record["versions"].items())
+    head = f"# Simulated against recorded, {split} split\n\n    {command}\n\n"
+    with write_then_rename(out / "faithful.md") as part:
+        part.write_text(f"{head}Commit {record['commit']}; {found}.\n\n{markdown(table)}\n")
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """One line per bar."""
+    columns = ("set", "seed", "label", "recorded", "simulated", "distance", "null",
+               "recorded_null", "verdict", "bar", "met?")  # fmt: skip
+
+    def text(value: Any) -> str:
+        if isinstance(value, float):
+            return f"{value:.3g}" if math.isfinite(value) else ""
+        return str(value)
+
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    rows = table.to_dict("records")
+    lines += ["| " + " | ".join(text(row[c]) for c in columns) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def commit() -> str:
+    """Of the working tree, with a plus where it was changed."""
+    asked = ["git", "describe", "--always", "--dirty=+", "--abbrev=9"]
+    done = subprocess.run(
+        asked, cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+    )
+    return done.stdout.strip() or "unknown"
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,60 @@
+"""A synthetic pair of animals of known statistics; simulators of it, a true one and bad ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import PURSUER_OUT, TIME_OUT, Demonstrations
+
+STARTS = 30
+ARENA = Arena("square", 1.0, 1.1)
+SIMULATORS = ("true", "still", "dead", "slow", "uniform", "leaving")
+
+
+def pair_path(rng: np.random.Generator, start: np.ndarray, kind: str) -> np.ndarray:
+    """``(frames, 2, 2)``: velocities forget themselves within half a second, walls reflect."""
+    frames = {"dead": 2, "uniform": 51}.get(kind, int(rng.integers(22, 80)))
+    speed = {"still": 0.0, "slow": 0.25}.get(kind, 1.0)
+    position, path = start.copy(), [start.copy()]
+    velocity = rng.normal(0.0, 0.4, (2, 2))
+    for _ in range(frames - 1):
+        velocity = 0.8 * velocity + rng.normal(0.0, 0.24, (2, 2))
+        position = position + 0.1 * speed * velocity
+        if kind == "leaving":
+            position[0] *= 1.03
+        else:
+            velocity = np.where(np.abs(position) > 1.0, -velocity, velocity)
+            position = np.clip(position, -1.0, 1.0)
+        path.append(position)
+        if np.abs(position).max() > ARENA.boundary:
+            break
+    return np.stack(path)
+
+
+def recorded_pairs(seed: int = 0) -> Demonstrations:
+    rng = np.random.default_rng(seed)
+    paths = [pair_path(rng, rng.uniform(-0.8, 0.8, (2, 2)), "true") for _ in range(STARTS)]
+    return Demonstrations(
+        species="custom", individuals=("male", "female"), roles=("pursuer", "target"), dt=0.1,
+        arena=ARENA, positions=np.concatenate(paths), lengths=np.array([len(p) for p in paths]),
+        initial_velocity=np.zeros((STARTS, 2, 2)), condition=np.zeros(STARTS),
+        outcome=[1 if len(p) < 50 else TIME_OUT for p in paths],
+        split=np.full(STARTS, "test"), recording=np.array([f"r{i}" for i in range(STARTS)]),
+        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
+    )  # fmt: skip
+
+
+def simulated_pairs(demos: Demonstrations, kind: str, each: int = 2, seed: int = 1) -> Rollouts:
+    rng = np.random.default_rng(seed)
+    demo = np.repeat(np.arange(demos.num_episodes), each)
+    paths = [pair_path(rng, demos.episode(i).positions[0], kind) for i in demo.tolist()]
+    out = [np.abs(path[-1]).max() > ARENA.boundary for path in paths]
+    ends = [PURSUER_OUT if o else 1 if len(p) < 50 else TIME_OUT for o, p in zip(out, paths)]
+    return Rollouts(
+        method=kind, individuals=demos.individuals, roles=demos.roles, dt=demos.dt,
+        positions=np.concatenate(paths), lengths=[len(p) for p in paths], outcome=ends,
+        condition=np.zeros(len(demo)), cue=np.full(len(demo), -1), demo=demo,
+        seed=np.zeros(len(demo)), repetition=np.tile(np.arange(each), demos.num_episodes),
+    )  # fmt: skip

@@ -1,0 +1,151 @@
+"""The classifier: chance where nothing differs, certainty where everything does, no leaks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from moving_pairs import ARENA, recorded_pairs, simulated_pairs
+
+from animarl_algos.evaluation.classifier import DEALS, among_themselves, tell_apart
+from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.windows import (
+    Windows,
+    smoothed,
+    suggested_smoothing,
+    tracking_noise,
+    window_features,
+)
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import make_world
+
+
+def normal_windows(
+    rng: np.random.Generator, centre: np.ndarray, groups: np.ndarray, each: int
+) -> Windows:
+    """Six windows an episode, which share what their start and what their episode is like."""
+    group = np.repeat(groups, 6 * each)
+    episode = np.repeat(rng.normal(0, 0.5, (len(groups) * each, centre.shape[1])), 6, axis=0)
+    values = centre[group] + episode + rng.normal(size=(len(group), centre.shape[1]))
+    return Windows(values, group, np.array(["speed"] * centre.shape[1]))
+
+
+def half_within(experiments: int, starts: int, *, paired: bool, deals: int) -> float:
+    """In how many experiments on two halves of one sample 0.5 lies within the interval."""
+    inside = 0
+    for seed in range(experiments):
+        rng = np.random.default_rng([seed, starts])
+        centre = rng.normal(size=(2 * starts, 8))
+        here, there = np.arange(starts), np.arange(starts) + (0 if paired else starts)
+        first = normal_windows(rng, centre, here, 1)
+        second = normal_windows(rng, centre, there, 3 if paired else 1)
+        auc = tell_apart(first, second, rng, deals=deals).auc
+        inside += auc.low <= 0.5 <= auc.high
+    return inside / experiments
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_two_halves_of_one_sample_are_not_told_apart(paired: bool) -> None:
+    assert half_within(6, 15, paired=paired, deals=1) >= 5 / 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("paired", [False, True])
+@pytest.mark.parametrize("starts", [20, 50])
+def test_the_interval_holds_one_half_in_nearly_all_experiments(starts: int, paired: bool) -> None:
+    assert half_within(200, starts, paired=paired, deals=DEALS) >= 0.93
+
+
+def test_copies_of_the_recordings_are_ranked_by_chance_exactly() -> None:
+    recorded = window_features(Rollouts.from_demonstrations(recorded_pairs()), ARENA)
+    assert tell_apart(recorded, recorded, np.random.default_rng(0)).auc.estimate == 0.5
+
+
+def test_random_actions_are_found_out() -> None:
+    demos = load_packaged("agent").select(split="val")
+    scenario = make_scenario("agent", split="val")
+    rollouts = collect_rollouts(
+        partial(make_world, scenario), RandomPolicy(0), method="random", seed=0, repetitions=1
+    )
+    recorded = window_features(Rollouts.from_demonstrations(demos), demos.arena)
+    told = tell_apart(recorded, window_features(rollouts, demos.arena), np.random.default_rng(0))
+    assert told.auc.estimate > 0.95
+    assert told.auc.low > 0.9
+
+
+def test_importance_names_what_differs() -> None:
+    rng = np.random.default_rng(3)
+    kinds = np.array(["speed"] * 3 + ["turning"] * 3)
+    group = np.repeat(np.arange(20), 8)
+    first, second = rng.normal(size=(2, 160, 6))
+    second[:, 4] += 2.0
+    told = tell_apart(
+        Windows(first, group, kinds), Windows(second, group, kinds), rng, importance=True
+    )
+    assert told.importance["turning"] > 0.2 > 0.05 > abs(told.importance["speed"])
+
+
+def test_recordings_among_themselves_and_one_demonstration_alone() -> None:
+    recorded = window_features(Rollouts.from_demonstrations(recorded_pairs()), ARENA)
+    among = among_themselves(recorded, np.random.default_rng(0))
+    assert among.low < 0.5 < among.high
+    alone = recorded.of(np.array([0]))
+    assert np.isnan(tell_apart(alone, alone, np.random.default_rng(0)).auc.estimate)
+
+
+def test_the_same_seed_gives_the_same_answer() -> None:
+    demos = recorded_pairs()
+    sides = [
+        window_features(r, ARENA)
+        for r in (Rollouts.from_demonstrations(demos), simulated_pairs(demos, "true"))
+    ]
+    twice = [tell_apart(*sides, np.random.default_rng(5), importance=True) for _ in range(2)]
+    assert twice[0] == twice[1]
+
+
+def test_both_sides_are_cut_alike_and_short_episodes_count() -> None:
+    demos = recorded_pairs()
+    recorded = Rollouts.from_demonstrations(demos)
+    windows = window_features(recorded, ARENA, window=2.0)
+    steps = demos.lengths - 1
+    wanted = np.maximum(steps // 20 + (steps % 20 >= 10), 1)
+    assert np.array_equal(np.bincount(windows.group), wanted)
+    dead = window_features(simulated_pairs(demos, "dead"), ARENA)
+    assert len(dead) == 2 * demos.num_episodes
+    assert np.isfinite(dead.values[:, 0]).all()
+    parts = window_features(recorded, ARENA, block=1)
+    assert len(np.unique(parts.group)) == len(parts)
+
+
+def test_features_do_not_depend_on_the_names_of_demonstrations_or_on_rotation() -> None:
+    demos = recorded_pairs()
+    recorded = Rollouts.from_demonstrations(demos)
+    turned = replace(recorded, positions=recorded.positions @ np.array([[0.0, 1.0], [-1.0, 0.0]]))
+    first, second = window_features(recorded, ARENA), window_features(turned, ARENA)
+    assert np.allclose(first.values, second.values, equal_nan=True, atol=1e-9)
+
+
+def test_the_filter_keeps_straight_lines_and_never_mixes_episodes() -> None:
+    line = np.arange(12.0)[:, None, None] * np.ones((12, 1, 2))
+    lengths = np.array([5, 7])
+    assert np.allclose(smoothed(line, lengths, 3)[1:4], line[1:4])
+    jump = line + np.where(np.arange(12) < 5, 0.0, 1e6)[:, None, None]
+    assert np.allclose(smoothed(jump, lengths, 5)[:5], smoothed(line, lengths, 5)[:5])
+    with pytest.raises(InputError, match="odd number"):
+        smoothed(line, lengths, 2)
+
+
+def test_the_tracking_noise_is_found_and_a_filter_suggested() -> None:
+    recorded = Rollouts.from_demonstrations(recorded_pairs())
+    assert suggested_smoothing(recorded) == 1
+    rng = np.random.default_rng(0)
+    noisy = replace(
+        recorded, positions=recorded.positions + rng.normal(0, 0.02, recorded.positions.shape)
+    )
+    assert tracking_noise(noisy) == pytest.approx(0.02, rel=0.2)
+    assert suggested_smoothing(noisy) in (3, 5)

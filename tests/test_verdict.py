@@ -1,0 +1,197 @@
+"""The verdict: a true simulator passes, and every way of being wrong is called by its name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving_pairs import recorded_pairs, simulated_pairs
+
+from animarl_algos.evaluation.motion import MEASURES, SlowSpeeds, episode_measures, unit_of
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.verdict import LIKE, WORSE, Verdict, verdict
+from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
+from animarl_envs.errors import InputError
+
+
+@cache
+def judged(kind: str) -> Verdict:
+    demos = recorded_pairs()
+    return verdict(demos, simulated_pairs(demos, kind), seed=0, references=recorded_pairs(seed=9))
+
+
+def test_the_true_simulator_moves_like_the_recordings() -> None:
+    found = judged("true")
+    assert found.like
+    assert found.overall == LIKE
+    assert found.table["alike"].all()
+    assert found.auc.low <= 0.5 <= found.auc.high
+
+
+def test_the_recordings_themselves_move_like_the_recordings() -> None:
+    demos = recorded_pairs()
+    found = verdict(
+        demos, replace(Rollouts.from_demonstrations(demos), method="replay"), seed=0,
+        references=recorded_pairs(seed=9),
+    )  # fmt: skip
+    assert found.like
+    assert found.row("duration")["distance"] == 0
+    assert found.auc.estimate == 0.5
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("still", {"too slow", "paths too short", "stands still too often"}),
+        ("dead", {"episodes too short", "paths too short"}),
+        ("slow", {"too slow", "paths too short"}),
+        ("leaving", {"leaves the arena"}),
+    ],
+)
+def test_what_is_wrong_is_called_by_its_name(kind: str, words: set[str]) -> None:
+    found = judged(kind)
+    assert words <= set(found.words)
+    assert found.auc.estimate > 0.9 or kind == "leaving"
+
+
+def test_a_simulator_without_spread_is_found_out() -> None:
+    found = judged("uniform")
+    assert "durations too much alike" in found.words
+    row = found.row("duration")
+    assert row["energy"] > judged("true").row("duration")["energy"]
+
+
+@pytest.mark.parametrize("kind", ["still", "dead"])
+def test_collapsed_simulators_lose_by_the_energy_score(kind: str) -> None:
+    true, bad = judged("true").row("path_length"), judged(kind).row("path_length")
+    assert bad["energy"] > 1.3 * true["energy"]
+    assert bad["energy"] > bad["energy_pooled"]
+
+
+def test_worse_than_untrained_is_said_only_where_it_holds() -> None:
+    demos = recorded_pairs()
+    dead, true = simulated_pairs(demos, "dead"), simulated_pairs(demos, "true")
+    worse = verdict(demos, dead, seed=0, baselines={"untrained": true}, references=demos)
+    same = verdict(demos, dead, seed=0, baselines={"untrained": dead}, references=demos)
+    assert worse.words == (WORSE, *same.words)
+
+
+def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
+    demos, others = recorded_pairs(), recorded_pairs(seed=9)
+    slow, still = (simulated_pairs(demos, kind) for kind in ("slow", "still"))
+    found = verdict(demos, slow, seed=0, floor=demos, baselines={"random": still})
+    assert found.floor.estimate == 0.5  # tracked without any error
+    assert found.ceiling.estimate > 0.95
+    assert found.among.low < 0.5 < found.among.high
+    with pytest.raises(InputError, match="track the evaluated ones"):
+        verdict(demos, slow, seed=0, floor=others)
+
+
+def test_rollouts_told_the_other_condition_do_not_count() -> None:
+    demos = recorded_pairs()
+    true, bad = simulated_pairs(demos, "true"), simulated_pairs(demos, "dead")
+    told = Rollouts.concatenate([
+        replace(true, cue=np.zeros(len(true))), replace(bad, cue=np.ones(len(bad)))
+    ], "both")  # fmt: skip
+    assert verdict(demos, told, seed=0, references=demos).rollouts == len(true)
+    with pytest.raises(InputError, match="were not made from"):
+        verdict(demos, replace(true, demo=true.demo + 1), seed=0)
+
+
+def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
+    found = judged("slow")
+    found.save(tmp_path)
+    again = Verdict.load(tmp_path)
+    assert again.table.equals(found.table)
+    for key in ("words", "learner", "starts", "rollouts", "auc", "among", "importance"):
+        assert getattr(again, key) == getattr(found, key)
+    assert np.isnan(again.floor.estimate)
+    sentence = verdict_sentence(found)
+    assert sentence.startswith("SLOW: ")
+    assert "60 rollouts from 30 starts" in sentence
+    table, blocks = verdict_table(found), list(verdict_blocks(found))
+    assert table.row_count == len(found.table)
+    assert not any("nan" in cell for row in blocks[1].groups[0].rows for cell in row.cells)
+
+
+# -- measures and nulls ---------------------------------------------------------------------------
+
+
+def test_measures_of_a_known_path() -> None:
+    demos = recorded_pairs()
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=float)
+    both = np.stack([square, np.zeros((5, 2))], axis=1)
+    recorded = Rollouts.from_demonstrations(demos)
+    one = replace(
+        recorded.select(np.array([0])), positions=both, lengths=np.array([5]), outcome=[-2]
+    )
+    found = episode_measures(one, demos.arena, SlowSpeeds(np.array([5.0, 5.0])))
+    assert list(found) == [m.key for m in MEASURES]
+    assert found["duration"][0] == pytest.approx(0.4)
+    assert found["path_length"][0] == pytest.approx(4.0)  # of the pursuer
+    assert found["mean_speed"][0] == found["median_speed"][0] == pytest.approx(5.0)
+    assert found["slow_steps"][0] == pytest.approx(0.5)  # the target's
+    assert found["turning"][0] == pytest.approx(3 * np.pi / 2 / 2 / 0.4)
+    assert found["pursuer_out"][0] == found["leaving"][0] == 1.0
+
+
+def test_slow_is_a_quarter_of_the_median_moving_speed() -> None:
+    demos = recorded_pairs()
+    steps = np.repeat([0.0, 0.1], [60, 40])
+    line = np.concatenate([[0.0], np.cumsum(steps)])
+    path = np.zeros((101, 2, 2))
+    path[:, :, 0] = line[:, None]
+    recorded = Rollouts.from_demonstrations(demos).select(np.array([0]))
+    one = replace(recorded, positions=path, lengths=np.array([101]))
+    assert SlowSpeeds.of(one).limit == pytest.approx([0.25, 0.25])  # moving at 1 arena unit / s
+
+
+def test_lengths_are_told_in_the_recordings_unit_where_it_is_known() -> None:
+    demos = recorded_pairs()
+    assert unit_of(demos).name == "arena units"
+    scales = {name: {"centre": [0, 0], "unit": 72.5, "y_sign": 1} for name in demos.recording}
+    in_mm = replace(demos, provenance={**demos.provenance, "unit": "mm", "scales": scales})
+    assert (unit_of(in_mm).name, unit_of(in_mm).per_arena_unit) == ("mm", 72.5)
+    in_px = replace(in_mm, provenance={**in_mm.provenance, "unit": "px"})
+    assert unit_of(in_px).name == "arena units"
+
+
+@pytest.mark.parametrize("shared", [0.0, 3.0])
+def test_a_perfect_simulator_falls_inside_its_null_in_95_percent(shared: float) -> None:
+    rng = np.random.default_rng(7)
+    starts, each, experiments = 12, 3, 300
+    demo = np.repeat(np.arange(starts), each)
+    inside = np.zeros(3)
+    for _ in range(experiments):
+        centre = shared * rng.normal(size=starts)  # what a start decides of the value
+        drawn = np.exp(np.concatenate([centre, centre[demo]]) / 3 + rng.normal(size=48))
+        exchanges = Exchanges.draw(demo, starts, rng, 99)
+        inside += [
+            exchanges.wasserstein(drawn).inside,
+            exchanges.difference(drawn).inside,
+            exchanges.chi_squared(np.digitize(drawn, [0.5, 2.0])).inside,
+        ]
+    share = inside / experiments
+    assert (share >= 0.92).all()
+    assert (share[:2] <= 0.985).all()  # counts tie, so the test of shares may be more careful
+
+
+def test_a_collapsed_simulator_falls_outside() -> None:
+    rng = np.random.default_rng(8)
+    demo = np.repeat(np.arange(40), 2)
+    values = np.concatenate([rng.normal(size=40), np.zeros(80)])
+    assert not Exchanges.draw(demo, 40, rng).wasserstein(values).inside
+    assert Exchanges.draw(demo, 40, rng).difference(values - values[:40].mean() * 0).inside
+
+
+def test_recordings_without_rollouts_are_left_out() -> None:
+    rng = np.random.default_rng(9)
+    exchanges = Exchanges.draw([0, 0, 2], 3, rng, 5)
+    values = np.array([1.0, 1e9, 1.0, 1.0, 1.0, 1.0])
+    assert exchanges.wasserstein(values).value == 0.0
+    with pytest.raises(InputError, match="recordings 0 to 2"):
+        Exchanges.draw([3], 3, rng)
