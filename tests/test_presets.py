@@ -70,7 +70,7 @@ def test_files_are_plain_data() -> None:
                 "episode",
                 "step",
                 "cumulative",
-                "increment",
+                "closeness",
                 "onset",
                 "joint",
             ),
