@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 from torch.nn import functional
 
-from animarl_algos.losses.iq_learn import (
-    ImpliedRewards,
-    soft_value,
-    value_after,
-)
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.iq_learn import IQLearnSettings, iq_learn
+from animarl_algos.learner.transition_rows import Collector, EndValues, Rows, demonstrated_rows
+from animarl_algos.losses.iq_learn import ImpliedRewards, soft_value, value_after
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.value_stream import zero_value_stream
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
 
 LOG2, LOG3 = math.log(2.0), math.log(3.0)
 
@@ -105,3 +111,104 @@ def test_zeroing_the_value_stream_keeps_the_policy(recurrent: bool, quantiles: i
         functional.softmax(before, -1), functional.softmax(after, -1), atol=1e-5, rtol=0.0
     )
     assert before.mean().item() < -90.0
+
+
+# -- rows and the online phase --------------------------------------------------------------------
+
+VALUES = EndValues(success=5.0)
+
+
+def world(**options: Any) -> SlotVecEnv:
+    return SlotVecEnv("agent", 4, **options)
+
+
+def network_of(env: SlotVecEnv, *, recurrent: bool = True) -> StackedQNetwork:
+    size = env.observation_space.shape[0]  # type: ignore[index]
+    return StackedQNetwork(env.individuals, size, 13, units=16, recurrent=recurrent, seed=0)
+
+
+def outcomes_of(env: SlotVecEnv) -> NDArray[np.int8]:
+    assert env.all_demos is not None
+    return env.all_demos.select(split="train").outcome
+
+
+@pytest.fixture(scope="module")
+def few() -> Demonstrations:
+    """Eight training episodes, three of them ended by contact and some cut by the clock."""
+    demos = load_packaged("agent").select(split="train")
+    short = np.argsort(demos.lengths)
+    kinds = (demos.outcome > 0, demos.outcome < 0, demos.outcome == 0)
+    return demos.select(episodes=np.concatenate([short[kind[short]][:3] for kind in kinds]))
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_rows_of_demonstrations_are_the_whole_sequences_taken_apart(
+    few: Demonstrations, recurrent: bool
+) -> None:
+    env = world(demos=few)
+    network = network_of(env, recurrent=recurrent)
+    data = env.offline_data().train
+    rows = demonstrated_rows(network, data, outcomes_of(env), VALUES)
+    (batch,) = data.batches(64)
+    whole = network(batch.observations, batch.previous_actions).q_values
+    entering = batch.mask[0] > 0
+    before, after = rows.q_values(network)
+    torch.testing.assert_close(before, whole[:, :-1][:, entering])
+    torch.testing.assert_close(after, whole[:, 1:][:, entering])
+    assert len(rows) == (few.lengths - 1).sum()
+    ends = rows.absorbed[0][~rows.absorbed[0].isnan()]
+    assert sorted(ends.tolist()) == [0.0] * 3 + [5.0] * 3  # those cut by the clock go on
+
+
+def test_rows_of_own_episodes_follow_each_other_until_an_end(few: Demonstrations) -> None:
+    env = world(demos=few)
+    network = network_of(env)
+    collector = Collector(network, env, VALUES, seed=0)
+    rows = collector.collect(120)
+    steps = {f.name: getattr(rows, f.name).unflatten(1, (120, 4)) for f in fields(Rows)}
+    _, after = rows.q_values(network)
+    before, _ = rows.q_values(network)
+    fresh = steps["previous"][:, 1:] == 13
+    following = steps["observations"][:, 1:]
+    same = (steps["next_observations"][:, :-1] == following).all(-1)
+    assert (same | fresh).all()
+    before, after = (q.unflatten(1, (120, 4)) for q in (before, after))
+    torch.testing.assert_close(after[:, :-1][~fresh], before[:, 1:][~fresh], atol=1e-5, rtol=1e-5)
+    absorbed = steps["absorbed"][0, :-1]
+    ended = ~absorbed.isnan()
+    assert (fresh[0] | ~ended).all()
+    absorbed = steps["absorbed"][0]
+    expected = [5.0 if outcome > 0 else 0.0 for outcome in collector.outcomes if outcome]
+    assert len(expected) >= 10
+    assert absorbed[~absorbed.isnan()].tolist() == expected
+
+
+def test_the_same_seed_learns_the_same(few: Demonstrations) -> None:
+    learned = []
+    for seed in (3, 3, 4):
+        env = world(demos=few)
+        network = network_of(env)
+        reports = iq_learn(
+            network, env, env.offline_data().train, outcomes_of(env),
+            IQLearnSettings(collections=2, steps=20, updates=3, rows=16), seed=seed,
+        )  # fmt: skip
+        assert len(reports) == 2 and reports[-1].loss.shape == (3,)
+        learned.append(torch.cat([p.detach().flatten() for p in network.parameters()]))
+    assert torch.equal(learned[0], learned[1])
+    assert not torch.equal(learned[0], learned[2])
+
+
+def test_demonstrations_of_others_are_refused(few: Demonstrations) -> None:
+    env = world(demos=few)
+    network = StackedQNetwork(("x", "y", "z"), 18, 13)
+    with pytest.raises(InputError, match="same individuals"):
+        iq_learn(network, env, env.offline_data().train, outcomes_of(env), IQLearnSettings())
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [({"gamma": 1.0}, "gamma"), ({"rows": 0}, "rows"), ({"learning_rate": 0.0}, "learning_rate")],
+)
+def test_settings_out_of_range_are_refused(settings: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        IQLearnSettings(**settings)
