@@ -177,7 +177,7 @@ def _update(
             f"training diverged (losses per individual: {loss.tolist()}): lower learning_rate"
         )
     optimizer.zero_grad()
-    loss.sum().backward()
+    loss.sum().backward()  # type: ignore[no-untyped-call]
     clip_grad_norm_per_individual(network.all_parameters, settings.max_grad_norm)
     optimizer.step()
     return loss.detach()

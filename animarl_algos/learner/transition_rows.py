@@ -148,7 +148,8 @@ class Collector:
             q_values, after = self._network.step(self._observation, self._previous, self._state)
             noise = torch.from_numpy(self._rng.gumbel(size=q_values.shape))
             actions = (q_values + noise).argmax(-1)
-            slots, _, dones, infos = self._env.step(actions.T.reshape(-1).numpy())
+            self._env.step_async(actions.T.reshape(-1).numpy())
+            slots, _, dones, infos = self._env.step_wait()
             following = slots.copy()
             absorbed = np.full(self._shape, np.nan, dtype=np.float32)
             for slot in np.flatnonzero(dones).tolist():
