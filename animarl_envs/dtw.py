@@ -7,6 +7,22 @@ with the Euclidean distance between simulated position t and recorded position j
 Row t needs row t - 1 only, so a step costs O(m) for a recording of m frames. The open end
 ``min_j W(t, j)`` is the reward's distance, its ``argmin`` the aligned recorded step; the closed end
 ``W(T, m)`` is the DTW distance of evaluation. (Vintsyuk 1968; Sakoe and Chiba 1978.)
+
+What a step is charged, ``penalty``, is one of
+
+``"closeness"``
+    ``-exp(-c / scale)`` while the recording lasts, c the step's increase of ``min_j W(t, j)`` with
+    j kept within :data:`WINDOW` frames of t (Sakoe and Chiba's band). Afterwards it is what the
+    world pays for lasting.
+``"increment"``
+    The step's increase of ``min_j W(t, j)``.
+``"cumulative"``
+    ``min_j W(t, j)`` itself, the paper's equation.
+
+The last two are never negative: ending an episode escapes what is to come, so they pay for ending
+early. And with an open end and free warping, standing where the recording starts is free of charge
+for ever. Closeness pays between 0 and 1 a step, so that no end ever pays; the band keeps up the
+pace, and nothing is paid beyond the recording (``benchmarks/returns.py`` prints the returns).
 """
 
 from __future__ import annotations
@@ -21,15 +37,25 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 
+WINDOW = 2
+"""Frames by which a rollout may lead or lag the recording and still be close to it."""
+
 
 @jit
-def _extend_row(row, m, x, y, path, first):  # type: ignore[no-untyped-def]
-    """Replace row t - 1 by row t for the simulated position (x, y); its minimum and argmin."""
+def _extend_row(row, begin, end, x, y, path, first):  # type: ignore[no-untyped-def]
+    """Replace row t - 1 by row t for the simulated position (x, y); its minimum and argmin.
+
+    Only recorded frames from ``begin`` to before ``end``, which may rise by one from row to row;
+    what lies outside is infinitely far.
+    """
     lowest = math.inf
-    aligned = 0
+    aligned = begin
     diagonal = math.inf  # W(t-1, j-1)
+    if begin > 0:
+        diagonal = row[begin - 1]
+        row[begin - 1] = math.inf
     left = math.inf  # W(t, j-1)
-    for j in range(m):
+    for j in range(begin, end):
         dx = x - path[j, 0]
         dy = y - path[j, 1]
         above = math.inf if first else row[j]  # W(t-1, j)
@@ -49,7 +75,7 @@ def _extend_row(row, m, x, y, path, first):  # type: ignore[no-untyped-def]
 def _closed_end(x, y):  # type: ignore[no-untyped-def]
     row = np.empty(len(y))
     for t in range(len(x)):
-        _extend_row(row, len(y), x[t, 0], x[t, 1], y, t == 0)
+        _extend_row(row, 0, len(y), x[t, 0], x[t, 1], y, t == 0)
     return row[-1]
 
 
@@ -75,17 +101,48 @@ def _extend_rows(mask, first, position, demo, individuals, paths, start, rows, l
         for f in range(len(individuals)):
             i = individuals[f]
             path = paths[i, begin : begin + m]
-            value, j = _extend_row(rows[b, f], m, position[b, i, 0], position[b, i, 1], path, first)
+            value, j = _extend_row(
+                rows[b, f], 0, m, position[b, i, 0], position[b, i, 1], path, first
+            )
             lowest[b, f] = value
             aligned[b, f] = j
+
+
+@jit
+def _extend_bands(  # type: ignore[no-untyped-def]
+    mask, first, position, demo, individuals, paths, start, step_count, window, rows, lowest
+):  # fmt: skip
+    """As :func:`_extend_rows` with frames t - window to t + window; the minimum is infinite where
+    the recording is over."""
+    for b in range(len(mask)):
+        if not mask[b]:
+            continue
+        t = step_count[b]
+        opening = start[demo[b]]
+        m = start[demo[b] + 1] - opening
+        begin, end = max(0, t - window), min(m, t + window + 1)
+        for f in range(len(individuals)):
+            i = individuals[f]
+            if first:
+                rows[b, f] = math.inf
+            if t < m:
+                lowest[b, f], _ = _extend_row(
+                    rows[b, f], begin, end, position[b, i, 0], position[b, i, 1],
+                    paths[i, opening : opening + m], first,
+                )  # fmt: skip
+            else:
+                lowest[b, f] = math.inf
 
 
 class _Followed(Protocol):
     """What a world shows of itself to a tracker."""
 
     num_copies: int
+    reward_components: tuple[str, ...]
     position: NDArray[np.float64]
+    components: NDArray[np.float64]
     demo: NDArray[np.int64]
+    step_count: NDArray[np.int64]
 
 
 class DTWTracker:
@@ -94,43 +151,61 @@ class DTWTracker:
     Put into ``world.trackers``: the world tells it when episodes start and when a step is done, so
     that a copy's rows are reset with that copy, whoever resets it.
 
+    Parameters
+    ----------
+    demos
+        What the world's episodes are paired with.
+    num_copies, individuals
+        The world's copies, and the indices of the ``F`` individuals that are followed.
+    scale
+        A cost at which closeness falls to 1/e, the species' contact radius [arena unit].
+    kind
+        ``"closeness"``, ``"increment"`` or ``"cumulative"``; see the head of this module.
+
     Attributes
     ----------
     penalty
-        ``(B, F)``, what the last step cost, before weighting: the row minimum
-        (``"cumulative"``) or its increase (``"increment"``) [arena unit].
+        ``(B, F)``, what the last step is charged, before weighting.
     row_minimum
         ``(B, F)``, ``min_j W(t, j)`` [arena unit].
     aligned
         ``(B, F)``, the recorded step aligned with the present one, its ``argmin``.
     final_minimum, final_aligned
         The two as they were after the last step, also where a copy has been reset since.
+
+    Raises
+    ------
+    InputError
+        If there are no demonstrations, or no such penalty.
     """
 
-    KINDS = ("increment", "cumulative")
+    KINDS = ("closeness", "increment", "cumulative")
 
     def __init__(
         self,
         demos: Demonstrations | None,
         num_copies: int,
         individuals: NDArray[np.int64],
-        kind: str = "increment",
+        scale: float,
+        kind: str = "closeness",
     ) -> None:
         if kind not in self.KINDS:
-            raise InputError(f"penalty is {kind!r}: choose {' or '.join(self.KINDS)}")
+            raise InputError(f"penalty is {kind!r}: choose {', '.join(self.KINDS)}")
         if demos is None:
             raise InputError(
                 "the DTW reward compares with demonstrations, but the environment has none: "
                 "give it demos="
             )
-        self.kind = kind
+        self.kind, self.scale = kind, scale
         self.individuals = np.asarray(individuals, dtype=np.int64)
         self._paths = np.ascontiguousarray(demos.positions.transpose(1, 0, 2))
         self._start = demos.offsets.astype(np.int64)
         shape = (num_copies, len(self.individuals))
         self.rows = np.full((*shape, int(demos.lengths.max())), np.inf)
+        self.bands = np.full_like(self.rows, np.inf) if kind == "closeness" else np.zeros(0)
         self.penalty = np.zeros(shape)
         self.row_minimum = np.zeros(shape)
+        self.band_minimum = np.zeros(shape)
         self.aligned = np.zeros(shape, dtype=np.int64)
         self.final_minimum, self.final_aligned = self.row_minimum, self.aligned
         self._all = np.ones(num_copies, dtype=bool)
@@ -141,30 +216,50 @@ class DTWTracker:
 
     def stepped(self, world: _Followed) -> None:
         """Row t of all copies, and what it costs."""
-        before = self.row_minimum.copy()
+        before, band_before = self.row_minimum.copy(), self.band_minimum.copy()
         self._extend(world, self._all, first=False)
         self.final_minimum = self.row_minimum.copy()
         self.final_aligned = self.aligned.copy()
-        self.penalty = (
-            self.final_minimum - before if self.kind == "increment" else (self.final_minimum.copy())
-        )
+        if self.kind == "closeness":
+            self.penalty = self._closeness_penalty(world, band_before)
+        elif self.kind == "increment":
+            self.penalty = self.final_minimum - before
+        else:
+            self.penalty = self.final_minimum.copy()
+
+    def _closeness_penalty(
+        self, world: _Followed, before: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Less than nothing while the recording lasts; then the pay for lasting is taken back.
+
+        Or a target that stands apart would earn more by outliving its recording than by following
+        it.
+        """
+        over = np.isinf(self.band_minimum)
+        increase = np.where(over, 0.0, self.band_minimum) - np.where(over, 0.0, before)
+        refund = np.zeros_like(increase)
+        if "elapsed" in world.reward_components:
+            elapsed = world.reward_components.index("elapsed")
+            refund = world.components[:, self.individuals, elapsed]
+        return np.where(over, refund, -np.exp(-increase / self.scale))
 
     def _extend(self, world: _Followed, mask: NDArray[np.bool_], *, first: bool) -> None:
         if (world.demo[mask] < 0).any():
             raise InputError(
                 "the DTW reward needs episodes that start from a demonstration: use start='demo'"
             )
-        _extend_rows(
-            mask, first, world.position, world.demo, self.individuals, self._paths, self._start,
-            self.rows, self.row_minimum, self.aligned,
-        )  # fmt: skip
+        told = (mask, first, world.position, world.demo, self.individuals, self._paths, self._start)
+        _extend_rows(*told, self.rows, self.row_minimum, self.aligned)
+        if self.kind == "closeness":
+            _extend_bands(*told, world.step_count, WINDOW, self.bands, self.band_minimum)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copies of what decides the future."""
-        names = ("rows", "row_minimum", "aligned", "penalty")
-        return {f"dtw_{name}": getattr(self, name).copy() for name in names}
+        return {f"dtw_{name}": getattr(self, name).copy() for name in self._STATE}
 
     def set_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Continue from what :meth:`get_state` gave."""
-        for name in ("rows", "row_minimum", "aligned", "penalty"):
+        for name in self._STATE:
             getattr(self, name)[...] = state[f"dtw_{name}"]
+
+    _STATE = ("rows", "bands", "row_minimum", "band_minimum", "aligned", "penalty")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from textbook_dtw import textbook
+from textbook_dtw import closeness, textbook
 
 import animarl_envs
-from animarl_envs.dtw import dtw_distance
+from animarl_envs.dtw import WINDOW, dtw_distance
 from animarl_envs.errors import InputError
 from animarl_envs.views import AnimalVectorEnv
 from animarl_envs.wrappers import DTWReward, DTWRewardParallel, DTWRewardVector
@@ -47,7 +47,8 @@ def test_misshapen_paths_are_refused() -> None:
 
 
 def test_single_view_pays_every_row_as_the_textbook_says() -> None:
-    env = DTWReward(gym.make("AnimaRL/Agent-v0", focal="predator_1"), alpha=0.5)
+    plain = gym.make("AnimaRL/Agent-v0", focal="predator_1")
+    env = DTWReward(plain, alpha=0.5, penalty="increment")
     world = env.unwrapped.world  # type: ignore[attr-defined]
     rng = np.random.default_rng(3)
     for seed in range(5):
@@ -65,6 +66,50 @@ def test_single_view_pays_every_row_as_the_textbook_says() -> None:
             assert info["aligned_step"] == rows[-1].argmin()
             done = terminated or truncated
         assert sum(paid) == pytest.approx(rows[-1].min() - rows[0].min(), abs=1e-9)
+
+
+@pytest.mark.parametrize("focal", ["predator_0", "prey"])
+def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_lasts(
+    focal: str,
+) -> None:
+    """The prey coasts, so that it outlives its recording: there its pay for lasting is refunded."""
+    env = DTWReward(gym.make("AnimaRL/Agent-v0", focal=focal, others="coast"))
+    world = env.unwrapped.world  # type: ignore[attr-defined]
+    who = world.scenario.names.index(focal)
+    rng = np.random.default_rng(1)
+    outlived = 0
+    for seed in range(6):
+        _, info = env.reset(seed=seed)
+        recorded = world.demos.episode(info["demo"]).positions[:, who]
+        path, rewards, tasks = [world.position[0, who].copy()], [], []
+        done = False
+        while not done:
+            action = int(rng.integers(13)) if seed % 2 else 12
+            _, reward, terminated, truncated, info = env.step(action)
+            path.append(world.position[0, who].copy())
+            rewards.append(reward)
+            tasks.append(info["task_reward"])
+            done = terminated or truncated
+        paid = closeness(np.array(path), recorded, WINDOW, scale=0.1)
+        assert ((paid >= 0.0) & (paid <= 1.0)).all()
+        beyond = slice(len(recorded) - 1, None)
+        lasting = np.zeros(len(paid))
+        if focal == "prey":
+            lasting[beyond] = np.where(np.array(tasks[beyond]) > 0.0, world.scenario.species.dt, 0)
+        np.testing.assert_allclose(rewards, np.array(tasks) + paid - lasting, atol=1e-9)
+        outlived += len(paid[beyond])
+    assert outlived > 50
+
+
+def test_one_who_follows_late_is_close_and_one_who_stands_is_not() -> None:
+    """What the band is for: with free warping, standing at the start would cost nothing."""
+    t = np.arange(30.0)[:, None]
+    recorded = np.hstack([t, np.zeros_like(t)])
+    late = np.concatenate([recorded[:1].repeat(WINDOW, axis=0), recorded[:-WINDOW]])
+    standing = recorded[:1].repeat(30, axis=0)
+    np.testing.assert_allclose(closeness(late, recorded, WINDOW, scale=1.0), 1.0)
+    assert closeness(standing, recorded, WINDOW, scale=1.0)[WINDOW:].max() < 0.5
+    assert closeness(standing, recorded, 30, scale=1.0).min() == 1.0
 
 
 def test_cumulative_penalty_is_the_row_minimum() -> None:

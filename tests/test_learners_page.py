@@ -40,7 +40,7 @@ def test_the_yaml_is_read(tmp_path: Path) -> None:
     (tmp_path / "mine.yml").write_text(text)
     found = learner_preset("dqdil", "AnimaRL/Agent-v0", config=tmp_path / "mine.yml")
     assert (found.n_envs, found.arguments["alpha"]) == (8, 0.5)
-    assert found.env_kwargs == {"dtw": "increment", "contact_radius": 0.15}
+    assert found.env_kwargs == {"dtw": "closeness", "contact_radius": 0.15}
 
 
 def test_the_commands_parse() -> None:

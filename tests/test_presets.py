@@ -79,7 +79,7 @@ def test_files_are_plain_data() -> None:
                 "episode",
                 "step",
                 "cumulative",
-                "increment",
+                "closeness",
                 "onset",
                 "joint",
                 "paper",

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from textbook_dtw import textbook
+from textbook_dtw import closeness, textbook
 
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_envs.dtw import WINDOW
 from animarl_envs.fitting.transitions import demonstrated_actions
 
 
@@ -22,6 +23,7 @@ class Rollout:
     positions: list[NDArray[np.float64]]
     penalties: list[NDArray[np.float32]] = field(default_factory=list)
     labels: list[NDArray[np.int64]] = field(default_factory=list)
+    elapsed: list[NDArray[np.float64]] = field(default_factory=list)
 
 
 class Paths:
@@ -38,6 +40,9 @@ class Paths:
         for b, rollout in enumerate(self.running):
             assert rollout is not None
             rollout.positions.append(world.position[b].copy())
+            if "elapsed" in world.reward_components:
+                lasting = world.reward_components.index("elapsed")
+                rollout.elapsed.append(world.components[b, :, lasting].copy())
 
 
 def random_rollouts(env: SlotVecEnv, steps: int) -> list[Rollout]:
@@ -64,6 +69,7 @@ def random_rollouts(env: SlotVecEnv, steps: int) -> list[Rollout]:
     ("species", "options", "steps", "least"),
     [
         ("agent", {}, 250, 30),
+        ("agent", {"dtw": "increment"}, 250, 30),
         ("agent", {"dtw": "cumulative"}, 100, 10),
         ("agent", {"focal": "prey"}, 150, 15),
         ("fly", {}, 150, 20),
@@ -87,11 +93,19 @@ def test_penalties_and_labels_equal_the_textbook(
             path = np.array(rollout.positions)[:, k]
             rows = textbook(path, demos.positions[frames, k])
             minimum = rows.min(axis=1)
-            cumulative = options.get("dtw") == "cumulative"
+            kind = options.get("dtw", "closeness")
+            if kind == "closeness":
+                scale = env.scenario.species.contact_radius
+                expected = -closeness(path, demos.positions[frames, k], WINDOW, scale)
+                beyond = len(demos.positions[frames]) - 1
+                if rollout.elapsed:
+                    expected[beyond:] = np.array(rollout.elapsed)[beyond:, k]
+            else:
+                expected = minimum[1:] if kind == "cumulative" else np.diff(minimum)
             np.testing.assert_allclose(
                 np.array(rollout.penalties)[:, s],
-                minimum[1:] if cumulative else np.diff(minimum),
-                atol=1e-4 if cumulative else 1e-5,
+                expected,
+                atol=1e-4 if kind == "cumulative" else 1e-5,
             )
             aligned = actions[frames, k][rows[:-1].argmin(axis=1)]
             np.testing.assert_array_equal(np.array(rollout.labels)[:, s], aligned)

@@ -49,11 +49,11 @@ def test_the_shaped_reward_is_the_task_reward_less_the_weighted_penalty() -> Non
         assert paid == pytest.approx(reward - 0.3 * info["dtw_penalty"], abs=1e-12)
         total += info["dtw_penalty"]
         ended = any(ends)
-    assert total > 0.0
+    assert total < 0.0  # closeness is a payment
 
 
 def test_vector_and_single_pay_the_same_cumulative_penalty() -> None:
-    """That of the increment is compared in test_registry.py, with everything else."""
+    """That of closeness is compared in test_registry.py, with everything else."""
     vector = DTWRewardVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=3), penalty="cumulative")
     singles = [DTWReward(agent(), penalty="cumulative") for _ in range(3)]
     vector.reset(seed=7)

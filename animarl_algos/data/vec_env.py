@@ -44,9 +44,10 @@ class SlotVecEnv(VecEnv):
         Whether the condition is the last observation component (``None``: if the species has
         conditions and the demonstrations hold both), and what is told of it.
     dtw
-        ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as ``dtw_penalty``,
-        and with it the demonstrated action aligned with each state, as ``aligned_action``. The
-        reward itself stays the task's; weighting is the recipe's business.
+        ``"closeness"``, ``"increment"``, ``"cumulative"`` or ``None``: the penalty handed out as
+        ``dtw_penalty`` (:mod:`animarl_envs.dtw`), and with it the demonstrated action aligned with
+        each state, as ``aligned_action``. The reward itself stays the task's; weighting is the
+        recipe's business.
     labels, label_width
         Of the offline phase; see :class:`animarl_algos.data.species_data.SpeciesDemonstrations`.
     options
@@ -71,7 +72,7 @@ class SlotVecEnv(VecEnv):
         focal: str | None = None,
         condition_flag: bool | None = False,
         cue: Cue = "actual",
-        dtw: str | None = "increment",
+        dtw: str | None = "closeness",
         labels: str = "hard",
         label_width: float = 0.35,
         **options: Any,
@@ -109,7 +110,9 @@ class SlotVecEnv(VecEnv):
         )
         self._tracker: DTWTracker | None = None
         if dtw is not None and self.scenario.paired and self.scenario.demos is not None:
-            self._tracker = DTWTracker(self.scenario.demos, num_copies, self._learners, dtw)
+            self._tracker = DTWTracker(
+                self.scenario.demos, num_copies, self._learners, full.species.contact_radius, dtw
+            )
             self.world.trackers.append(self._tracker)
             acted = demonstrated_actions(self.scenario.demos, full.species.locomotion)
             self._demonstrated = acted[:, self._learners].astype(np.int64)

@@ -50,16 +50,17 @@ def slot_environment(
 
 def validation_environment(env_id: str, copies: int, **options: Any) -> VecEnv:
     """What policies are scored in: episodes of the validation split, :class:`Scored`."""
-    options["dtw"] = "increment"  # whatever the learner is paid for, scores are comparable
+    options["dtw"] = "closeness"  # whatever the learner is paid for, scores are comparable
     return VecMonitor(Scored(slot_environment(env_id, copies, split="val", **options)))
 
 
 class Scored(VecEnvWrapper):
-    """Pays the task reward minus the increase of the distance to the recorded path.
+    """Pays the task reward and up to 1 a step for closeness to the recorded path.
 
-    An episode's return is what it achieved minus its final DTW distance (paper's reward with
-    alpha = 1), per individual: the score by which rl_zoo3 picks the best model and optuna the best
-    settings. Without demonstrations it is the task return.
+    An episode's return is what it achieved, and how much of its recording it followed
+    (:mod:`animarl_envs.dtw`), per individual: the score by which rl_zoo3 picks the best model and
+    optuna the best settings. (A score by the distance alone is best for whoever ends at once.)
+    Without demonstrations it is the task return.
     """
 
     venv: SlotVecEnv

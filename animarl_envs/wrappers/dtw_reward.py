@@ -2,9 +2,10 @@
 
     R_t = R_touch_t - alpha * penalty_t
 
-``penalty="increment"`` (default): the step's increase of ``min_j W(t, j)``, whose sum over the
-episode is the final row minimum. ``penalty="cumulative"``: the row minimum itself, the paper's
-equation, whose sum dwarfs the task reward. See :mod:`animarl_envs.dtw`.
+``penalty="closeness"`` (default): a payment of at most 1 a step, the nearer the more, while the
+recording lasts. ``penalty="increment"``: the step's increase of ``min_j W(t, j)``, whose sum over
+the episode is the final row minimum. ``penalty="cumulative"``: the row minimum itself, the paper's
+equation. The latter two pay for ending early. See :mod:`animarl_envs.dtw`.
 
 Infos: ``task_reward``, ``dtw_penalty`` (before weighting), ``dtw_distance`` (the row minimum) and
 ``aligned_step`` (the recorded step aligned with the present one).
@@ -33,7 +34,8 @@ def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DT
         raise InputError(f"alpha is {alpha!r}: it must be zero or positive")
     world = env.world
     demos = world.demos if world.scenario.paired else None
-    tracker = DTWTracker(demos, world.num_copies, np.array(individuals), penalty)
+    scale = world.scenario.species.contact_radius
+    tracker = DTWTracker(demos, world.num_copies, np.array(individuals), scale, penalty)
     world.trackers.append(tracker)
     return tracker
 
@@ -49,9 +51,9 @@ class DTWReward(
     env
         The environment; its episodes must start from demonstrations.
     alpha
-        Weight of the penalty [1 / arena unit].
+        Weight of the penalty [1 / arena unit; 1 with ``"closeness"``].
     penalty
-        ``"increment"`` or ``"cumulative"``.
+        ``"closeness"``, ``"increment"`` or ``"cumulative"``.
 
     Raises
     ------
@@ -63,7 +65,7 @@ class DTWReward(
     """What learners that need it look for before they start."""
 
     def __init__(
-        self, env: gym.Env[Any, Any], alpha: float = 1.0, penalty: str = "increment"
+        self, env: gym.Env[Any, Any], alpha: float = 1.0, penalty: str = "closeness"
     ) -> None:
         RecordConstructorArgs.__init__(self, alpha=alpha, penalty=penalty)
         gym.Wrapper.__init__(self, env)
@@ -92,7 +94,7 @@ class DTWRewardVector(VectorWrapper):
     Parameters as in :class:`DTWReward`.
     """
 
-    def __init__(self, env: VectorEnv, alpha: float = 1.0, penalty: str = "increment") -> None:
+    def __init__(self, env: VectorEnv, alpha: float = 1.0, penalty: str = "closeness") -> None:
         super().__init__(env)
         inner = env.unwrapped
         if not isinstance(inner, AnimalVectorEnv):
@@ -129,7 +131,7 @@ class DTWRewardParallel(BaseParallelWrapper):  # type: ignore[type-arg]
     Every individual has its own row. Parameters as in :class:`DTWReward`.
     """
 
-    def __init__(self, env: Any, alpha: float = 1.0, penalty: str = "increment") -> None:
+    def __init__(self, env: Any, alpha: float = 1.0, penalty: str = "closeness") -> None:
         super().__init__(env)
         inner = env.unwrapped
         if not isinstance(inner, AnimalParallelEnv):
