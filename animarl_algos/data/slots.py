@@ -22,8 +22,8 @@ def refuse_other_actions(learned: int, here: int) -> None:
     """
     if learned != here:
         raise InputError(
-            f"this learner chooses among {learned} actions, the environment has {here}: give one "
-            "with the thrust magnitudes it was trained with"
+            f"Action spaces do not match, {learned} actions learned and {here} here: give the "
+            "environment it was trained in, of animals with the same thrust magnitudes"
         )
 
 
