@@ -22,9 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numba as nb
-from numba.misc.appdirs import AppDirs
+from numba.misc import appdirs
 
 _HERE = Path(__file__).resolve().parent
+_SETTINGS: Any = nb.config
+_user_cache_dir: Any = appdirs.user_cache_dir
 # Modules with kernels, or with constants in capitals that kernels take in as they are compiled.
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
 _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)+) import (\([^)]*\)|.*)$", re.MULTILINE)
@@ -50,19 +52,19 @@ def part(function: Callable[..., Any]) -> Any:
 @contextmanager
 def _cache_folder(package: str) -> Iterator[None]:
     """numba takes a kernel's folder from its settings, once, when it is decorated."""
-    of_user = nb.config.CACHE_DIR
-    nb.config.CACHE_DIR = str(_folder(package, of_user))
+    of_user = _SETTINGS.CACHE_DIR
+    _SETTINGS.CACHE_DIR = str(_folder(package, of_user))
     try:
         yield
     finally:
-        nb.config.CACHE_DIR = of_user
+        _SETTINGS.CACHE_DIR = of_user
 
 
 @functools.cache
 def _folder(package: str, of_user: str) -> Path:
     """Where the machine code of a package is kept; ``NUMBA_CACHE_DIR`` is kept to if it is set."""
     name = f"kernels-{source_key(package)}"
-    usual = (_HERE / "__pycache__", Path(AppDirs("animarl", appauthor=False).user_cache_dir))
+    usual = (_HERE / "__pycache__", Path(_user_cache_dir("animarl", appauthor=False)))
     for root in (Path(of_user),) if of_user else usual:
         if _can_write(root / name):
             return root / name

@@ -42,6 +42,11 @@ class Episodes:
         """``(rollouts,)``: mean over those who move by themselves [arena unit]."""
         return self._mean_over_movers(path_lengths(self.rollouts))
 
+    @property
+    def duration(self) -> Floats:
+        """``(rollouts,)`` [s]."""
+        return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
+
     def _mean_over_movers(self, values: Floats) -> Floats:
         return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
 
@@ -124,7 +129,7 @@ DURATION = Metric(
     key="duration",
     label="Duration",
     unit="s",
-    measure=lambda episodes: (episodes.rollouts.lengths - 1) * episodes.rollouts.dt,
+    measure=lambda episodes: episodes.duration,
     planned=True,
     more_less=("longer", "shorter"),
     caption="Duration per episode: all episodes, and captures only.",
