@@ -48,8 +48,8 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.offline import train_epoch
-from animarl_algos.learner.validation import validation_figures
 from animarl_algos.learner.settings import constructed
+from animarl_algos.learner.validation import validation_figures
 from animarl_algos.recipes.dqdil import DQDIL
 from animarl_algos.recipes.dqn import DQN
 from animarl_algos.recipes.registry import named_recipe
