@@ -288,6 +288,7 @@ def test_standardised_inputs_are_those_of_a_network_that_gets_them_so() -> None:
     network = StackedQNetwork(("a", "b"), 4, 3, units=8, recurrent=False, condition_flag=True)
     generator = torch.Generator().manual_seed(0)
     seen = 3 * torch.randn(2, 5, 6, 4, generator=generator)
+    seen[..., -1] = (seen[..., -1] > 0).float()
     mean = torch.randn(2, 4, generator=generator)
     sd = torch.tensor([[0.1, 2.0, 0.0, 5.0], [1.0, 0.5, 0.0, 5.0]])
     given = seen.clone()
