@@ -72,7 +72,7 @@ def random_rollouts(env: SlotVecEnv, steps: int) -> list[Rollout]:
         ("agent", {"dtw": "increment"}, 250, 30),
         ("agent", {"dtw": "cumulative"}, 100, 10),
         ("agent", {"focal": "prey"}, 150, 15),
-        ("fly", {}, 150, 20),
+        ("fly", {"rebound": False}, 150, 20),
         ("silkmoth", {"condition_flag": True}, 610, 6),
     ],
 )
