@@ -264,7 +264,7 @@ def test_an_epoch_without_finite_values_is_never_the_best(monkeypatch: pytest.Mo
     with pytest.raises(InputError, match=r"diverged in epoch 2 .* lower offline_learning_rate"):
         model.pretrain()
     assert model.offline_progress.best_epoch == 1 and model.best_weights is not None
-    assert all(torch.isfinite(w).all() for w in model.best_weights.values())
+    assert not any(w.isnan().any() for w in model.best_weights.values())
 
 
 # -- a run's demonstrations -----------------------------------------------------------------------

@@ -73,7 +73,18 @@ def test_a_clone_of_coin_tosses_is_said_to_know_nothing() -> None:
 @kinds
 def test_individuals_together_are_individuals_alone(policy: str) -> None:
     """With dropout, an average and patience: each its own draws, best epoch and end."""
-    together = cloning(policy, offline_patience=2, offline_epochs=8, offline_learning_rate=0.05)
+    rate = 0.05
+    kwargs: dict[str, Any] = {"hidden": 16, "dropout": 0.1}
+    if policy == "GruPolicy":  # where Adam's quotient would blow the rounding of no gradient up
+        kwargs |= {"skip": True, "optimizer_kwargs": {"eps": 1e-3}}
+        rate = 0.01
+    together = cloning(
+        policy,
+        offline_patience=2,
+        offline_epochs=8,
+        offline_learning_rate=rate,
+        policy_kwargs=kwargs,
+    )
     progress = together.pretrain()
     if policy == "MlpPolicy":
         assert len(set(progress.best_epochs)) == 2  # or nothing is shown of their ends
@@ -84,7 +95,7 @@ def test_individuals_together_are_individuals_alone(policy: str) -> None:
         settings = SETTINGS | {
             "policy_kwargs": together.policy_kwargs,
             "offline_kwargs": together.offline_kwargs,
-            "offline_learning_rate": 0.05,
+            "offline_learning_rate": rate,
             "offline_batch_size": 64,
             "offline_epochs": 8,
             "offline_patience": 2,
