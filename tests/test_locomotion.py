@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -91,3 +92,9 @@ def test_impossible_parameters_are_refused(damping: float, thrust: float, said: 
     with pytest.raises(InputError, match=said):
         Locomotion(damping, thrust)
     assert Locomotion(0.0, 1e-9) != Locomotion(1.0, 1e-9)
+
+
+def test_parameters_cannot_be_changed() -> None:
+    own = Locomotion(0.25, 3.0)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        own.damping = 0.5  # type: ignore[misc]
