@@ -168,7 +168,7 @@ def fill_with_synthetic_episodes(model: SequenceQLearning, mean_length: int) -> 
 def epoch_time(algo: str, epochs: int) -> float:
     """Seconds of one offline epoch, its validation included."""
     model = learner(algo, offline_learning_rate=1e-3, offline_batch_size=16)
-    data = model._demonstrations()
+    data = model.demonstration_data()
 
     def epoch() -> None:
         train_epoch(model, data.train, 0)

@@ -33,8 +33,10 @@ def _asked(
     ] = None,
     algo: Annotated[
         str,
-        typer.Option(help="dqn, bc, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."),
-    ] = "dqdil-pt",
+        typer.Option(
+            help="soft-bc, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."
+        ),
+    ] = "soft-bc",
     preset: Annotated[
         str, typer.Option(help="Settings of zoo_configs: paper (the paper's) or default (tuned).")
     ] = "default",

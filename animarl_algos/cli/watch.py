@@ -223,7 +223,7 @@ def load_trained(
     fitted = run.species(recorded, run.fit)
     learner = run.learner(settings.algo, run.environment(fitted, recorded))
     run.load_policy(settings.algo, learner)
-    learner.policy.epsilon = settings.test_epsilon
+    learner.policy.acting = run.acting(settings.algo)
     learner.policy.seed(seed)
     if settings.focal is None:
         return learner, fitted, recorded, None

@@ -14,15 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.data.labels import Labels
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import observation_space
-from animarl_envs.worlds import make_world
+from animarl_envs.worlds import make_world, mirror
 from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
 
 
@@ -215,13 +217,19 @@ class SlotVecEnv(VecEnv):
         if self.all_demos is None:
             raise InputError("the environment has no demonstrations: give demos=")
         if self._offline_data is None:  # its splits are made when first looked at
+            species = self.scenario.species
+            followed = None
+            if self.labels == Labels.TRACKING:
+                followed = track(self.all_demos, species.locomotion, species.arena)
             self._offline_data = SpeciesDemonstrations(
-                self.scenario.species,
+                species,
                 self.all_demos,
                 self.individuals,
                 self.condition_flag,
                 labels=self.labels,
                 label_width=self.label_width,
+                mirror=mirror(species) if species.mirror_symmetric else None,
+                tracked=followed,
             )
         return self._offline_data
 
@@ -271,7 +279,7 @@ def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
 
 
 SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
-OWN_OPTIONS = ("split", "focal", "condition_flag", "cue", "dtw")
+OWN_OPTIONS = ("split", "focal", "condition_flag", "cue", "dtw", "labels", "label_width")
 
 
 def species_options(options: Mapping[str, Any]) -> dict[str, Any]:

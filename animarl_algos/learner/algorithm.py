@@ -264,7 +264,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         assert self.env is not None
         check_environment(self.env, self.layout, self.recipe)
         if self.offline_epochs and not self.offline_progress.done:
-            refuse_foreign(self, self._demonstrations())
+            refuse_foreign(self, self.demonstration_data())
 
     # -- learn ------------------------------------------------------------------------------------
 
@@ -320,10 +320,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
             return self.offline_progress
         if not hasattr(self, "_logger"):
             self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
-        run_offline_phase(self, self._demonstrations(), progress_bar=progress_bar)
+        run_offline_phase(self, self.demonstration_data(), progress_bar=progress_bar)
         return self.offline_progress
 
-    def _demonstrations(self) -> DemonstrationData:
+    def demonstration_data(self) -> DemonstrationData:
         """Those that were given, or else the environment's own."""
         if self.demonstrations is not None:
             return self.demonstrations

@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.focal import FocalPolicy, focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.evaluation.acting_choice import candidate_rules, choice_episodes, choose_acting
 from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -30,16 +31,19 @@ from animarl_algos.learner.checkpoint import (
 )
 from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.recorder import check_environment
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
 from animarl_algos.runs.run_folder import RunFolder
-from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
+from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.fitting.magnitudes import choose_thrusts
+from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import Species
@@ -84,8 +88,7 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         condition_flag=None,
         **asked.env_kwargs,
     )
-    compared = [BEHAVIOUR_CLONING] if settings.baselines else []
-    for algo in dict.fromkeys([settings.algo, *compared]):
+    for algo in (settings.algo, *settings.compared):
         arguments = constructed(settings.learner(algo).arguments)
         learner = named_recipe(algo).algorithm(
             env=env, seed=settings.seed, device="cpu", **arguments
@@ -112,7 +115,8 @@ def fit(run: RunFolder) -> LocomotionFit:
         return run.fit
     settings = run.settings
     method = "onset" if settings.fit_method == "onset" else "joint"
-    result = fit_locomotion(run.demos, method, seed=settings.seed)  # type: ignore[arg-type]
+    thrusts = choose_thrusts(run.demos) if settings.thrusts == AUTO else int(settings.thrusts)
+    result = fit_locomotion(run.demos, method, seed=settings.seed, thrusts=thrusts)  # type: ignore[arg-type]
     result.save(file)
     return result
 
@@ -128,7 +132,7 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
     model = run.learner(algo, env)
     if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
         run.load_policy(algo, model)
-        return model
+        return _acting(run, algo, model)
     checkpoints = run.path / "checkpoints" / algo
     resumed = latest_checkpoint(checkpoints) is not None
     if resumed:
@@ -142,6 +146,32 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
             progress_bar=progress_bar,
         )
     run.save_policy(algo, model)
+    return _acting(run, algo, model)
+
+
+def _acting(run: RunFolder, algo: str, model: SequenceQLearning) -> SequenceQLearning:
+    """The trained model, acting by the run's rule; that is chosen now, if it was not before."""
+    settings = run.settings
+    if not run.has_acting(algo):
+        species, demos = run.species(run.demos, fit(run)), choice_episodes(run.demos, settings.seed)
+        drivers = focal_drivers(species.individuals, settings.focal)
+        scenario = make_scenario(species, demos=demos, split=None, drivers=drivers)
+
+        def acting_by(rule: Acting) -> Policy:
+            model.policy.acting = rule
+            model.policy.seed(settings.seed)
+            return _for_all(model, scenario, settings.focal)
+
+        choice = choose_acting(
+            acting_by,
+            partial(make_world, scenario),
+            demos,
+            candidate_rules(model.fit_temperature(model.demonstration_data().val)),
+            seed=settings.seed,
+            cue="actual" if model.layout.condition_flag else None,
+        )
+        run.save_acting(algo, choice)
+    model.policy.acting = run.acting(algo)
     return model
 
 
@@ -160,16 +190,13 @@ def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Pol
     policies: dict[str, Policy] = {}
     untrained = run.learner(settings.algo, env)
     policies[method_name(settings.algo)] = learn(run, settings.algo, progress_bar=False)
+    for algo in settings.compared:
+        policies[method_name(algo)] = learn(run, algo, progress_bar=progress_bar)
     if settings.baselines:
-        if settings.algo != BEHAVIOUR_CLONING:
-            policies[method_name(BEHAVIOUR_CLONING)] = learn(
-                run, BEHAVIOUR_CLONING, progress_bar=progress_bar
-            )
         policies[UNTRAINED] = untrained
         policies[RANDOM] = RandomPolicy(settings.seed, env.world.num_actions)
     for policy in policies.values():
         if isinstance(policy, SequenceQLearning):
-            policy.policy.epsilon = settings.test_epsilon
             policy.policy.seed(settings.seed)
     return policies
 
@@ -223,11 +250,13 @@ def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
     rollouts = roll_out(run, progress_bar=progress_bar)
     demos = run.demos
+    test, species = demos.select(split="test"), species_of(run)
     evaluation = evaluate(
         rollouts,
-        demos.select(split="test"),
+        test,
         seed=run.settings.seed,
-        planned_flip=species_of(run).planned_flip,
+        planned_flip=species.planned_flip,
+        floor=track(test, species.locomotion, species.arena),
         learner=method_name(run.settings.algo),
         references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
     )

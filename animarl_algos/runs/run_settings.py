@@ -11,6 +11,7 @@ import torch
 
 from animarl_algos.learner.presets import LearnerPreset, learner_preset
 from animarl_algos.learner.zoo_files import PRESETS, read_preset
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -22,7 +23,8 @@ from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
 
 BEHAVIOUR_CLONING = "bc"
 FIT_METHODS = ("joint", "onset")
-PIPELINE: dict[str, Any] = {"test_epsilon": 0.5, "fit_method": "joint"}
+CHOSEN, AUTO = "chosen", "auto"
+PIPELINE: dict[str, Any] = {"acting": CHOSEN, "fit_method": "joint", "thrusts": AUTO}
 """Keys of ``zoo_configs/pipeline.yml``, each with a value of its kind."""
 
 
@@ -32,7 +34,9 @@ class RunSettings:
 
     ``preset`` (of the file ``config``, by default that of the package) gives the learner's
     settings, ``overrides`` go over them. Only the individual ``focal`` learns, if one is named.
-    ``test_epsilon`` is the share of random actions when policies are evaluated.
+    ``acting`` is ``"chosen"`` after training, or a rule as
+    :meth:`animarl_algos.networks.acting_rule.Acting.parse` reads it. ``thrusts`` is the number of
+    thrust magnitudes, or ``"auto"``: chosen on the training split.
     """
 
     file: str
@@ -48,7 +52,8 @@ class RunSettings:
     device: str = "cpu"
     fit_method: str = "joint"
     repetitions: int = 5
-    test_epsilon: float = 0.1
+    thrusts: str = AUTO
+    acting: str = CHOSEN
     baselines: bool = True
     checkpoint_every: int = 20_000
     overrides: Mapping[str, Any] = field(default_factory=dict)
@@ -66,11 +71,19 @@ class RunSettings:
         for name in ("steps", "copies", "repetitions", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
-        if not 0.0 <= self.test_epsilon <= 1.0:
-            raise InputError(f"test_epsilon is {self.test_epsilon}: it must be from 0 to 1")
+        if self.acting != CHOSEN:
+            Acting.parse(self.acting)
+        if self.thrusts != AUTO and not (self.thrusts.isdecimal() and 1 <= int(self.thrusts) <= 10):
+            raise InputError(f"thrusts is {self.thrusts!r}: give a number from 1 to 10, or {AUTO}")
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}: it must not be negative")
         check_device(self.device)
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """Learners that are trained beside the run's own: BC, where that adapts online."""
+        adapts = bool(named_recipe(self.algo).algorithm.recipe.online)
+        return (BEHAVIOUR_CLONING,) if self.baselines and adapts else ()
 
     def learner(self, algo: str | None = None) -> LearnerPreset:
         """The settings of the run's learner, or of the one it is compared with.
@@ -92,7 +105,7 @@ class RunSettings:
 
 
 def pipeline_settings(env_id: str, preset: str) -> dict[str, Any]:
-    """``test_epsilon`` and ``fit_method`` of ``zoo_configs/pipeline.yml``."""
+    """``acting``, ``fit_method`` and ``thrusts`` of ``zoo_configs/pipeline.yml``."""
     return read_preset("pipeline", env_id, preset, PIPELINE)[0]
 
 

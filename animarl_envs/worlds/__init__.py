@@ -47,7 +47,7 @@ def observation_components(species: Species) -> tuple[ObservationComponent, ...]
 
 def mirror(species: Species) -> Mirror:
     """How the species' world looks mirrored about the x axis of the arena frame (y to -y)."""
-    return mirror_of(observation_components(species))
+    return mirror_of(observation_components(species), species.locomotion[0].action_vectors)
 
 
 def _module(species: Species) -> Any:

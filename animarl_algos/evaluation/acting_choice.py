@@ -1,0 +1,155 @@
+"""How a trained policy should act: chosen by what its rollouts do, beside what was recorded.
+
+Candidates are the greedy rule and Boltzmann sampling at shares of the temperatures that fit the
+demonstrated actions best. Each is rolled out from the starts of training and validation episodes
+and compared with these episodes by outcome, duration, path length and speed: neither by the DTW
+distance, which hardly tells good simulators from bad ones, nor on any test episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
+from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.networks.acting_rule import Acting
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.worlds.base import World
+
+Floats = NDArray[np.float64]
+
+COOLER = (1.0, 0.85, 0.7, 0.5)
+"""Shares of the fitted temperatures that are tried: a clone that is unsure samples too widely."""
+MOST_STARTS, ROLLOUTS = 200, 200
+SPEEDS = 400  # quantiles by which two distributions of speed are compared
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An acting rule, and how far its rollouts are from the recordings.
+
+    ``outcome`` is the total variation distance of the shares of outcomes; the others are
+    Wasserstein distances in units of the recorded mean, ``speed`` that of all steps, as the mean
+    over individuals.
+    """
+
+    acting: str
+    outcome: float
+    duration: float
+    path_length: float
+    speed: float
+
+    @property
+    def mismatch(self) -> float:
+        """Their sum: the lower, the more alike."""
+        return self.outcome + self.duration + self.path_length + self.speed
+
+
+@dataclass(frozen=True)
+class ActingChoice:
+    """The rule that was chosen, and the candidates it was chosen from."""
+
+    acting: Acting
+    candidates: tuple[Candidate, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        rows = [asdict(each) | {"mismatch": each.mismatch} for each in self.candidates]
+        return {"acting": self.acting.to_json(), "candidates": rows}
+
+
+def candidate_rules(temperatures: ArrayLike) -> list[Acting]:
+    """Greedy, and sampling at shares of the fitted ``temperatures`` ``(K,)``."""
+    fitted = np.atleast_1d(np.asarray(temperatures, dtype=np.float64))
+    return [Acting(), *(Acting.boltzmann(fitted * share) for share in COOLER)]
+
+
+def choice_episodes(demos: Demonstrations, seed: int) -> Demonstrations:
+    """The episodes to choose by: those of validation, and of training up to ``MOST_STARTS``.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    validation, training = (np.flatnonzero(demos.split == name) for name in ("val", "train"))
+    rng = np.random.default_rng([seed, len(training)])
+    spare = max(0, MOST_STARTS - len(validation))
+    chosen = np.sort(np.concatenate([validation[:MOST_STARTS], rng.permutation(training)[:spare]]))
+    if not len(chosen):
+        raise InputError(
+            f"{demos.name}: it holds no training or validation episode to choose an acting rule "
+            "by: split it again"
+        )
+    return demos.select(episodes=chosen)
+
+
+def choose_acting(
+    policy_for: Callable[[Acting], Policy],
+    make_world: Callable[[int], World],
+    demos: Demonstrations,
+    rules: Sequence[Acting],
+    *,
+    seed: int,
+    cue: Cue | None = None,
+) -> ActingChoice:
+    """The rule whose rollouts are most like the recordings.
+
+    Parameters
+    ----------
+    policy_for
+        The policy, acting by a rule, its draws seeded.
+    make_world
+        Of the episodes ``demos``; see :func:`animarl_algos.evaluation.collect.collect_rollouts`.
+    demos
+        Training and validation episodes, see :func:`choice_episodes`.
+    rules
+        To choose among; of equals the first is taken.
+    seed
+        Of the worlds.
+    cue
+        What policies are told of the condition.
+    """
+    recorded = Rollouts.from_demonstrations(demos)
+    repetitions = max(1, round(ROLLOUTS / demos.num_episodes))
+    candidates = []
+    for rule in rules:
+        simulated = collect_rollouts(
+            make_world, policy_for(rule), method="candidate", seed=seed, repetitions=repetitions,
+            cue=cue,
+        )  # fmt: skip
+        candidates.append(compared(str(rule), simulated, recorded))
+    best = min(range(len(candidates)), key=lambda i: candidates[i].mismatch)
+    return ActingChoice(rules[best], tuple(candidates))
+
+
+def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
+    """How far rollouts are from recordings, by what an acting rule is chosen for."""
+    outcomes = np.union1d(simulated.outcome, recorded.outcome)
+    shares = [np.array([(r.outcome == o).mean() for o in outcomes]) for r in (simulated, recorded)]
+    duration = [(r.lengths - 1) * r.dt for r in (simulated, recorded)]
+    path = [path_lengths(r)[:, r.movers].mean(axis=1) for r in (simulated, recorded)]
+    levels = (np.arange(SPEEDS) + 0.5) / SPEEDS
+    speeds = [np.quantile(r.speeds(), levels, axis=0).T for r in (simulated, recorded)]
+    return Candidate(
+        acting=name,
+        outcome=float(0.5 * np.abs(shares[0] - shares[1]).sum()),
+        duration=relative_distance(*duration),
+        path_length=relative_distance(*path),
+        speed=float(np.mean([relative_distance(a, b) for a, b in zip(*speeds, strict=True)])),
+    )
+
+
+def relative_distance(simulated: Floats, recorded: Floats) -> float:
+    """Wasserstein distance over the recorded mean."""
+    from scipy.stats import wasserstein_distance
+
+    scale = float(np.abs(recorded).mean())
+    return float(wasserstein_distance(simulated, recorded)) / scale if scale > 0 else 0.0
