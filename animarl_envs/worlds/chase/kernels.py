@@ -9,19 +9,17 @@ by index, not cut out as views, which would cost more than the row when there is
 
 from __future__ import annotations
 
-import math
-
 from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.senses import observe
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
-from animarl_envs.worlds.transition import next_velocity
 
 SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
@@ -206,38 +204,6 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
                     position[i, x, b] = demos.position[frame, i, x]
                     velocity[i, x, b] = demos.velocity[frame, i, x]
         warming[b] = step_count[b] < warmup and left > 1
-
-
-@part
-def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
-    """Hold everybody at the walls: the velocity into the wall is lost, that along it kept."""
-    shape, size, _ = field
-    K, _, B = position.shape
-    for i in range(K):
-        if shape == SQUARE:
-            for x in range(2):
-                for b in range(B):
-                    p = position[i, x, b]
-                    v = velocity[i, x, b]
-                    held = min(size, max(-size, p))
-                    into = p != held and v * p > 0.0
-                    position[i, x, b] = held
-                    velocity[i, x, b] = 0.0 if into else v
-        elif shape == DISC:
-            for b in range(B):
-                x = position[i, 0, b]
-                y = position[i, 1, b]
-                radius = math.sqrt(x * x + y * y)
-                beyond = radius > size
-                # a hair inside, so that rounding does not leave it outside
-                back = size / radius * (1.0 - 1e-12) if beyond else 1.0
-                nx = x / radius if beyond else 0.0
-                ny = y / radius if beyond else 0.0
-                into = max(0.0, velocity[i, 0, b] * nx + velocity[i, 1, b] * ny)
-                position[i, 0, b] = back * x
-                position[i, 1, b] = back * y
-                velocity[i, 0, b] -= into * nx
-                velocity[i, 1, b] -= into * ny
 
 
 # -- ends and rewards -----------------------------------------------------------------------------

@@ -12,10 +12,10 @@ from numba.experimental import structref
 
 from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
+from animarl_envs.kinematics import next_velocity
 from animarl_envs.scenario import ACTION, REPLAY
 from animarl_envs.worlds.search.senses import orient, read, sense, wake
 from animarl_envs.worlds.streams import next_below
-from animarl_envs.worlds.transition import next_velocity
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
 
