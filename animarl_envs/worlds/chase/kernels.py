@@ -29,14 +29,19 @@ TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
 
 
 @jit
-def start(mask, demos, demo, fixed, half_side, contact_radius, random, position, velocity):  # type: ignore[no-untyped-def]
+def start(  # type: ignore[no-untyped-def]
+    mask, demos, demo, fixed, half_side, contact_radius, random, position, velocity, acceleration
+):
     """First states: recorded, given, or uniform in a square without contact; at rest but for the
-    first."""
+    first. No step has led to them, so there is no acceleration."""
     K, _, B = position.shape
     target = K - 1
     for b in range(B):
         if not mask[b]:
             continue
+        for i in range(K):
+            acceleration[i, 0, b] = 0.0
+            acceleration[i, 1, b] = 0.0
         if demo[b] >= 0:
             frame = demos.start[demo[b]]
             for i in range(K):
@@ -87,9 +92,9 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     _ChaseStateType,
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "towards", "others", "nearest", "code", "components",
-        "reward", "outcome", "terminated", "truncated", "step_count", "warming", "observation",
-        "senses",
+        "numbers", "position", "velocity", "acceleration", "towards", "others", "nearest", "code",
+        "components", "reward", "outcome", "terminated", "truncated", "step_count", "warming",
+        "observation", "senses",
     ],
 )  # fmt: skip
 
@@ -97,14 +102,14 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @jit
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, towards, others, nearest, code, components, reward, outcome, terminated, truncated,
-    step_count, warming, observation, senses,
+    velocity, acceleration, towards, others, nearest, code, components, reward, outcome, terminated,
+    truncated, step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, towards, others, nearest, code, components, reward, outcome, terminated,
-        truncated, step_count, warming, observation, senses,
+        velocity, acceleration, towards, others, nearest, code, components, reward, outcome,
+        terminated, truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
 
@@ -113,6 +118,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, K)``."""
     dt, contact_radius, penalty, time_limit, warmup, field, walled = state.numbers
     actions, position, velocity = state.actions, state.position, state.velocity
+    acceleration = state.acceleration
     step_count, code, towards = state.step_count, state.code, state.towards
     outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
     K, _, B = position.shape
@@ -126,6 +132,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.drivers, actions, position, velocity, towards, state.damping, state.thrust,
             state.pushes, dt, field,
         )  # fmt: skip
+    let_coast(velocity, state.damping, state.thrust, dt, acceleration)
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
     if walled:
         rebound(field, position, velocity)
@@ -134,6 +141,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
             state.warming,
         )  # fmt: skip
+    accelerate(velocity, state.thrust, dt, acceleration)
     judge(
         position, state.sharing, field, walled, contact_radius, dt, penalty, state.nearest, code,
         state.components, state.reward,
@@ -142,7 +150,9 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         outcome[b] = code[b]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
-    observe(position, velocity, towards, state.others, state.senses, state.observation)
+    observe(
+        position, velocity, acceleration, towards, state.others, state.senses, state.observation
+    )
 
 
 # -- moving ---------------------------------------------------------------------------------------
@@ -181,6 +191,27 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity):  # 
             velocity[i, 1, b] = vy
             position[i, 0, b] += vx * dt
             position[i, 1, b] += vy * dt
+
+
+@part
+def let_coast(velocity, damping, thrust, dt, coasting):  # type: ignore[no-untyped-def]
+    """The velocities that would follow without thrust, for :func:`accelerate`."""
+    K, _, B = velocity.shape
+    for i in range(K):
+        for x in range(2):
+            for b in range(B):
+                coasting[i, x, b] = next_velocity(velocity[i, x, b], 0.0, damping[i], thrust[i], dt)
+
+
+@part
+def accelerate(velocity, thrust, dt, acceleration):  # type: ignore[no-untyped-def]
+    """From the velocities without thrust to accelerations in multiples of it, in place."""
+    K, _, B = velocity.shape
+    for i in range(K):
+        stride = thrust[i] * dt
+        for x in range(2):
+            for b in range(B):
+                acceleration[i, x, b] = (velocity[i, x, b] - acceleration[i, x, b]) / stride
 
 
 @part
