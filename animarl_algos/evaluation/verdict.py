@@ -39,7 +39,13 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_mean,
     cells,
 )
-from animarl_algos.evaluation.windows import WINDOW, Windows, smoothed, window_features
+from animarl_algos.evaluation.windows import (
+    WINDOW,
+    Windows,
+    resting_step,
+    smoothed,
+    window_features,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -372,8 +378,10 @@ class _Classified:
         demos = prepared.demos
         block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
 
+        still = resting_step(prepared.recorded)
+
         def windows(rollouts: Rollouts) -> Windows:
-            return window_features(rollouts, demos.arena, block=block)
+            return window_features(rollouts, demos.arena, block=block, still=still)
 
         own = windows(prepared.recorded)
         rng, null_rng = streams
