@@ -47,6 +47,7 @@ from animarl_algos.evaluation.windows import (
     window_features,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.resolution import rounded
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -189,7 +190,8 @@ def verdict(
     seed
         Of exchanges, folds and resamples.
     floor
-        The same demonstrations as the fitted locomotion follows them.
+        The same demonstrations as the fitted locomotion follows them; looked at on the grid on
+        which recorded positions lie, as rollouts are.
     baselines
         Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, and of an
         ``"untrained"`` network, which a trained one should beat.
@@ -396,7 +398,8 @@ class _Classified:
                     f"the tracking has shape {floor.positions.shape} and the demonstrations "
                     f"{demos.positions.shape}: track the evaluated ones"
                 )
-            followed = replace(Rollouts.from_demonstrations(demos), positions=floor.positions)
+            stored = rounded(floor.positions, demos.resolution())
+            followed = replace(Rollouts.from_demonstrations(demos), positions=stored)
             tracked = tell_apart(own, windows(prepared.filtered(followed)), rng).auc
         if references is None:
             among = among_themselves(own, null_rng)
