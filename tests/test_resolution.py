@@ -13,7 +13,12 @@ from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.windows import Windows, window_features
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.resolution import Resolution, find_resolution, rounded
+from animarl_envs.demos.resolution import (
+    SINGLE_PRECISION,
+    Resolution,
+    find_resolution,
+    rounded,
+)
 from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import FLY
@@ -100,3 +105,11 @@ def test_perfect_tracking_is_told_from_recordings_only_by_the_grid() -> None:
     followed = track(demos, FLY.locomotion).positions
     assert told(followed) > 0.8
     assert abs(told(rounded(followed, demos.resolution())) - 0.5) < 0.1
+
+
+def test_numbers_of_single_precision_on_no_grid_are_known_as_such() -> None:
+    exact = np.random.default_rng(0).normal(size=(500, 2, 2))
+    stored = exact.astype(np.float32).astype(np.float64)
+    assert find_resolution(stored) == SINGLE_PRECISION
+    assert find_resolution(exact) is None
+    np.testing.assert_array_equal(rounded(exact, SINGLE_PRECISION), stored)

@@ -23,28 +23,43 @@ OFF = 1e-3  # steps that a coordinate may lie beside the grid
 
 @dataclass(frozen=True)
 class Resolution:
-    """A grid of positions: whole multiples of ``step`` from ``origin``, its point next to zero.
+    """How positions were stored: on a grid, or as numbers of single precision.
 
-    Each ``(x, y)``, arena frame [arena unit].
+    The grid's points are whole multiples of ``step`` from ``origin``, its point next to zero; each
+    ``(x, y)``, arena frame [arena unit]. A step of zero stands for single precision.
     """
 
     step: tuple[float, float]
     origin: tuple[float, float]
 
+    @property
+    def single(self) -> bool:
+        """Whether positions were numbers of single precision, on no coarser grid."""
+        return self.step == (0.0, 0.0)
+
+
+SINGLE_PRECISION = Resolution((0.0, 0.0), (0.0, 0.0))
+
 
 def rounded(positions: Floats, resolution: Resolution | None) -> Floats:
-    """Positions ``(..., 2)`` at the nearest points of a grid; unchanged without one."""
+    """Positions ``(..., 2)`` as they would have been stored; unchanged without a resolution."""
     if resolution is None:
         return positions
+    if resolution.single:
+        return positions.astype(np.float32).astype(np.float64)
     step, origin = np.array(resolution.step), np.array(resolution.origin)
     return np.asarray(origin + np.round((positions - origin) / step) * step)
 
 
 def find_resolution(positions: Floats) -> Resolution | None:
-    """The coarsest grid on which all positions ``(..., 2)`` lie, if there is one on both axes."""
+    """The coarsest grid on which all positions ``(..., 2)`` lie, if there is one on both axes.
+
+    Else single precision, if all are such numbers, or None.
+    """
     found = [_axis(positions[..., axis]) for axis in range(2)]
     if found[0] is None or found[1] is None:
-        return None
+        single = len(positions) and np.array_equal(positions, positions.astype(np.float32))
+        return SINGLE_PRECISION if single else None
     (x_step, x_origin), (y_step, y_origin) = found[0], found[1]
     return Resolution((x_step, y_step), (x_origin, y_origin))
 
