@@ -148,9 +148,9 @@ def _accelerations(
     species: ChaseSpecies, demos: Demonstrations, velocity: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Accelerations ``(frames, K, 2)`` in multiples of the thrust; zero at first frames."""
-    acceleration = np.zeros_like(velocity)
+    acceleration, none = np.zeros_like(velocity), np.zeros_like(velocity[1:, 0])
     for i, own in enumerate(species.locomotion):
-        coasting = next_velocity(velocity[:-1, i], 0.0, own.damping, own.thrust, species.dt)
+        coasting = next_velocity(velocity[:-1, i], none, own.damping, own.thrust, species.dt)
         acceleration[1:, i] = (velocity[1:, i] - coasting) / (own.thrust * species.dt)
     acceleration[demos.offsets[:-1]] = 0.0
     return acceleration

@@ -184,20 +184,10 @@ def push_of(velocity, after, senses):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(inline="always")
-def sense(
-    b,
-    velocity_x,
-    velocity_y,
-    push_x,
-    push_y,
-    hit_left,
-    hit_right,
-    condition,
-    senses,
-    body,
-    out,
+def sense(  # type: ignore[no-untyped-def]
+    b, velocity_x, velocity_y, push_x, push_y, hit_left, hit_right, condition, senses, body, out,
     column,
-):  # type: ignore[no-untyped-def]
+):  # fmt: skip
     """Update the odour signals and write the observation into ``out[:, column]``.
 
     ``push_x`` and ``push_y`` are those of :func:`push_of`, zero in a first frame.
