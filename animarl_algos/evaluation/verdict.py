@@ -42,6 +42,7 @@ from animarl_algos.evaluation.statistics import (
 from animarl_algos.evaluation.windows import (
     WINDOW,
     Windows,
+    comparison_smoothing,
     resting_step,
     smoothed,
     window_features,
@@ -176,7 +177,7 @@ def verdict(
     floor: Tracked | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
-    smoothing: int = 1,
+    smoothing: int | None = None,
 ) -> Verdict:
     """Judge a method by its rollouts.
 
@@ -198,7 +199,8 @@ def verdict(
     references
         Other recordings, for recordings against recordings; by default halves of ``recorded``.
     smoothing
-        Frames of a moving average through which all positions go first; 1 for none.
+        Frames of a moving average through which all positions go first, 1 for none; by default
+        those of :func:`~animarl_algos.evaluation.windows.comparison_smoothing`.
 
     Raises
     ------
@@ -213,6 +215,8 @@ def verdict(
             "compare them with the demonstrations they started from"
         )
     streams = np.random.default_rng(seed).spawn(4)
+    if smoothing is None:
+        smoothing = comparison_smoothing(recorded)
     prepared = _Prepared.of(recorded, smoothing)
     counted = prepared.filtered(_factual(rollouts, recorded))
     rows = _rows(prepared, counted, streams[0])

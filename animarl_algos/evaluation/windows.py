@@ -7,6 +7,7 @@ median.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RESTING_SHARE
 from animarl_envs.errors import InputError
 
@@ -23,6 +25,7 @@ WINDOW = 2.0  # [s]
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 MOST_PARTS = 10_000  # of one demonstration
 NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
+HALF_POWER = 0.443  # cutoff of a moving average times its length
 SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
 DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
 
@@ -152,6 +155,22 @@ def suggested_smoothing(recorded: Rollouts) -> int:
         return 1
     needed = int(np.ceil(np.sqrt(2) * noise / (NOISE_SHARE * float(np.median(moving)))))
     return min(needed | 1, widest - 1 + widest % 2) if needed > 1 else 1
+
+
+def comparison_smoothing(demos: Demonstrations) -> int:
+    """Frames of the moving average that both sides of a comparison go through; 1 for none.
+
+    What tracking noise asks for (:func:`suggested_smoothing`), and where the import low-pass
+    filtered the tracks, an average with the same cutoff: faster motion was taken out of the
+    recordings, so that a simulator cannot learn it.
+    """
+    recipe = demos.provenance.get("recipe")
+    cleaning = recipe.get("cleaning", {}) if isinstance(recipe, Mapping) else {}
+    cutoff = cleaning.get("smoothing_cutoff")
+    filtered = 1
+    if isinstance(cutoff, int | float) and cutoff > 0:
+        filtered = int(np.ceil(HALF_POWER / (cutoff * demos.dt))) | 1
+    return max(filtered, suggested_smoothing(Rollouts.from_demonstrations(demos)))
 
 
 def resting_step(recorded: Rollouts) -> Floats:
