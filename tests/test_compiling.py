@@ -61,7 +61,7 @@ def test_an_edit_of_an_inlined_kernel_or_a_constant_is_compiled_anew(copied: Pat
     envs = copied / "animarl_envs"
     assert run_kernel(copied)[:2] == (13.5, 0)
     assert run_kernel(copied)[:2] == (13.5, 1)  # kept on disk
-    edit(envs / "worlds" / "transition.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
+    edit(envs / "locomotion.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
     assert run_kernel(copied)[:2] == (14.5, 0)
     constant = re.search(r"^NUM_ACTIONS.*$", (envs / "locomotion.py").read_text(), re.MULTILINE)
     assert constant is not None

@@ -157,7 +157,8 @@ def test_a_policy_drives_all_individuals_and_keeps_its_state():
     positions_of(world, trained_actor(policy), steps=3)
     assert [state for _, state, _ in policy.seen] == [None, 1, 2]
     assert [start.all() for _, _, start in policy.seen] == [True, False, False]
-    assert all(obs.shape == (3, 18) for obs, _, _ in policy.seen)
+    seen = (3, len(world.observation_components))
+    assert all(obs.shape == seen for obs, _, _ in policy.seen)
 
 
 def test_a_policy_trained_with_the_flag_is_told_the_condition():
@@ -166,7 +167,7 @@ def test_a_policy_trained_with_the_flag_is_told_the_condition():
     policy = Pusher(len(world.observation_components) + 1)
     positions_of(world, trained_actor(policy), steps=1)
     flagged = policy.seen[0][0]
-    assert flagged.shape == (3, 19)
+    assert flagged.shape == (3, len(world.observation_components) + 1)
     assert (flagged[:, -1] == 1).all()
 
 
