@@ -115,6 +115,8 @@ class Pusher:
 
 
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
+    from animarl_algos.evaluation.acting_choice import ActingChoice
+    from animarl_algos.networks.acting_rule import Acting
     from animarl_algos.runs.run_folder import RunFolder
     from animarl_algos.runs.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
@@ -137,6 +139,9 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     fitted.save(run.path / "locomotion.json")
     env = run.environment(run.species(recorded, fitted), recorded)
     run.save_policy("dqn", run.learner("dqn", env))
+    with pytest.raises(InputError, match="no acting rule was chosen yet"):
+        prepare(agent, model=run.path)
+    run.save_acting("dqn", ActingChoice(Acting(), ()))
 
     world, actor = prepare(agent, model=run.path)
     assert world.scenario.drivers == ("action",) * 3
