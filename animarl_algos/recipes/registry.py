@@ -19,7 +19,7 @@ from animarl_envs.errors import InputError
 
 __all__ = [
     "BC", "DQAAS", "DQCIL", "DQDIL", "DQN", "QRBC", "QRDQAAS", "QRDQCIL", "QRDQDIL", "QRDQN",
-    "QRSoftBC", "RECIPES", "NamedRecipe", "SoftBC", "named_recipe",
+    "RECIPES", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
 ]  # fmt: skip
 
 
