@@ -114,6 +114,12 @@ def test_what_is_given_goes_over_the_preset_and_tables_key_by_key() -> None:
         assert in_use(model, name) == value
 
 
+def test_none_empties_a_table_of_the_preset() -> None:
+    assert RECIPES["bc"].algorithm(env=slots("agent"), device="cpu").offline_kwargs
+    emptied = RECIPES["bc"].algorithm(env=slots("agent"), device="cpu", offline_kwargs=None)
+    assert emptied.offline_kwargs == {}
+
+
 def test_a_misspelt_setting_is_refused() -> None:
     with pytest.raises(
         InputError, match=r"'learning_rat' is unknown: choose among .*learning_rate"

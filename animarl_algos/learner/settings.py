@@ -61,8 +61,8 @@ class LearnerSettings(PhaseSettings, total=False):
         How its minibatches are drawn and its steps taken, see
         :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
     policy_kwargs
-        See :class:`animarl_algos.networks.policies.GruPolicy`. This table and
-        ``replay_buffer_kwargs`` go over the preset's key by key.
+        See :class:`animarl_algos.networks.policies.GruPolicy`. This table, ``offline_kwargs`` and
+        ``replay_buffer_kwargs`` go over the preset's key by key; None empties them.
     stats_window_size
         Episodes in the means of the log.
     """
