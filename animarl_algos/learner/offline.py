@@ -33,8 +33,9 @@ from animarl_algos.learner.validation import (
     named_figures,
     validation_figures,
 )
+from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.recipe import Recipe, Selection
-from animarl_algos.losses.terms import Phase, ScoredActionsTemporalDifference
+from animarl_algos.losses.terms import ScoredActionsTemporalDifference
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
@@ -192,7 +193,9 @@ def run_offline_phase(
             _keep_best(model, row)
             progress.history.append({"epoch": float(progress.epoch)} | row)
             for name, value in row.items():
-                model.logger.record(f"offline/{name}", value)
+                # Tables on the screen cut names short, and those of individuals are then the same.
+                each = "stdout" if name.count("/") > 1 else None
+                model.logger.record(f"offline/{name}", value, exclude=each)
             model.logger.record("offline/epoch", progress.epoch, exclude="tensorboard")
             model.logger.dump(step=progress.epoch)
             bar.update()
