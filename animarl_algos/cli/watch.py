@@ -155,7 +155,7 @@ def prepare(
     ----------
     env
         Id of an environment made of a species.
-    model, focal, by, seed
+    model, focal, by, seed, acting
         As for :func:`watch_command`.
     options
         Of :func:`animarl_envs.scenario.make_scenario`; they win over those of the id.
