@@ -37,6 +37,7 @@ def main() -> None:
             demos.arena,
             demos.roles,
         )
+        figure.axes[1].texts[0].set_text("synthetic" if demos.synthetic else "recorded")
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=110)
         panels.append(Image.open(buffer).convert("RGB"))
