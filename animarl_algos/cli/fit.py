@@ -149,7 +149,7 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
     """The paper's Table 1: one row per individual, parameters with their 95 % intervals.
 
     The terminal speed u dt / d is beside the recorded top speed, as a check: the onset rule makes
-    them equal, the joint fit leaves them free.
+    them equal, the joint fit keeps the terminal speed from being too low.
     """
     kind = "" if demos is None else (" synthetic" if demos.synthetic else " recorded")
     caption = (
