@@ -147,7 +147,7 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     )
 
 
-def relative_distance(simulated: Floats, recorded: Floats) -> float:
+def relative_distance(simulated: NDArray[np.floating], recorded: NDArray[np.floating]) -> float:
     """Wasserstein distance over the recorded mean."""
     from scipy.stats import wasserstein_distance
 
