@@ -81,13 +81,9 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
     """
     species, asked = checked_species(settings, demos), settings.learner()
     env = SlotVecEnv(
-        species,
-        settings.copies,
-        demos=demos,
-        focal=settings.focal,
-        condition_flag=None,
+        species, settings.copies, demos=demos, focal=settings.focal, condition_flag=None,
         **asked.env_kwargs,
-    )
+    )  # fmt: skip
     for algo in (settings.algo, *settings.compared):
         arguments = constructed(settings.learner(algo).arguments)
         learner = named_recipe(algo).algorithm(

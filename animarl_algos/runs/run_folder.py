@@ -116,7 +116,7 @@ class RunFolder:
     def settings(self) -> RunSettings:
         """As the run was asked for."""
         try:
-            return RunSettings(**_of_this_version(self._read()["settings"]))
+            return RunSettings.recorded(self._read()["settings"])
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"{self.path / 'settings.json'}: it is not of this version of animarl ({error}): "
@@ -293,21 +293,10 @@ def _environment(
     return {"observation": species.observation, "rebound": species.arena.rebound} | options
 
 
-def _of_this_version(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a run, also of one recorded before acting rules and thrust magnitudes."""
-    settings = dict(settings)
-    if "test_epsilon" in settings:
-        settings["acting"] = f"epsilon:{settings.pop('test_epsilon'):g}"
-        settings["thrusts"] = "1"
-    return settings
-
-
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that decide a result."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        found[name] = importlib.metadata.version(name)
-    return found
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | packages
 
 
 def _plain(value: Any) -> Any:
