@@ -83,6 +83,8 @@ def test_files_are_plain_data() -> None:
                 "onset",
                 "joint",
                 "paper",
+                "epsilon",
+                "boltzmann",
                 "hard",
                 "soft",
             ),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
-from animarl_algos.learner.exploration import LinearDecay
+from animarl_algos.learner.exploration import Exploration, LinearDecay
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import Phase
@@ -80,6 +80,8 @@ def refuse_bad_settings(model: SequenceQLearning) -> None:
         NOT_NEGATIVE.check("learning_rate at the start", rate(1.0))
     else:
         POSITIVE.check("learning_rate", rate)
+    if model.exploration not in list(Exploration):
+        raise InputError(f"exploration is {model.exploration!r}: choose {' or '.join(Exploration)}")
     LinearDecay(model.exploration_initial_eps, model.exploration_final_eps, model.exploration_steps)
     for phase in ("online", "offline"):
         phase_of(model, phase)

@@ -45,9 +45,13 @@ class LearnerSettings(TypedDict, total=False):
         May be fractional.
     learning_starts
         Steps acted at random before the first update.
+    exploration
+        ``"boltzmann"``: after an offline phase, actions are sampled at the temperatures under which
+        the validation actions are likeliest, so that online collection acts as the policy acts.
+        ``"epsilon"``, and without an offline phase: epsilon-greedy (the paper).
     exploration_initial_eps, exploration_final_eps, exploration_steps
-        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
-        steps as a share of ``total_timesteps`` instead.
+        Epsilon, linear over this many steps, then constant; unused where actions are sampled.
+        ``exploration_fraction`` gives the steps as a share of ``total_timesteps`` instead.
     sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
         See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
     max_episode_steps
@@ -76,6 +80,7 @@ class LearnerSettings(TypedDict, total=False):
     gradient_steps: int
     updates_per_episode: float
     learning_starts: int
+    exploration: str
     exploration_initial_eps: float
     exploration_final_eps: float
     exploration_steps: int
