@@ -85,11 +85,13 @@ def test_files_are_plain_data() -> None:
                 "paper",
                 "epsilon",
                 "boltzmann",
+                "recipe",
                 "hard",
                 "soft",
             ),
             *(name for name in RECIPES),
             "pretraining",
+            "cloning",
         }
 
 

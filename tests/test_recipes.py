@@ -197,6 +197,33 @@ def test_without_an_offline_phase_there_is_nothing_to_fit() -> None:
     assert sampled.policy.acting.kind is Kind.EPSILON
 
 
+def test_a_learner_may_begin_as_a_clone_whose_state_values_are_zero() -> None:
+    clone, adapting = (
+        make_pair_learner(name, offline_loss="cloning", offline_epochs=5)
+        for name in ("soft-bc", "dqdil-pt")
+    )
+    cloned = make_pair_learner("soft-bc", offline_epochs=5)
+    for model in (clone, adapting, cloned):
+        model.pretrain()
+    values, weight = "dueling.value.", cloned.policy.q_net.state_dict()
+    for model in (clone, adapting):
+        for network in (model.policy.q_net, model.policy.q_net_target):
+            for name, found in network.state_dict().items():
+                zero = name.startswith(values)
+                assert torch.equal(found, torch.zeros_like(found) if zero else weight[name])
+    assert any(w.abs().max() > 0 for name, w in weight.items() if name.startswith(values))
+
+
+@pytest.mark.parametrize("name", ["dqdil-pt", "dqaas", "dqcil-pt"])
+def test_cloning_keeps_the_adversary_and_the_online_phase(name: str) -> None:
+    recipe = make_pair_learner(name).recipe
+    cloning = recipe.cloning()
+    assert [t.name for t in cloning.offline] == ["supervision", "treatment"][
+        : 1 + recipe.needs_condition
+    ]
+    assert cloning.online == recipe.online
+
+
 def test_as_many_updates_as_steps() -> None:
     model = make_pair_learner("dqn", train_freq=(4, "step"), gradient_steps=-1).learn(80)
     before = model._n_updates

@@ -55,7 +55,7 @@ from animarl_algos.learner.settings import (
 )
 from animarl_algos.learner.updating import Updater
 from animarl_algos.learner.validation import demonstrated_values
-from animarl_algos.losses.recipe import Recipe
+from animarl_algos.losses.recipe import OfflineLoss, Recipe
 from animarl_algos.losses.terms import Phase
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
@@ -122,6 +122,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
     state_mode: str
     prioritized: bool
     max_episode_steps: int | None
+    offline_loss: str
     offline_epochs: int
     offline_learning_rate: float
     offline_batch_size: int
@@ -257,6 +258,12 @@ class SequenceQLearning(OffPolicyAlgorithm):
     def phase(self, name: str) -> Phase:
         """The numbers of the ``"online"`` or ``"offline"`` phase."""
         return checks.phase_of(self, name)
+
+    @property
+    def offline_recipe(self) -> Recipe:
+        """The recipe whose offline terms are minimised; see ``offline_loss``."""
+        cloning = self.offline_loss == OfflineLoss.CLONING
+        return self.recipe.cloning() if cloning else self.recipe
 
     def refuse_what_does_not_suit(self) -> None:
         """Look at the environment and the demonstrations as :meth:`learn` would, before it.

@@ -10,6 +10,7 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from animarl_algos.learner.exploration import Exploration, LinearDecay
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.settings import as_frequency
+from animarl_algos.losses.recipe import OfflineLoss
 from animarl_algos.losses.terms import Phase
 from animarl_algos.ranges import (
     COUNT,
@@ -82,6 +83,10 @@ def refuse_bad_settings(model: SequenceQLearning) -> None:
         POSITIVE.check("learning_rate", rate)
     if model.exploration not in list(Exploration):
         raise InputError(f"exploration is {model.exploration!r}: choose {' or '.join(Exploration)}")
+    if model.offline_loss not in list(OfflineLoss):
+        raise InputError(
+            f"offline_loss is {model.offline_loss!r}: choose {' or '.join(OfflineLoss)}"
+        )
     LinearDecay(model.exploration_initial_eps, model.exploration_final_eps, model.exploration_steps)
     for phase in ("online", "offline"):
         phase_of(model, phase)

@@ -56,6 +56,9 @@ class LearnerSettings(TypedDict, total=False):
         See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
     max_episode_steps
         Longest episode; None: what the environment declares.
+    offline_loss
+        ``"recipe"``: the recipe's own offline terms. ``"cloning"``: cross-entropy of soft labels
+        instead, after which the values of states, of which cloning says nothing, begin at 0.
     offline_epochs
         Epochs on the demonstrations before the first step in the environment; the best by
         validation is kept, for each individual its own. ``offline_patience`` stops after so many
@@ -96,6 +99,7 @@ class LearnerSettings(TypedDict, total=False):
     prioritized: bool
     replay_buffer_kwargs: dict[str, Any] | None
     max_episode_steps: int | None
+    offline_loss: str
     offline_epochs: int | None
     offline_learning_rate: float
     offline_batch_size: int
