@@ -27,9 +27,10 @@ from numba.misc import appdirs
 _HERE = Path(__file__).resolve().parent
 _SETTINGS: Any = nb.config
 _user_cache_dir: Any = appdirs.user_cache_dir
-# Modules with kernels, or with constants in capitals that kernels take in as they are compiled.
+# Modules with kernels, and what kernels take in as they are compiled: constants in capitals, and
+# whatever they name of a module that they import whole.
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
-_IMPORTS = re.compile(r"^from (\w+(?:\.\w+)+) import (\([^)]*\)|.*)$", re.MULTILINE)
+_IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
 
@@ -97,8 +98,8 @@ def _temporary() -> Path:
 def source_key(package: str) -> str:
     """Hash of numba's version and of the sources that kernels of a package are made of.
 
-    These are the modules of the environments and of ``package`` that have kernels, and those that
-    such modules take constants from.
+    These are the modules of the environments and of ``package`` that have kernels, those that such
+    modules take constants from, and those that they import whole.
     """
     digest = hashlib.sha256(nb.__version__.encode())
     roots = {_HERE.name: _HERE}
@@ -119,8 +120,11 @@ def _kernel_sources(roots: dict[str, Path]) -> list[Path]:
             found.add(path)
             for module, names in _IMPORTS.findall(text):
                 top, *below = module.split(".")
-                if top in roots and _CONSTANT.search(names):
-                    source = roots[top].joinpath(*below)
-                    found |= {p for p in (source.with_suffix(".py"), source / "__init__.py")
-                              if p.is_file()}  # fmt: skip
+                if top not in roots:
+                    continue
+                source = roots[top].joinpath(*below)
+                held = [source / name for name in re.findall(r"\w+", names)]
+                if _CONSTANT.search(names):
+                    held += [source, source / "__init__"]
+                found |= {p for p in (one.with_suffix(".py") for one in held) if p.is_file()}
     return sorted(found)

@@ -1,7 +1,7 @@
 """Locomotion: v' = (1 - d) v + u a dt, its actions, and the way back from tracks to actions.
 
 One definition serves the simulators, the fits, the inverse dynamics and the figures:
-:func:`next_velocity`, which :mod:`animarl_envs.worlds.transition` compiles for kernels.
+:func:`next_velocity`, which :mod:`animarl_envs.kinematics` compiles for kernels.
 
 Frames. Positions and velocities are in the arena frame. Each individual has an *egocentric frame*
 towards its focus: x axis along the unit vector ``focus`` (towards the focus), y axis to its left.

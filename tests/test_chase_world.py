@@ -65,13 +65,14 @@ def reference_others(position: Array, i: int) -> list[int]:
     return others if i == target else [target, *others]
 
 
-def reference_full(position: Array, velocity: Array, i: int) -> list[float]:
+def reference_full(position: Array, velocity: Array, before: Array, i: int) -> list[float]:
     """The documented components of observation "full" in an open arena of size 1."""
     focus = reference_focus(position)[i]
     turn = np.array([[focus[0], focus[1]], [-focus[1], focus[0]]])
     own, stride = turn @ velocity[i], 3.0 * 0.1
     entries = [*position[i], *own, *velocity[i], *np.tanh(own / stride), *np.tanh(own / 3 / stride)]
-    entries += [math.log(np.linalg.norm(own) / stride + 0.3), *focus]
+    pushed = turn @ (velocity[i] - 0.75 * before[i]) / stride
+    entries += [math.log(np.linalg.norm(own) / stride + 0.3), *pushed, *focus]
     for rank, j in enumerate(reference_others(position, i)):
         offset = position[j] - position[i]
         apart, drift = turn @ offset, turn @ (velocity[j] - velocity[i])
@@ -88,7 +89,7 @@ def reference_full(position: Array, velocity: Array, i: int) -> list[float]:
     return [float(e) for e in entries]
 
 
-def reference_paper(position: Array, velocity: Array, i: int) -> list[float]:
+def reference_paper(position: Array, velocity: Array, before: Array, i: int) -> list[float]:
     """The documented components of observation "paper" of individual i, in order."""
     focus = reference_focus(position)[i]
     turn = np.array([[focus[0], focus[1]], [-focus[1], focus[0]]])
@@ -113,11 +114,12 @@ def test_kernels_agree_with_the_scalar_reference(pursuers: int, kind: str) -> No
         actions = rng.integers(13, size=(copies, K))
         made.step(actions)
         for b in range(copies):
+            before = velocity[b].copy()
             position[b], velocity[b] = reference_step(position[b], velocity[b], actions[b])
             assert made.position[b] == pytest.approx(position[b], abs=1e-12)
             assert made.velocity[b] == pytest.approx(velocity[b], abs=1e-12)
             for i in range(K):
-                expected = reference(position[b], velocity[b], i)
+                expected = reference(position[b], velocity[b], before, i)
                 assert made.observation[b, i] == pytest.approx(expected, abs=2e-6)
 
 

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 import animarl_algos
-from animarl_envs.compiling import _folder, source_key
+from animarl_envs.compiling import _folder, _kernel_sources, source_key
 from animarl_envs.dtw import _closed_end
 
 ROOT = Path(__file__).resolve().parents[1]
 KERNEL = """
 from animarl_envs.compiling import jit
 from animarl_envs.locomotion import NUM_ACTIONS
-from animarl_envs.worlds.transition import next_velocity
+from animarl_envs.kinematics import next_velocity
 
 @jit
 def after(velocity):
@@ -61,12 +61,20 @@ def test_an_edit_of_an_inlined_kernel_or_a_constant_is_compiled_anew(copied: Pat
     envs = copied / "animarl_envs"
     assert run_kernel(copied)[:2] == (13.5, 0)
     assert run_kernel(copied)[:2] == (13.5, 1)  # kept on disk
-    edit(envs / "worlds" / "transition.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
+    edit(envs / "locomotion.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
     assert run_kernel(copied)[:2] == (14.5, 0)
     constant = re.search(r"^NUM_ACTIONS.*$", (envs / "locomotion.py").read_text(), re.MULTILINE)
     assert constant is not None
     edit(envs / "locomotion.py", constant[0], "NUM_ACTIONS = 20")
     assert run_kernel(copied)[:2] == (21.5, 0)
+
+
+def test_what_kernels_take_from_modules_without_kernels_is_in_the_key() -> None:
+    root = ROOT / "animarl_envs"
+    found = {str(path.relative_to(root)) for path in _kernel_sources({"animarl_envs": root})}
+    # the transition, columns of an observation (both imported whole), codes of outcomes
+    assert {"locomotion.py", "worlds/chase/layout.py", "demos/episode.py"} <= found
+    assert "drawing/render.py" not in found
 
 
 def test_the_users_own_folder_is_kept_to(copied: Path, tmp_path: Path) -> None:

@@ -32,12 +32,14 @@ def reference(
     heading, odour = np.array([-1.0, 0.0]), np.full(2, species.odour_baseline)
     loco, upwind = species.locomotion[0], np.array([-1.0, 0.0])
     trace, turned = np.zeros(2), 0.0
+    push = np.zeros(2)  # ahead and to the left, in multiples of the thrust
     angle = 0.0
     rows = []
     for step in range(len(actions) + 1):
         old = angle
         if step > 0:
             action = np.asarray(actions[step - 1, 0])
+            push = loco.action_vectors[action]
             velocity = apply_actions(velocity, action, upwind, loco, species.dt)
             position = position + velocity * species.dt
         if species.turning is not None and step > 0:
@@ -81,7 +83,7 @@ def reference(
                 *(-velocity), angle, *odour, open_senses * flow, *(open_senses * sector),
                 *since_hit, odour[0] - odour[1], odour.sum(), *trace, math.cos(angle),
                 math.sin(angle), *np.tanh(strides), *np.tanh(strides / 3),
-                math.log(np.linalg.norm(strides) + 0.3), yaw_rate,
+                math.log(np.linalg.norm(strides) + 0.3), *push, yaw_rate,
             ]
         )  # fmt: skip
     return np.array(rows)

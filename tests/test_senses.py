@@ -87,8 +87,10 @@ def test_documented_ranges_hold_and_are_reached(name: str, options: Any, kind: s
     world = make_world(make_scenario(name, demos=None, observation=kind, **options), 4000)
     world.reset()
     extremes(world)
-    coast = np.full((4000, world.num_individuals), world.num_actions - 1)
-    world.step(coast)
+    actions = np.random.default_rng(4).integers(
+        world.num_actions, size=(4000, world.num_individuals)
+    )
+    world.step(actions)
     seen = world.observation.reshape(-1, world.observation.shape[-1])
     for c, component in enumerate(world.observation_components):
         low, high = seen[:, c].min(), seen[:, c].max()
@@ -116,7 +118,7 @@ def test_a_mirrored_world_is_seen_mirrored(name: str, options: Any, kind: str) -
     for world in (one, two):
         world.reset()
     state = one.get_state()
-    for key in ("position", "velocity", "towards"):
+    for key in ("position", "velocity", "acceleration", "towards"):
         state[key] = state[key] * [1.0, -1.0]
     two.set_state(state)
     rng = np.random.default_rng(0)
@@ -145,10 +147,66 @@ def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, kind: str) -
     world = make_world(scenario, len(demos))
     world.reset(demo=np.arange(len(demos)))
     recorded = demonstration_observations(scenario.species, demos)
-    for t in range(int(demos.lengths.min())):
-        frames = demos.offsets[:-1] + t
-        assert world.observation == pytest.approx(recorded[frames], abs=1e-6)
+    for t in range(int(demos.lengths.max())):
+        lasting = demos.lengths > t
+        frames = demos.offsets[:-1][lasting] + t
+        assert world.observation[lasting] == pytest.approx(recorded[frames], abs=1e-6)
         world.step(np.zeros((len(demos), world.num_individuals), dtype=int))
+
+
+def accelerations(world: World) -> Array:
+    """Own acceleration ahead and to the left, ``(B, K, 2)``."""
+    names = [c.name for c in world.observation_components]
+    at = [names.index(f"own acceleration / u {side}") for side in ("ahead", "left")]
+    return world.observation[..., at]
+
+
+@pytest.mark.parametrize("name", ["agent", "fly"])
+def test_the_last_action_is_seen_as_own_acceleration_from_the_present_focus(name: str) -> None:
+    world = make_world(make_scenario(name, demos=None, rebound=False), 30)
+    world.reset()
+    assert not accelerations(world).any()
+    rng = np.random.default_rng(0)
+    vectors = world.scenario.species.locomotion[0].action_vectors
+    for _ in range(10):
+        actions = rng.integers(world.num_actions, size=(30, world.num_individuals))
+        ahead, left = np.moveaxis(vectors[actions], -1, 0)
+        before = world.towards.copy()  # type: ignore[attr-defined]
+        world.step(actions)
+        x, y = np.moveaxis(world.towards, -1, 0)  # type: ignore[attr-defined]
+        cosine = before[..., 0] * x + before[..., 1] * y  # of the turn from then to now
+        sine = before[..., 1] * x - before[..., 0] * y
+        wanted = np.stack([ahead * cosine - left * sine, ahead * sine + left * cosine], axis=-1)
+        assert accelerations(world) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_a_new_episode_starts_without_acceleration_and_leaves_others_alone() -> None:
+    world = make_world(make_scenario("fly", warmup=3), 6)
+    world.reset()
+    for _ in range(2):  # replayed: recorded accelerations
+        world.step(np.zeros((6, 3), dtype=int))
+    seen = accelerations(world).copy()
+    assert (np.abs(seen).max(axis=(1, 2)) > 0.01).all() and np.abs(seen).max() <= 4.0
+    saved = world.get_state()
+    anew = np.arange(6) < 2
+    world.reset(anew)
+    assert not accelerations(world)[:2].any()
+    assert np.array_equal(accelerations(world)[2:], seen[2:])
+    world.set_state(saved)
+    world.reset(anew)  # observes all of them again, from the state
+    assert np.array_equal(accelerations(world)[2:], seen[2:])
+
+
+def test_a_push_beyond_four_thrusts_is_seen_as_four() -> None:
+    world = make_world(make_scenario("agent", demos=None, rebound=True), 1)
+    world.reset()
+    state = world.get_state()
+    thrust = world.scenario.species.locomotion[0].thrust
+    state["position"][:] = [[[0.5, 0.0], [-0.5, 0.0], [1.0, 0.0]]]
+    state["velocity"][0, 2] = [100.0 * thrust * world.scenario.species.dt, 0.0]  # into the wall
+    world.set_state(state)
+    world.step(np.full((1, 3), world.num_actions - 1))
+    assert accelerations(world)[0, 2].tolist() == [4.0, 0.0]  # away from it, and so at its focus
 
 
 def test_an_unknown_observation_is_refused() -> None:

@@ -246,14 +246,15 @@ def test_the_scripted_target_looks_ahead_with_the_same_transition() -> None:
 
 def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:
     """The loss of the joint fit is the squared miss of the inferred actions."""
-    from animarl_envs.fitting.joint import _assign, _scratch
+    from animarl_envs.fitting.joint import _scratch
+    from animarl_envs.fitting.nearest_actions import assign
 
     demos, _ = walk(TRUTH, 2, noise=0.01)
     own = Locomotion(0.3, 1.5, MULTIPLES)
     data = transitions(demos, 0)
     error, action, level = _scratch(len(data))
     impulses = own.thrust * np.array(MULTIPLES) * DT
-    _assign(
+    assign(
         data.velocity, data.next_velocity, data.focus, own.damping, impulses, error, action, level
     )
     inferred = infer_actions(data.velocity, data.next_velocity, data.focus, own, DT)

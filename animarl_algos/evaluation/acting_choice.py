@@ -25,7 +25,7 @@ from animarl_envs.worlds.base import World
 
 Floats = NDArray[np.float64]
 
-COOLER = (1.0, 0.85, 0.7, 0.5)
+COOLER = (1.0, 0.85, 0.7, 0.5, 0.35)
 """Shares of the fitted temperatures that are tried: a clone that is unsure samples too widely."""
 MOST_STARTS, ROLLOUTS = 200, 200
 SPEEDS = 400  # quantiles by which two distributions of speed are compared

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.resolution import Resolution, rounded
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.worlds.base import World
@@ -59,6 +61,7 @@ def collect_rollouts(
     repetitions: int = 5,
     cue: Cue | None = None,
     deterministic: bool = False,
+    resolution: Resolution | Literal["recorded"] | None = "recorded",
 ) -> Rollouts:
     """Let ``policy`` drive all individuals from the start of every demonstration of the world.
 
@@ -81,6 +84,10 @@ def collect_rollouts(
         never changed by it.
     deterministic
         Handed on to ``predict``.
+    resolution
+        The grid to which positions of finished rollouts are rounded, by default that of the
+        world's demonstrations, so that both are at the scale at which positions were stored;
+        ``None``: they stay as simulated. The simulation itself is never rounded.
 
     Raises
     ------
@@ -103,13 +110,15 @@ def collect_rollouts(
     tasks = np.stack(
         np.meshgrid(np.arange(demos.num_episodes), np.arange(repetitions), indexing="ij"), axis=-1
     ).reshape(-1, 2)
+    grid = demos.resolution() if resolution == "recorded" else resolution
     parts = []
     for first in range(0, len(tasks), MAX_COPIES):
         batch = tasks[first : first + MAX_COPIES]
         world = make_world(len(batch))
         world.seed([_stream_seed(seed, *task) for task in batch.tolist()])
         parts.append(_run_batch(world, policy, demos, batch, method, seed, cue, deterministic))
-    return Rollouts.concatenate(parts)
+    made = Rollouts.concatenate(parts)
+    return replace(made, positions=rounded(made.positions, grid))
 
 
 def _run_batch(

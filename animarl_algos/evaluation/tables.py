@@ -109,7 +109,7 @@ def evaluate(
     planned_flip: tuple[int, int] | None = None,
     floor: Tracked | None = None,
     references: Demonstrations | None = None,
-    smoothing: int = 1,
+    smoothing: int | None = None,
     resamples: int = RESAMPLES,
     distance_resamples: int = DISTANCE_RESAMPLES,
 ) -> Evaluation:

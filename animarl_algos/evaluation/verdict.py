@@ -39,8 +39,16 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_mean,
     cells,
 )
-from animarl_algos.evaluation.windows import WINDOW, Windows, smoothed, window_features
+from animarl_algos.evaluation.windows import (
+    WINDOW,
+    Windows,
+    comparison_smoothing,
+    resting_step,
+    smoothed,
+    window_features,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.resolution import rounded
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -169,7 +177,7 @@ def verdict(
     floor: Tracked | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
-    smoothing: int = 1,
+    smoothing: int | None = None,
 ) -> Verdict:
     """Judge a method by its rollouts.
 
@@ -183,14 +191,16 @@ def verdict(
     seed
         Of exchanges, folds and resamples.
     floor
-        The same demonstrations as the fitted locomotion follows them.
+        The same demonstrations as the fitted locomotion follows them; looked at on the grid on
+        which recorded positions lie, as rollouts are.
     baselines
         Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, and of an
         ``"untrained"`` network, which a trained one should beat.
     references
         Other recordings, for recordings against recordings; by default halves of ``recorded``.
     smoothing
-        Frames of a moving average through which all positions go first; 1 for none.
+        Frames of a moving average through which all positions go first, 1 for none; by default
+        those of :func:`~animarl_algos.evaluation.windows.comparison_smoothing`.
 
     Raises
     ------
@@ -205,6 +215,8 @@ def verdict(
             "compare them with the demonstrations they started from"
         )
     streams = np.random.default_rng(seed).spawn(4)
+    if smoothing is None:
+        smoothing = comparison_smoothing(recorded)
     prepared = _Prepared.of(recorded, smoothing)
     counted = prepared.filtered(_factual(rollouts, recorded))
     rows = _rows(prepared, counted, streams[0])
@@ -372,8 +384,10 @@ class _Classified:
         demos = prepared.demos
         block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
 
+        still = resting_step(prepared.recorded)
+
         def windows(rollouts: Rollouts) -> Windows:
-            return window_features(rollouts, demos.arena, block=block)
+            return window_features(rollouts, demos.arena, block=block, still=still)
 
         own = windows(prepared.recorded)
         rng, null_rng = streams
@@ -388,7 +402,8 @@ class _Classified:
                     f"the tracking has shape {floor.positions.shape} and the demonstrations "
                     f"{demos.positions.shape}: track the evaluated ones"
                 )
-            followed = replace(Rollouts.from_demonstrations(demos), positions=floor.positions)
+            stored = rounded(floor.positions, demos.resolution())
+            followed = replace(Rollouts.from_demonstrations(demos), positions=stored)
             tracked = tell_apart(own, windows(prepared.filtered(followed)), rng).auc
         if references is None:
             among = among_themselves(own, null_rng)

@@ -7,6 +7,7 @@ median.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.summary import RESTING_SHARE
 from animarl_envs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -22,6 +25,7 @@ WINDOW = 2.0  # [s]
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 MOST_PARTS = 10_000  # of one demonstration
 NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
+HALF_POWER = 0.443  # cutoff of a moving average times its length
 SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
 DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
 
@@ -60,6 +64,7 @@ def window_features(
     window: float = WINDOW,
     smoothing: int = 1,
     block: int | None = None,
+    still: Floats | None = None,
 ) -> Windows:
     """Describe all windows of all episodes.
 
@@ -81,6 +86,9 @@ def window_features(
     block
         Where demonstrations are too few: so many successive windows of one make a group of their
         own, the same stretch of time in the recording and in its rollouts.
+    still
+        ``(individuals,)`` distance within one step [arena unit], see :func:`resting_step`; who
+        moves less has no direction. By default zero.
 
     Raises
     ------
@@ -101,7 +109,8 @@ def window_features(
     paths = positions[frames]
     paths[offsets > count[:, None]] = np.nan
     columns, kinds = [], []
-    for kind, series in _series(paths, rollouts.dt, arena):
+    rest = np.zeros(paths.shape[2]) if still is None else still
+    for kind, series in _series(paths, rollouts.dt, arena, rest):
         summed_up = _summary(series)
         columns.append(summed_up)
         kinds += [kind] * summed_up.shape[1]
@@ -148,6 +157,33 @@ def suggested_smoothing(recorded: Rollouts) -> int:
     return min(needed | 1, widest - 1 + widest % 2) if needed > 1 else 1
 
 
+def comparison_smoothing(demos: Demonstrations) -> int:
+    """Frames of the moving average that both sides of a comparison go through; 1 for none.
+
+    What tracking noise asks for (:func:`suggested_smoothing`), and where the import low-pass
+    filtered the tracks, an average with the same cutoff: faster motion was taken out of the
+    recordings, so that a simulator cannot learn it.
+    """
+    recipe = demos.provenance.get("recipe")
+    cleaning = recipe.get("cleaning", {}) if isinstance(recipe, Mapping) else {}
+    cutoff = cleaning.get("smoothing_cutoff")
+    filtered = 1
+    if isinstance(cutoff, int | float) and cutoff > 0:
+        filtered = int(np.ceil(HALF_POWER / (cutoff * demos.dt))) | 1
+    return max(filtered, suggested_smoothing(Rollouts.from_demonstrations(demos)))
+
+
+def resting_step(recorded: Rollouts) -> Floats:
+    """Distance within a step below which an individual has no direction ``(individuals,)``.
+
+    It rests where it is slower than 5 % of its 99th percentile [arena unit]. The direction of one
+    at rest is that of rounding and of tracking noise on the one side, of the smallest thrust on the
+    other, which would tell any simulation from any recording.
+    """
+    fast = np.quantile(recorded.speeds(), 0.99, axis=0)
+    return np.asarray(RESTING_SHARE * fast * recorded.dt)
+
+
 def tracking_noise(recorded: Rollouts) -> float:
     """Standard deviation of white noise of the recorded positions, per axis [arena unit]."""
     products = []
@@ -178,7 +214,7 @@ def _cut(
     return np.array(first), np.array(count), np.array(episode)
 
 
-def _series(paths: Floats, dt: float, arena: Arena) -> list[tuple[str, Floats]]:
+def _series(paths: Floats, dt: float, arena: Arena, still: Floats) -> list[tuple[str, Floats]]:
     """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``."""
     steps, num = paths.shape[1] - 1, paths.shape[2]
     series: list[tuple[str, Floats]] = []
@@ -193,16 +229,16 @@ def _series(paths: Floats, dt: float, arena: Arena) -> list[tuple[str, Floats]]:
         series.append((ACCELERATION, bend / dt**2))
         for stride in sorted({1, quarter}):
             moved = own[:, stride:] - own[:, :-stride]
-            series.append((TURNING, _angle(moved[:, :-stride], moved[:, stride:])))
+            series.append((TURNING, _angle(moved[:, :-stride], moved[:, stride:], still[k])))
         series.append((PLACE, _to_edge(own, arena)))
         moved = np.diff(own, axis=1)
         centre = -own[:, :-1]
         if num == 1:
-            series.append((BEARING, _angle(moved, centre)))
+            series.append((BEARING, _angle(moved, centre, still[k])))
         for other in range(num):
             between = paths[:, :, other] - own
             if other != k:
-                series.append((BEARING, _angle(moved, between[:, :-1])))
+                series.append((BEARING, _angle(moved, between[:, :-1], still[k])))
             if other > k:
                 series.append((DISTANCE, np.linalg.norm(between, axis=-1)))
     return series
@@ -216,12 +252,14 @@ def _to_edge(points: Floats, arena: Arena) -> Floats:
     return np.asarray(radius if arena.shape == "open" else arena.size - radius)
 
 
-def _angle(first: Floats, second: Floats) -> Floats:
-    """Unsigned angle between vectors [rad]; NaN where one of them is zero."""
+def _angle(first: Floats, second: Floats, least: float) -> Floats:
+    """Unsigned angle between vectors [rad]; NaN where one is zero or not longer than ``least``."""
     cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
     dot = (first * second).sum(axis=-1)
-    angle = np.abs(np.arctan2(cross, dot))
-    return np.where((cross == 0) & (dot == 0), np.nan, angle)
+    shorter = np.minimum(
+        np.hypot(*np.moveaxis(first, -1, 0)), np.hypot(*np.moveaxis(second, -1, 0))
+    )
+    return np.where(shorter <= least, np.nan, np.abs(np.arctan2(cross, dot)))
 
 
 def _summary(series: Floats) -> Floats:

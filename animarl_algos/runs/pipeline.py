@@ -22,6 +22,7 @@ from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import Evaluation, evaluate
+from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import (
     CheckpointCallback,
@@ -42,7 +43,6 @@ from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
-from animarl_envs.fitting.magnitudes import choose_thrusts
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import Scenario, make_scenario
@@ -115,7 +115,10 @@ def fit(run: RunFolder) -> LocomotionFit:
         return run.fit
     settings = run.settings
     method = "onset" if settings.fit_method == "onset" else "joint"
-    thrusts = choose_thrusts(run.demos) if settings.thrusts == AUTO else int(settings.thrusts)
+    if settings.thrusts == AUTO:
+        thrusts = choose_thrusts(run.demos, seed=settings.seed)
+    else:
+        thrusts = int(settings.thrusts)
     result = fit_locomotion(run.demos, method, seed=settings.seed, thrusts=thrusts)  # type: ignore[arg-type]
     result.save(file)
     return result

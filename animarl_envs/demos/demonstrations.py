@@ -23,6 +23,7 @@ from animarl_envs.demos.episode import (
     UNFINISHED,
     Episode,
 )
+from animarl_envs.demos.resolution import Resolution, find_resolution
 from animarl_envs.demos.validation import validate
 from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions
@@ -206,6 +207,10 @@ class Demonstrations:
     def focus(self) -> NDArray[np.float64]:
         """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
         return focus_directions(self.positions, self.roles)
+
+    def resolution(self) -> Resolution | None:
+        """The grid on which all positions lie, such as pixels; ``None`` where there is none."""
+        return find_resolution(self.positions)
 
     # -- selection --------------------------------------------------------------------------------
 

@@ -22,11 +22,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.nearest_actions import assign, sums
 from animarl_envs.fitting.transitions import Transitions
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.worlds.transition import next_velocity as after
 
 Floats = NDArray[np.float64]
 
@@ -39,8 +38,6 @@ STARTS = 6  # best grid points, refined with all steps
 ITERATIONS = 300
 TOLERANCE = 1e-9  # relative change of d and u at which the alternation has converged
 CURVATURE_STEP = 0.05  # of the bootstrap's difference quotient; smaller ones are noisy
-
-_HALF_SQRT3 = math.sqrt(3.0) / 2.0
 
 
 def fit_joint(
@@ -134,7 +131,7 @@ def _starting_points(data: Transitions) -> list[tuple[float, float]]:
         length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
         for thrust in np.unique(np.quantile(length[length > 0], GRID_QUANTILES)):
             impulse = np.array([thrust * data.dt])
-            _assign(velocity, next_velocity, focus, damping, impulse, error, action, level)
+            assign(velocity, next_velocity, focus, damping, impulse, error, action, level)
             found.append((_loss(error), float(damping), float(thrust)))
     found.sort()
     return [(damping, thrust) for _, damping, thrust in found[:STARTS]]
@@ -147,8 +144,8 @@ def _alternate(
     error, action, level = scratch = _scratch(len(data))
     tracks = (data.velocity, data.next_velocity)
     for _ in range(ITERATIONS):
-        _assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
-        vv, vn, va, aa, an = _sums(
+        assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
+        vv, vn, va, aa, an = sums(
             *tracks, action, level, error, _limit(error), data.dt, len(thrusts)
         )
         new_damping, new_thrusts = _solve(vv, vn, va, aa, an, thrusts, data.dt, least_speed)
@@ -158,7 +155,7 @@ def _alternate(
         damping, thrusts = new_damping, new_thrusts
         if change < tolerance:
             break
-    _assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
+    assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
     return damping, thrusts, _loss(error)
 
 
@@ -172,7 +169,7 @@ def _solve(
     dt: float,
     least_speed: float,
 ) -> tuple[float, Floats]:
-    """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`_sums`.
+    """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`sums`.
 
     The terminal speed of the largest thrust is at least ``least_speed``. A thrust that no step is
     nearest to stays what it was.
@@ -247,74 +244,10 @@ def _nearest(data: Transitions, point: Floats) -> tuple[Floats, Floats]:
     """Squared errors ``(steps,)`` and nearest action vectors ``(steps, 2)`` at (d, u)."""
     error, action, level = _scratch(len(data))
     impulse = point[1:] * data.dt
-    _assign(data.velocity, data.next_velocity, data.focus, point[0], impulse, error, action, level)
+    assign(data.velocity, data.next_velocity, data.focus, point[0], impulse, error, action, level)
     return error, action
 
 
 def _scratch(steps: int) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """What :func:`_assign` writes: squared error, vector and thrust of the nearest action."""
+    """What :func:`assign` writes: squared error, vector and thrust of the nearest action."""
     return np.empty(steps), np.empty((steps, 2)), np.empty(steps, dtype=np.int64)
-
-
-@jit
-def _assign(  # type: ignore[no-untyped-def]
-    velocity, next_velocity, focus, damping, impulses, error, action, level
-):
-    """Nearest of the actions to each observed acceleration.
-
-    ``impulses`` ``(M,)`` are the thrusts times dt. Writes the squared error ``(steps,)`` of the
-    rebuilt velocity, the action's unit vector in the arena frame ``(steps, 2)``, zero for coasting,
-    and which thrust it has ``(steps,)``. Directions are searched in one quadrant.
-    """
-    for t in range(velocity.shape[0]):
-        # what the transition without acceleration leaves unexplained
-        rest_x = next_velocity[t, 0] - after(velocity[t, 0], 0.0, damping, 0.0, 0.0)
-        rest_y = next_velocity[t, 1] - after(velocity[t, 1], 0.0, damping, 0.0, 0.0)
-        ahead = rest_x * focus[t, 0] + rest_y * focus[t, 1]
-        left = rest_y * focus[t, 0] - rest_x * focus[t, 1]
-        x, y = abs(ahead), abs(left)
-        along, c, s = x, 1.0, 0.0
-        if _HALF_SQRT3 * x + 0.5 * y > along:
-            along, c, s = _HALF_SQRT3 * x + 0.5 * y, _HALF_SQRT3, 0.5
-        if 0.5 * x + _HALF_SQRT3 * y > along:
-            along, c, s = 0.5 * x + _HALF_SQRT3 * y, 0.5, _HALF_SQRT3
-        if y > along:
-            along, c, s = y, 0.0, 1.0
-        square = x * x + y * y
-        nearest, least = -1, 0.0
-        for j in range(len(impulses)):
-            gain = impulses[j] * (impulses[j] - 2.0 * along)
-            if gain < least:
-                nearest, least = j, gain
-        level[t] = nearest
-        if nearest >= 0:  # nearer to that direction than to zero
-            c = c if ahead >= 0 else -c
-            s = s if left >= 0 else -s
-            action[t, 0] = c * focus[t, 0] - s * focus[t, 1]
-            action[t, 1] = c * focus[t, 1] + s * focus[t, 0]
-            impulse = impulses[nearest]
-            error[t] = max(square - 2.0 * impulse * along + impulse * impulse, 0.0)
-        else:
-            action[t, 0] = 0.0
-            action[t, 1] = 0.0
-            error[t] = square
-
-
-@jit
-def _sums(velocity, next_velocity, action, level, error, limit, dt, thrusts):  # type: ignore[no-untyped-def]
-    """Inner products over the steps with ``error <= limit``, those with actions per thrust."""
-    vv, vn = 0.0, 0.0
-    va, aa, an = np.zeros(thrusts), np.zeros(thrusts), np.zeros(thrusts)
-    for t in range(velocity.shape[0]):
-        if error[t] > limit:
-            continue
-        j = level[t]
-        for axis in range(2):
-            v, n, a = velocity[t, axis], next_velocity[t, axis], dt * action[t, axis]
-            vv += v * v
-            vn += v * n
-            if j >= 0:
-                va[j] += v * a
-                aa[j] += a * a
-                an[j] += a * n
-    return vv, vn, va, aa, an

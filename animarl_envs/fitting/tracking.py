@@ -20,8 +20,8 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
 from animarl_envs.focus import FALLBACK, UPWIND, focus_directions
+from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
-from animarl_envs.worlds.transition import next_velocity
 
 Floats = NDArray[np.float64]
 
@@ -162,9 +162,7 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
 
 
 def _hold_by_walls(arena: Arena, position: Floats, velocity: Floats) -> None:
-    """The walls of the worlds, which are above this package: imported where they are needed."""
-    from animarl_envs.worlds.chase.kernels import rebound
-
+    """The walls of the worlds."""
     field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
     rebound(field, position, velocity)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit
-from animarl_envs.worlds.transition import next_velocity
+from animarl_envs.kinematics import next_velocity
 
 _SQUARE, _DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
 LOOKAHEAD = 6  # [steps] that the target looks ahead, the action held

@@ -9,19 +9,17 @@ by index, not cut out as views, which would cost more than the row when there is
 
 from __future__ import annotations
 
-import math
-
 from numba.core import types
 from numba.experimental import structref
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.senses import observe
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
-from animarl_envs.worlds.transition import next_velocity
 
 SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
 TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
@@ -31,14 +29,19 @@ TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
 
 
 @jit
-def start(mask, demos, demo, fixed, half_side, contact_radius, random, position, velocity):  # type: ignore[no-untyped-def]
+def start(  # type: ignore[no-untyped-def]
+    mask, demos, demo, fixed, half_side, contact_radius, random, position, velocity, acceleration
+):
     """First states: recorded, given, or uniform in a square without contact; at rest but for the
-    first."""
+    first. No step has led to them, so there is no acceleration."""
     K, _, B = position.shape
     target = K - 1
     for b in range(B):
         if not mask[b]:
             continue
+        for i in range(K):
+            acceleration[i, 0, b] = 0.0
+            acceleration[i, 1, b] = 0.0
         if demo[b] >= 0:
             frame = demos.start[demo[b]]
             for i in range(K):
@@ -89,9 +92,9 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     _ChaseStateType,
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "towards", "others", "nearest", "code", "components",
-        "reward", "outcome", "terminated", "truncated", "step_count", "warming", "observation",
-        "senses",
+        "numbers", "position", "velocity", "acceleration", "towards", "others", "nearest", "code",
+        "components", "reward", "outcome", "terminated", "truncated", "step_count", "warming",
+        "observation", "senses",
     ],
 )  # fmt: skip
 
@@ -99,14 +102,14 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @jit
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, towards, others, nearest, code, components, reward, outcome, terminated, truncated,
-    step_count, warming, observation, senses,
+    velocity, acceleration, towards, others, nearest, code, components, reward, outcome, terminated,
+    truncated, step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, towards, others, nearest, code, components, reward, outcome, terminated,
-        truncated, step_count, warming, observation, senses,
+        velocity, acceleration, towards, others, nearest, code, components, reward, outcome,
+        terminated, truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
 
@@ -115,6 +118,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, K)``."""
     dt, contact_radius, penalty, time_limit, warmup, field, walled = state.numbers
     actions, position, velocity = state.actions, state.position, state.velocity
+    acceleration = state.acceleration
     step_count, code, towards = state.step_count, state.code, state.towards
     outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
     K, _, B = position.shape
@@ -128,6 +132,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.drivers, actions, position, velocity, towards, state.damping, state.thrust,
             state.pushes, dt, field,
         )  # fmt: skip
+    let_coast(velocity, state.damping, state.thrust, dt, acceleration)
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
     if walled:
         rebound(field, position, velocity)
@@ -136,6 +141,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
             state.warming,
         )  # fmt: skip
+    accelerate(velocity, state.thrust, dt, acceleration)
     judge(
         position, state.sharing, field, walled, contact_radius, dt, penalty, state.nearest, code,
         state.components, state.reward,
@@ -144,7 +150,9 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         outcome[b] = code[b]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
-    observe(position, velocity, towards, state.others, state.senses, state.observation)
+    observe(
+        position, velocity, acceleration, towards, state.others, state.senses, state.observation
+    )
 
 
 # -- moving ---------------------------------------------------------------------------------------
@@ -186,6 +194,27 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity):  # 
 
 
 @part
+def let_coast(velocity, damping, thrust, dt, coasting):  # type: ignore[no-untyped-def]
+    """The velocities that would follow without thrust, for :func:`accelerate`."""
+    K, _, B = velocity.shape
+    for i in range(K):
+        for x in range(2):
+            for b in range(B):
+                coasting[i, x, b] = next_velocity(velocity[i, x, b], 0.0, damping[i], thrust[i], dt)
+
+
+@part
+def accelerate(velocity, thrust, dt, acceleration):  # type: ignore[no-untyped-def]
+    """From the velocities without thrust to accelerations in multiples of it, in place."""
+    K, _, B = velocity.shape
+    for i in range(K):
+        stride = thrust[i] * dt
+        for x in range(2):
+            for b in range(B):
+                acceleration[i, x, b] = (velocity[i, x, b] - acceleration[i, x, b]) / stride
+
+
+@part
 def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming):  # type: ignore[no-untyped-def]
     """Set what follows its demonstration: all during warm-up, the replaying ones always.
 
@@ -206,38 +235,6 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
                     position[i, x, b] = demos.position[frame, i, x]
                     velocity[i, x, b] = demos.velocity[frame, i, x]
         warming[b] = step_count[b] < warmup and left > 1
-
-
-@part
-def rebound(field, position, velocity):  # type: ignore[no-untyped-def]
-    """Hold everybody at the walls: the velocity into the wall is lost, that along it kept."""
-    shape, size, _ = field
-    K, _, B = position.shape
-    for i in range(K):
-        if shape == SQUARE:
-            for x in range(2):
-                for b in range(B):
-                    p = position[i, x, b]
-                    v = velocity[i, x, b]
-                    held = min(size, max(-size, p))
-                    into = p != held and v * p > 0.0
-                    position[i, x, b] = held
-                    velocity[i, x, b] = 0.0 if into else v
-        elif shape == DISC:
-            for b in range(B):
-                x = position[i, 0, b]
-                y = position[i, 1, b]
-                radius = math.sqrt(x * x + y * y)
-                beyond = radius > size
-                # a hair inside, so that rounding does not leave it outside
-                back = size / radius * (1.0 - 1e-12) if beyond else 1.0
-                nx = x / radius if beyond else 0.0
-                ny = y / radius if beyond else 0.0
-                into = max(0.0, velocity[i, 0, b] * nx + velocity[i, 1, b] * ny)
-                position[i, 0, b] = back * x
-                position[i, 1, b] = back * y
-                velocity[i, 0, b] -= into * nx
-                velocity[i, 1, b] -= into * ny
 
 
 # -- ends and rewards -----------------------------------------------------------------------------

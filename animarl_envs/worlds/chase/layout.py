@@ -23,6 +23,7 @@ ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
 LENGTH, SPEED = "arena unit", "arena unit / s"
 FULL, PAPER = "full", "paper"
 REST = 0.3  # added to the speed [u dt] before its logarithm is taken
+HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
 
 
@@ -61,6 +62,7 @@ OWN = (
     Group(_ahead_left("tanh of own velocity / (u dt)"), EGO, "1", "fine"),
     Group(_ahead_left("tanh of own velocity / (3 u dt)"), EGO, "1", "coarse"),
     Group((("log of (own speed / (u dt) + 0.3)", 1.0),), "any", "1", "log speed"),
+    Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration"),
     Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL)),
 )
 """Of the individual itself."""
@@ -87,9 +89,9 @@ FIELD = (
 """Of the arena: in the paper's if the species senses it, in the full one if there is an edge."""
 
 (
-    POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, FOCUS,
-    PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION, OTHER_VELOCITY,
-    OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE,
+    POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, ACCELERATION,
+    FOCUS, PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
+    OTHER_VELOCITY, OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE,
 ) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip
 """Columns of :func:`first_rows`: the groups as they stand above."""
 
@@ -162,12 +164,14 @@ def ranges(
     relative = top / min(strides)
     fine, coarse = math.tanh(relative), math.tanh(relative / 3.0)
     near = NEAR * arena.size
+    push = _hardest(species, fastest)
     return {
         "place": (-reach, reach),
         "speed": (-top, top),
         "fine": (-fine, fine),
         "coarse": (-coarse, coarse),
         "log speed": (math.log(REST), math.log(relative + REST)),
+        "acceleration": (-push, push),
         "unit": (-1.0, 1.0),
         "offset": (-apart, apart),
         "difference": (-2.0 * top, 2.0 * top),
@@ -178,3 +182,17 @@ def ranges(
         "inside": (min(0.0, arena.edge - reach), arena.edge),
         "centre": (-radius, radius),
     }
+
+
+def _hardest(species: ChaseSpecies, fastest: float) -> float:
+    """How large an acceleration is seen [u]: a thrust, a stop at a wall, or any if recorded."""
+    if fastest > 0.0:
+        return HARDEST
+    pushes = []
+    for own in species.locomotion:
+        stop = 0.0
+        if species.arena.rebound:
+            top = own.top_speed(species.dt, species.time_limit + 1)
+            stop = (1.0 - own.damping) * top / (own.thrust * species.dt)
+        pushes.append(math.hypot(own.magnitudes[0], stop))
+    return min(HARDEST, max(pushes) * (1.0 + 1e-6))  # rounded velocities may give a hair more

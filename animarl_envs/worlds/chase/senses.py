@@ -22,7 +22,7 @@ from animarl_envs.worlds.exponential import log_of, tanh_of
 
 DX, DY, DVX, DVY, APART = 0, 1, 2, 3, 4
 RELATIVE = 5
-ABSENT, REST = layout.ABSENT, layout.REST
+ABSENT, REST, HARDEST = layout.ABSENT, layout.REST, layout.HARDEST
 SQUARE = SHAPE_CODES["square"]
 
 
@@ -49,8 +49,10 @@ def senses_of(species: ChaseSpecies) -> Senses:
 
 
 @jit
-def observe(position, velocity, towards, others, senses, observation):  # type: ignore[no-untyped-def]
+def observe(position, velocity, acceleration, towards, others, senses, observation):  # type: ignore[no-untyped-def]
     """Focus directions and observations; ``others`` is scratch, ``(K - 1, 5, B)``.
+
+    ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust.
 
     The others in order: target first, then pursuers by distance, ties by index. The first of them
     is the focus. At distance zero the old direction towards it is kept.
@@ -71,7 +73,9 @@ def observe(position, velocity, towards, others, senses, observation):  # type: 
         for last in range(ranks - 1, sorted_from, -1):  # stable bubble sort, without branches
             for rank in range(sorted_from, last):
                 _order(rank, others)
-        _observe_own(i, position, velocity, others, towards, first, stride[i], observation)
+        _observe_own(
+            i, position, velocity, acceleration, others, towards, first, stride[i], observation
+        )
         for rank in range(ranks):
             _observe_other(i, rank, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
@@ -103,8 +107,10 @@ def _order(rank, others):  # type: ignore[no-untyped-def]
 
 
 @part
-def _observe_own(i, position, velocity, others, towards, first, stride, observation):  # type: ignore[no-untyped-def]
-    """Own position, direction of the focus, and own velocity on several scales."""
+def _observe_own(  # type: ignore[no-untyped-def]
+    i, position, velocity, acceleration, others, towards, first, stride, observation
+):
+    """Own position, direction of the focus, own acceleration, and velocity on several scales."""
     place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
     B = position.shape[2]
     for x in range(2):
@@ -124,6 +130,12 @@ def _observe_own(i, position, velocity, others, towards, first, stride, observat
         for b in range(B):
             observation[i, at, b] = velocity[i, 0, b]
             observation[i, at + 1, b] = velocity[i, 1, b]
+    at = first[0, layout.ACCELERATION]
+    if at != ABSENT:
+        for b in range(B):
+            ahead, left = _egocentric(acceleration[i, 0, b], acceleration[i, 1, b], i, b, towards)
+            observation[i, at, b] = min(HARDEST, max(-HARDEST, ahead))
+            observation[i, at + 1, b] = min(HARDEST, max(-HARDEST, left))
     if first[0, layout.FINE] != ABSENT:
         _observe_scales(i, velocity, towards, first, stride, observation)
 

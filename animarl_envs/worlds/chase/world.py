@@ -1,8 +1,8 @@
 """The chase world: pursuers and a target in an arena (agents, flies, newts and your own).
 
-State per copy and individual: position, velocity, focus, and the unit vector towards the focus.
-The focus of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at
-each step (ties: the lower index).
+State per copy and individual: position, velocity, the acceleration of the last step, focus, and the
+unit vector towards the focus. The focus of a pursuer is the target; the focus of the target is its
+nearest pursuer, chosen anew at each step (ties: the lower index).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.locomotion import next_velocity
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import World, recorded_reach, recorded_speed
@@ -29,10 +30,18 @@ class ChaseWorld(World):
     every pursuer); ``elapsed`` dt to the target for every step it lasts; ``boundary`` -10 to each
     individual that leaves the boundary, if there are no walls. Contact is judged before the
     boundary.
+
+    Further attributes
+    ------------------
+    acceleration
+        ``(B, K, 2)``: ``(v_t - (1 - d) v_{t-1}) / (u dt)`` of the last step, the push of walls and
+        recordings included, arena frame, in multiples of the thrust u; zero at the start.
+    towards
+        ``(B, K, 2)``, unit vectors towards the focus.
     """
 
     reward_components = ("touch", "elapsed", "boundary")
-    _state_names = (*World._state_names, "towards")
+    _state_names = (*World._state_names, "acceleration", "towards")
 
     def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
         species = scenario.species
@@ -42,6 +51,8 @@ class ChaseWorld(World):
         )
         super().__init__(scenario, num_copies)
         B, K = num_copies, species.num_individuals
+        self._acceleration = np.zeros((K, 2, B))
+        self.acceleration = self._acceleration.transpose(2, 0, 1)
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
@@ -65,10 +76,10 @@ class ChaseWorld(World):
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
             sharing, damping, thrust, pushes, numbers, self._position, self._velocity,
-            self._towards,
-            self._others, np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward,
-            self.outcome, self.terminated, self.truncated, self.step_count, self.warming,
-            self._sensed, self._senses,
+            self._acceleration, self._towards, self._others, np.zeros(B),
+            np.zeros(B, dtype=np.int64), self._components, self._reward, self.outcome,
+            self.terminated, self.truncated, self.step_count, self.warming, self._sensed,
+            self._senses,
         )  # fmt: skip
 
     @property
@@ -80,6 +91,7 @@ class ChaseWorld(World):
         kernels.start(
             mask, self._demos, self.demo, self._fixed_start, species.start_half_side,
             species.contact_radius, self.random_state, self._position, self._velocity,
+            self._acceleration,
         )  # fmt: skip
         self._observe()
 
@@ -88,25 +100,33 @@ class ChaseWorld(World):
 
     def _observe(self) -> None:
         senses.observe(
-            self._position, self._velocity, self._towards, self._others,
+            self._position, self._velocity, self._acceleration, self._towards, self._others,
             self._senses, self._sensed,
         )  # fmt: skip
 
 
 def observe(
-    species: ChaseSpecies, position: NDArray[np.float64], velocity: NDArray[np.float64]
+    species: ChaseSpecies,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    acceleration: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of given states.
 
-    The same kernel as in simulation, for recorded states ``(frames, K, 2)``.
+    The same kernel as in simulation, for recorded states ``(frames, K, 2)``; ``acceleration`` in
+    multiples of the thrust, by default none.
     """
     frames, K, _ = position.shape
+    acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
     observation = np.zeros((K, len(observation_components(species)), frames), dtype=np.float32)
     towards = np.zeros((K, 2, frames))
     towards[:, 0] = 1.0
+    copy_last = (
+        np.ascontiguousarray(each.transpose(1, 2, 0), dtype=np.float64)
+        for each in (position, velocity, acceleration)
+    )
     senses.observe(
-        np.ascontiguousarray(position.transpose(1, 2, 0), dtype=np.float64),
-        np.ascontiguousarray(velocity.transpose(1, 2, 0), dtype=np.float64),
+        *copy_last,
         towards,
         np.zeros((K - 1, senses.RELATIVE, frames)),
         senses.senses_of(species),
@@ -120,4 +140,17 @@ def observe(
 
 def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
-    return observe(species, demos.positions, demos.velocities())[0]
+    velocity = demos.velocities()
+    return observe(species, demos.positions, velocity, _accelerations(species, demos, velocity))[0]
+
+
+def _accelerations(
+    species: ChaseSpecies, demos: Demonstrations, velocity: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Accelerations ``(frames, K, 2)`` in multiples of the thrust; zero at first frames."""
+    acceleration, none = np.zeros_like(velocity), np.zeros_like(velocity[1:, 0])
+    for i, own in enumerate(species.locomotion):
+        coasting = next_velocity(velocity[:-1, i], none, own.damping, own.thrust, species.dt)
+        acceleration[1:, i] = (velocity[1:, i] - coasting) / (own.thrust * species.dt)
+    acceleration[demos.offsets[:-1]] = 0.0
+    return acceleration

@@ -12,10 +12,10 @@ from numba.experimental import structref
 
 from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
+from animarl_envs.kinematics import next_velocity
 from animarl_envs.scenario import ACTION, REPLAY
-from animarl_envs.worlds.search.senses import orient, read, sense, wake
+from animarl_envs.worlds.search.senses import orient, push_of, read, sense, wake
 from animarl_envs.worlds.streams import next_below
-from animarl_envs.worlds.transition import next_velocity
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
 
@@ -49,7 +49,10 @@ def start(  # type: ignore[no-untyped-def]
             right = demo_hits[frame, 1]
         else:
             left, right = read(b, position, body, senses, table, pattern[b], phase[b])
-        sense(b, velocity[0, b], velocity[1, b], left, right, condition[b], senses, body, sensed, b)
+        sense(
+            b, velocity[0, b], velocity[1, b], 0.0, 0.0, left, right, condition[b], senses, body,
+            sensed, b,
+        )  # fmt: skip
 
 
 @structref.register
@@ -111,6 +114,8 @@ def step(asked, state):  # type: ignore[no-untyped-def]
         if demo[b] >= 0:
             frame = demo_start[demo[b]] + t
             recorded = demo_start[demo[b] + 1] - frame  # frames left, this one included
+        before_x = velocity[0, b]
+        before_y = velocity[1, b]
         replay = recorded > 0 and (t <= warmup or driver == REPLAY)
         if replay:
             for x in range(2):
@@ -142,7 +147,9 @@ def step(asked, state):  # type: ignore[no-untyped-def]
             right = demo_hits[frame, 1]
         else:
             left, right = read(b, position, body, senses, table, pattern[b], phase[b] + t)
-        sense(b, vx, vy, left, right, condition[b], senses, body, sensed, b)
+        push_x = push_of(before_x, vx, senses)
+        push_y = push_of(before_y, vy, senses)
+        sense(b, vx, vy, push_x, push_y, left, right, condition[b], senses, body, sensed, b)
 
 
 @jit
@@ -152,8 +159,14 @@ def sense_recorded(velocity, start, condition, hits, demo_heading, senses, body,
         for frame in range(start[e], start[e + 1]):
             vx = velocity[frame, 0, 0]
             vy = velocity[frame, 0, 1]
+            push_x, push_y = 0.0, 0.0
             if frame == start[e]:
                 wake(0, vx, vy, True, frame, demo_heading, senses, body)
             else:
                 orient(0, vx, vy, True, frame, demo_heading, senses, body)
-            sense(0, vx, vy, hits[frame, 0], hits[frame, 1], condition[e], senses, body, out, frame)
+                push_x = push_of(velocity[frame - 1, 0, 0], vx, senses)
+                push_y = push_of(velocity[frame - 1, 0, 1], vy, senses)
+            sense(
+                0, vx, vy, push_x, push_y, hits[frame, 0], hits[frame, 1], condition[e], senses,
+                body, out, frame,
+            )  # fmt: skip

@@ -13,6 +13,7 @@ from enum import IntEnum, auto
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.base import ObservationComponent
 
+HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 REST = 0.3  # added to the speed in steps of thrust before its logarithm is taken
 
 
@@ -46,6 +47,8 @@ class Seen(IntEnum):
     COARSE_AHEAD = auto()
     COARSE_LEFT = auto()
     LOG_SPEED = auto()
+    ACCELERATION_AHEAD = auto()
+    ACCELERATION_LEFT = auto()
     YAW_RATE = auto()
 
 
@@ -62,6 +65,9 @@ def observation_components(
     limit = species.time_limit + 1
     top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
     stride = species.locomotion[0].thrust * species.dt
+    # The largest thrust (velocities that were rounded may give a hair more), or as was recorded.
+    largest = min(HARDEST, species.locomotion[0].magnitudes[0] * (1.0 + 1e-6))
+    push = HARDEST if fastest > 0.0 else largest
     flow, turn = species.flow_limit, math.pi / species.dt
     ego = "egocentric, x upwind, y to the left"
     entry = ObservationComponent
@@ -91,6 +97,8 @@ def observation_components(
         Seen.LOG_SPEED: entry(
             "log speed", ego, "1", math.log(REST), math.log(top / stride + REST)
         ),
+        Seen.ACCELERATION_AHEAD: entry("acceleration ahead / u", ego, "1", -push, push),
+        Seen.ACCELERATION_LEFT: entry("acceleration left / u", ego, "1", -push, push, -1.0),
         Seen.YAW_RATE: entry("yaw rate", "body", "rad / s", -turn, turn, -1.0),
     }  # fmt: skip
     wanted = PAPER if species.observation == "paper" else len(Seen)

@@ -9,9 +9,10 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.kinematics import next_velocity
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.plume import is_hit
-from animarl_envs.worlds.search.layout import PAPER, REST, Seen
+from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
 
 HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
 
@@ -28,6 +29,7 @@ class Senses(NamedTuple):
     trace_remains: float  # share of the slow trace
     flow_threshold: float
     flow_limit: float
+    damping: float
     stride: float  # u dt [arena unit / s]
     turns: bool  # by the four numbers below; otherwise the body points where it walks
     persistence: float
@@ -66,7 +68,8 @@ def senses_of(species: SearchSpecies) -> Senses:
         dt, species.rest_speed, species.antenna_length * math.cos(angle),
         species.antenna_length * math.sin(angle), math.exp(-dt / species.odour_decay),
         species.odour_baseline, math.exp(-dt / species.trace_decay), species.flow_threshold,
-        species.flow_limit, species.locomotion[0].thrust * dt, turning is not None, *own,
+        species.flow_limit, species.locomotion[0].damping, species.locomotion[0].thrust * dt,
+        turning is not None, *own,
     )  # fmt: skip
 
 
@@ -175,8 +178,20 @@ def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-un
 
 
 @nb.njit(inline="always")
-def sense(b, velocity_x, velocity_y, hit_left, hit_right, condition, senses, body, out, column):  # type: ignore[no-untyped-def]
-    """Update the odour signals and write the observation into ``out[:, column]``."""
+def push_of(velocity, after, senses):  # type: ignore[no-untyped-def]
+    """What led from one velocity to the next, of one component, in multiples of the thrust."""
+    return (after - next_velocity(velocity, 0.0, senses.damping, 0.0, 0.0)) / senses.stride
+
+
+@nb.njit(inline="always")
+def sense(  # type: ignore[no-untyped-def]
+    b, velocity_x, velocity_y, push_x, push_y, hit_left, hit_right, condition, senses, body, out,
+    column,
+):  # fmt: skip
+    """Update the odour signals and write the observation into ``out[:, column]``.
+
+    ``push_x`` and ``push_y`` are those of :func:`push_of`, zero in a first frame.
+    """
     odour, trace = body.odour, body.trace
     base = senses.baseline
     odour[0, b] = 1.0 if hit_left else base + (odour[0, b] - base) * senses.remains
@@ -191,6 +206,8 @@ def sense(b, velocity_x, velocity_y, hit_left, hit_right, condition, senses, bod
     _sense_air(b, condition, senses, body, out, column)
     if out.shape[0] > PAPER:
         _sense_more(b, velocity_x, velocity_y, hit_left, hit_right, senses, body, out, column)
+        out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
+        out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
 
 
 @nb.njit(inline="always")

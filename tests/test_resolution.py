@@ -1,0 +1,115 @@
+"""The grid of recorded positions is found, and rollouts and tracking are put on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.windows import Windows, window_features
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.resolution import (
+    SINGLE_PRECISION,
+    Resolution,
+    find_resolution,
+    rounded,
+)
+from animarl_envs.fitting.tracking import track
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import FLY
+from animarl_envs.worlds.chase.world import ChaseWorld
+
+SOMEWHERE = np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3, 2))
+
+
+@pytest.mark.parametrize("name", ["fly", "newt"])
+def test_packaged_recordings_lie_on_multiples_of_two_to_the_minus_17(name: str) -> None:
+    demos = load_packaged(name)
+    assert demos.resolution() == Resolution((2.0**-17, 2.0**-17), (0.0, 0.0))
+    assert demos.select(split="test").resolution() == demos.resolution()
+    assert np.array_equal(rounded(demos.positions, demos.resolution()), demos.positions)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("step", [0.01, 1.0 / 1024.0, 1e-4])
+def test_rounded_positions_tell_what_they_were_rounded_to(step: float, kind: type) -> None:
+    stored = (np.round(SOMEWHERE / step) * step).astype(kind).astype(np.float64)
+    found = find_resolution(stored)
+    assert found is not None
+    assert found.step == pytest.approx((step, step), rel=1e-6)
+    assert rounded(stored, found) == pytest.approx(stored, abs=1e-3 * step)
+    assert np.abs(rounded(SOMEWHERE, found) - SOMEWHERE).max() < 0.502 * step
+
+
+def test_pixels_of_a_camera_are_found_after_shift_and_scale() -> None:
+    pixels = np.round(320.0 + 300.0 * SOMEWHERE)
+    found = find_resolution((pixels - [311.37, 250.11]) * [0.00413, 0.00399])
+    assert found is not None
+    assert found.step == pytest.approx((0.00413, 0.00399))
+    back = np.array(found.origin) / found.step + [311.37, 250.11]
+    assert back == pytest.approx(np.round(back), abs=1e-6)
+
+
+def test_few_places_far_apart_still_tell_the_step_that_they_have_in_common() -> None:
+    places = np.arange(50)[:, None] * np.array([6.0, 10.0])
+    places[-1] += [9.0, 15.0]  # no two are one step of 3, or of 5, apart
+    found = find_resolution(places)
+    assert found is not None and found.step == pytest.approx((3.0, 5.0))
+
+
+def test_unrounded_and_nearly_unmoved_positions_have_no_grid() -> None:
+    assert find_resolution(SOMEWHERE) is None
+    assert find_resolution(SOMEWHERE.astype(np.float32).astype(np.float64)) is None
+    assert find_resolution(np.round(SOMEWHERE[:2], 2)) is None  # six places: by chance
+    assert find_resolution(np.ones((100, 3, 2))) is None
+    assert rounded(SOMEWHERE, None) is SOMEWHERE
+
+
+def test_rollouts_are_rounded_as_the_recordings_are_and_simulated_as_ever() -> None:
+    demos = load_packaged("fly").select(split="val")
+    scenario = make_scenario("fly", demos=demos, split=None)
+    make = partial(ChaseWorld, scenario)
+    stored, exact = (
+        collect_rollouts(make, RandomPolicy(0), method="x", seed=0, repetitions=1, **options)
+        for options in ({}, {"resolution": None})
+    )
+    assert np.array_equal(stored.positions, rounded(exact.positions, demos.resolution()))
+    assert not np.array_equal(stored.positions, exact.positions)
+    assert np.abs(stored.positions - exact.positions).max() <= 2.0**-18
+    assert np.array_equal(stored.lengths, exact.lengths)
+    coarse = Resolution((0.1, 0.1), (0.05, 0.0))
+    given = collect_rollouts(
+        make, RandomPolicy(0), method="x", seed=0, repetitions=1, resolution=coarse
+    )
+    assert np.array_equal(given.positions, rounded(exact.positions, coarse))
+
+
+def test_perfect_tracking_is_told_from_recordings_only_by_the_grid() -> None:
+    """Packaged flies are simulated with the actions of their locomotion, then rounded."""
+    demos = load_packaged("fly").select(split="train")
+    recorded = Rollouts.from_demonstrations(demos)
+
+    def told(positions: np.ndarray) -> float:
+        def windows(rollouts: Rollouts) -> Windows:
+            return window_features(rollouts, demos.arena)
+
+        followed = replace(recorded, positions=positions)
+        rng = np.random.default_rng(0)
+        return tell_apart(windows(recorded), windows(followed), rng).auc.estimate
+
+    followed = track(demos, FLY.locomotion).positions
+    assert told(followed) > 0.8
+    assert abs(told(rounded(followed, demos.resolution())) - 0.5) < 0.1
+
+
+def test_numbers_of_single_precision_on_no_grid_are_known_as_such() -> None:
+    exact = np.random.default_rng(0).normal(size=(500, 2, 2))
+    stored = exact.astype(np.float32).astype(np.float64)
+    assert find_resolution(stored) == SINGLE_PRECISION
+    assert find_resolution(exact) is None
+    np.testing.assert_array_equal(rounded(exact, SINGLE_PRECISION), stored)
