@@ -31,18 +31,19 @@ import numpy as np
 import pandas as pd
 import torch
 import typer
-from animarl_algos.runs.presets import pipeline_settings
+from numpy.typing import NDArray
 from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_folder import versions
-from animarl_algos.runs.run_settings import RunSettings
+from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
 from animarl_envs.worlds import make_world
@@ -165,6 +166,13 @@ SETS = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Recorded episodes as closed-loop tracking follows them, ``(frames, K, 2)``."""
+
+    positions: NDArray[np.float64]
+
+
 def folded(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
     """The demonstrations as they are split, or once per fold with recordings dealt to it."""
     if folds == 1:
@@ -181,8 +189,11 @@ def folded(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
 
 def trained(
     demos: Demonstrations, folder: Path, algo: str, seed: int, split: str, rollouts: int
-) -> tuple[Rollouts, Rollouts]:
-    """Fit, train, roll out from the starts of a split: the learner's rollouts and random ones."""
+) -> tuple[Rollouts, Rollouts, list[NDArray[np.float64]]]:
+    """Fit, train, roll out from the starts of a split.
+
+    The learner's rollouts, random ones, and each episode as closed-loop tracking follows it.
+    """
     species = demos.species if demos.species in SPECIES else CUSTOM
     asked = RunSettings(
         file=demos.name, species=species, algo=algo, steps=1, seed=seed, baselines=False,
@@ -200,9 +211,12 @@ def trained(
     )
     told = run.environment(spec, demos).condition_flag
     name = pipeline.method_name(algo)
+    asked_for = demos.select(split=split)
+    followed = track(asked_for, spec.locomotion, spec.arena).positions
     return (
         collect(policy, method=name, cue="actual" if told else None),
-        collect(RandomPolicy(seed), method="random"),
+        collect(RandomPolicy(seed, spec.num_actions), method="random"),
+        np.split(followed, asked_for.offsets[1:-1]),
     )
 
 
@@ -212,12 +226,13 @@ def judged(
     """The verdict of a cell and the processor time from the file to it [s]."""
     began = time.process_time()
     demos = one.load(out / "imported")
-    parts, used = [], []
+    parts, used, followed = [], [], {}
     for number, fold in enumerate(folded(demos, one.folds)):
         folder = out / "runs" / f"{one.name}-{algo}-{seed}-{number}"
         index = np.flatnonzero(fold.split == split)
-        both = trained(fold, folder, algo, seed, split, math.ceil(rollouts / one.folds))
+        *both, paths = trained(fold, folder, algo, seed, split, math.ceil(rollouts / one.folds))
         parts.append([replace(r, demo=index[r.demo]) for r in both])
+        followed |= dict(zip(index.tolist(), paths, strict=True))
         used.append(index)
     kept = np.sort(np.concatenate(used))
     joined = [Rollouts.concatenate(list(side)) for side in zip(*parts)]
@@ -227,6 +242,7 @@ def judged(
         demos.select(episodes=kept),
         ours,
         seed=seed,
+        floor=Followed(np.concatenate([followed[episode] for episode in kept.tolist()])),
         baselines={"random": random},
         references=demos.select(episodes=others) if len(others) and one.folds == 1 else None,
     )
@@ -248,7 +264,7 @@ def bar_rows(one: DataSet, found: Verdict) -> list[dict[str, Any]]:
 
 def main(
     only: Annotated[list[str] | None, typer.Option(help="These data sets; repeatable.")] = None,
-    algo: Annotated[str, typer.Option(help="The learner.")] = "dqdil-pt",
+    algo: Annotated[str, typer.Option(help="The learner.")] = "soft-bc",
     seed: Annotated[list[int] | None, typer.Option(help="Of all; repeatable.")] = None,
     test: Annotated[bool, typer.Option(help="Ask about the test split.")] = False,
     quick: Annotated[bool, typer.Option(help="Packaged sets, one seed, few rollouts.")] = False,

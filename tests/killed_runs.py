@@ -16,7 +16,7 @@ from stable_baselines3.common.utils import LinearSchedule
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
-from animarl_algos.runs.pipeline import open_run, train
+from animarl_algos.runs.pipeline import learn, open_run
 from animarl_algos.runs.run_settings import RunSettings
 
 ALGO = "qr-dqcil-pt"
@@ -50,7 +50,7 @@ def agent_run(folder: Path) -> SequenceQLearning:
         baselines=False,
         overrides={"offline_epochs": EPOCHS, "learning_rate": "lin_1e-3"},
     )
-    return train(open_run(settings, folder, "animarl train"), ALGO, progress_bar=False)
+    return learn(open_run(settings, folder, "animarl train"), ALGO, progress_bar=False)
 
 
 RUNS = {"toy": toy_run, "agent": agent_run}

@@ -45,8 +45,12 @@ def in_use(model: SequenceQLearning, name: str) -> Any:
 
 
 def expected(algo: str, env_id: str) -> dict[str, Any]:
-    """Of the files, an absent table being an empty one."""
-    settings = beneath() | learner_preset(algo, env_id, "default").arguments
+    """Of the files."""
+    return tables_filled(beneath() | learner_preset(algo, env_id, "default").arguments)
+
+
+def tables_filled(settings: dict[str, Any]) -> dict[str, Any]:
+    """An absent table is an empty one."""
     return {k: {} if k.endswith("kwargs") and v is None else v for k, v in settings.items()}
 
 
@@ -71,7 +75,7 @@ def test_a_learner_of_the_paper_takes_nothing_from_the_default(algo: str) -> Non
     moth = environment_id("silkmoth")  # whose defaults are the furthest from the paper's
     paper = learner_preset(algo, moth, "paper").arguments
     model = RECIPES[algo].algorithm(env=slots("silkmoth"), device="cpu", **constructed(paper))
-    settings = beneath() | {"policy_kwargs": {}, "replay_buffer_kwargs": {}} | paper
+    settings = tables_filled(beneath() | paper)
     assert {name: in_use(model, name) for name in settings} == settings
 
 
@@ -108,6 +112,12 @@ def test_what_is_given_goes_over_the_preset_and_tables_key_by_key() -> None:
     changed = {"policy": "MlpPolicy", "gamma": 0.5, "policy_kwargs": network}
     for name, value in (expected("qr-dqn", environment_id("agent")) | changed).items():
         assert in_use(model, name) == value
+
+
+def test_none_empties_a_table_of_the_preset() -> None:
+    assert RECIPES["bc"].algorithm(env=slots("agent"), device="cpu").offline_kwargs
+    emptied = RECIPES["bc"].algorithm(env=slots("agent"), device="cpu", offline_kwargs=None)
+    assert emptied.offline_kwargs == {}
 
 
 def test_a_misspelt_setting_is_refused() -> None:

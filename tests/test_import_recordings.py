@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.fitting import fit_locomotion
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader
+from animarl_envs.locomotion import Locomotion
 from tools.packaged_data.moth_comparison import RECORDED_FIT
 
 
@@ -36,7 +36,7 @@ def test_onset_fit_of_silkmoth_runs_is_near_the_published_reanalysis(moths: Demo
     (fit,) = fit_locomotion(moths, "onset", split=None).individuals
     assert fit.damping == pytest.approx(0.341, abs=0.005)
     assert fit.thrust == pytest.approx(0.0171, abs=0.0002)
-    assert (round(fit.damping, 3), round(fit.thrust, 4)) == astuple(RECORDED_FIT)
+    assert Locomotion(round(fit.damping, 3), round(fit.thrust, 4)) == RECORDED_FIT
 
 
 @pytest.mark.realdata

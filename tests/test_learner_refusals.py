@@ -114,8 +114,10 @@ CASES = {
     "individuals of other names": Case(
         "of predator_0, predator_1, prey, the environment's individuals are male_0",
         BC,
-        lambda: SlotVecEnv("fly", 2),
-        offline(lambda: SlotVecEnv("agent", 2, condition_flag=True).offline_data()),
+        lambda: SlotVecEnv("fly", 2, observation="paper"),
+        offline(  # with the flag as many components as the flies'
+            lambda: SlotVecEnv("agent", 2, condition_flag=True, observation="paper").offline_data()
+        ),
     ),
     "no episode": Case(
         "the training split holds no demonstrated episode",
@@ -315,7 +317,7 @@ def test_demonstrations_that_do_not_fit_the_run(
         ({"fit_method": "guess"}, "'guess' is unknown"),
         ({"seed": -1}, "seed is -1"),
         ({"copies": 0}, "copies is 0"),
-        ({"test_epsilon": 2.0}, "test_epsilon is 2.0"),
+        ({"acting": "wild"}, "acting"),
         ({"algo": "sarsa"}, "'sarsa' is unknown"),
         ({"species": "dodo"}, "'dodo' is unknown"),
     ],

@@ -21,8 +21,9 @@ from animarl_algos.losses.losses import (
     treatment_counts,
     treatment_cross_entropy,
 )
+from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.quantile_huber import quantile_huber, quantile_huber_definition
-from animarl_algos.losses.terms import MinibatchValues, Phase
+from animarl_algos.losses.terms import MinibatchValues
 from animarl_algos.losses.values import (
     ErrorLoss,
     ExpectedValue,

@@ -222,4 +222,4 @@ def test_progress_of_before_had_one_best_epoch() -> None:
 )
 def test_bad_settings_are_refused(given: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        make_pair_learner("soft-bc", offline_kwargs=given)
+        make_pair_learner("bc", offline_kwargs=given)

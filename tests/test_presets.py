@@ -82,6 +82,11 @@ def test_files_are_plain_data() -> None:
                 "closeness",
                 "onset",
                 "joint",
+                "chosen",
+                "auto",
+                "1",
+                "epsilon:0.1",
+                "epsilon:0.5",
                 "paper",
                 "epsilon",
                 "boltzmann",
@@ -180,7 +185,8 @@ def test_the_paper_preset_holds_the_papers_numbers(algo: str, species: str) -> N
 def test_the_pipeline_tests_with_the_papers_epsilon() -> None:
     for species, numbers in PAPER.items():
         found = pipeline_settings(environment_id(species), "paper")
-        assert found == {"test_epsilon": numbers.epsilon_test, "fit_method": "onset"}
+        acting = f"epsilon:{numbers.epsilon_test:g}"
+        assert found == {"acting": acting, "fit_method": "onset", "thrusts": "1"}
 
 
 # -- what is refused ------------------------------------------------------------------------------

@@ -239,7 +239,7 @@ def test_as_many_updates_as_steps() -> None:
 )
 def test_the_demonstrated_action_comes_to_rank_first(name: str) -> None:
     settings = {"offline_learning_rate": 1e-2, "offline_alpha": 1.0, "offline_gamma": 0.5}
-    model = make_pair_learner(name, offline_epochs=25, **settings)
+    model = make_pair_learner(name, offline_epochs=50, **settings)
     progress = model.pretrain()
     for k, who in enumerate(model.layout.individuals):
         best = progress.history[progress.best_epochs[k] - 1]

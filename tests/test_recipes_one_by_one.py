@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -25,9 +26,20 @@ def assert_weights_of_one(
         torch.testing.assert_close(ours[k], own[0], **tolerance)
 
 
+@pytest.fixture
+def in_double() -> Iterator[None]:
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
 @pytest.mark.parametrize("name", ["bc", "dqaas", "dqdil-pt", "qr-dqdil-pt"])
-def test_individuals_together_are_individuals_alone(name: str) -> None:
-    """Offline, from the same demonstrations and seed: the same weights, to rounding."""
+def test_individuals_together_are_individuals_alone(name: str, in_double: None) -> None:
+    """Offline, from the same demonstrations and seed: the same weights, to rounding.
+
+    In double precision: Adam divides by the size of the gradient, so that rounding of a gradient
+    near zero makes steps as large as any.
+    """
 
     class Alone(toys.Recall):
         num_observations = 4
@@ -45,7 +57,7 @@ def test_individuals_together_are_individuals_alone(name: str) -> None:
         for whole, single in zip(together.offline_progress.history, run.history, strict=True):
             assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
         assert run.best_epochs == together.offline_progress.best_epochs[k : k + 1]
-        assert_weights_of_one(together, k, alone, atol=1e-6, rtol=1e-5)
+        assert_weights_of_one(together, k, alone, atol=1e-10, rtol=1e-10)
 
 
 def test_replayed_individuals_together_are_individuals_alone() -> None:

@@ -230,8 +230,8 @@ def test_packaged_outcomes_are_those_of_the_paths(packaged: Demonstrations) -> N
 def test_everybody_has_learned() -> None:
     """Untrained prey is caught sooner; untrained predators catch nobody; few leave the arena."""
     untrained: dict[str, Any] = {
-        key: value.numpy()
-        for key, value in make_policy(None, epsilon=0.0, seed=0).q_net.state_dict().items()
+        key: value.detach().numpy()
+        for key, value in make_policy(None, epsilon=0.0, seed=0).q_net.named_parameters()
     }
     rng = np.random.default_rng(0)
     for condition in (0, 1):

@@ -115,6 +115,8 @@ class Pusher:
 
 
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
+    from animarl_algos.evaluation.acting_choice import ActingChoice
+    from animarl_algos.networks.acting_rule import Acting
     from animarl_algos.runs.run_folder import RunFolder
     from animarl_algos.runs.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
@@ -137,6 +139,9 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     fitted.save(run.path / "locomotion.json")
     env = run.environment(run.species(recorded, fitted), recorded)
     run.save_policy("dqn", run.learner("dqn", env))
+    with pytest.raises(InputError, match="no acting rule was chosen yet"):
+        prepare(agent, model=run.path)
+    run.save_acting("dqn", ActingChoice(Acting(), ()))
 
     world, actor = prepare(agent, model=run.path)
     assert world.scenario.drivers == ("action",) * 3
@@ -157,7 +162,8 @@ def test_a_policy_drives_all_individuals_and_keeps_its_state():
     positions_of(world, trained_actor(policy), steps=3)
     assert [state for _, state, _ in policy.seen] == [None, 1, 2]
     assert [start.all() for _, _, start in policy.seen] == [True, False, False]
-    assert all(obs.shape == (3, 18) for obs, _, _ in policy.seen)
+    seen = (3, len(world.observation_components))
+    assert all(obs.shape == seen for obs, _, _ in policy.seen)
 
 
 def test_a_policy_trained_with_the_flag_is_told_the_condition():
@@ -166,7 +172,7 @@ def test_a_policy_trained_with_the_flag_is_told_the_condition():
     policy = Pusher(len(world.observation_components) + 1)
     positions_of(world, trained_actor(policy), steps=1)
     flagged = policy.seen[0][0]
-    assert flagged.shape == (3, 19)
+    assert flagged.shape == (3, len(world.observation_components) + 1)
     assert (flagged[:, -1] == 1).all()
 
 

@@ -94,6 +94,13 @@ def train_command(
 
 def evaluate_command(
     run: Annotated[Path, typer.Argument(help="A run folder that was trained.")],
+    acting: Annotated[
+        str | None,
+        typer.Option(
+            help="How policies act: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by default as "
+            "the run says."
+        ),
+    ] = None,
 ) -> None:
     """Roll out on the test split and compare with the recordings.
 
@@ -101,7 +108,7 @@ def evaluate_command(
 
       animarl evaluate runs/agents
     """
-    evaluation = pipeline.evaluate_run(RunFolder(run))
+    evaluation = pipeline.evaluate_run(RunFolder(run, acting))
     console = _console()
     console.print(evaluation_table(evaluation))
     console.print(verdict_table(evaluation.verdict))
@@ -169,8 +176,7 @@ def _open(given: dict[str, Any]) -> RunFolder:
     )
     learner = asked.learner()
     around = pipeline_settings(environment_id(species), asked.preset)
-    if given["fit_method"] is not None:
-        around["fit_method"] = given["fit_method"]
+    around |= {key: given[key] for key in around if given[key] is not None}
     asked = replace(
         asked,
         steps=learner.n_timesteps if given["steps"] is None else asked.steps,

@@ -73,6 +73,17 @@ def _asked(
         str | None,
         typer.Option(help="joint or onset (the paper's rule); by default the preset's."),
     ] = None,
+    thrusts: Annotated[
+        str | None,
+        typer.Option(help="Thrust magnitudes, 1 to 10, or auto: chosen on training data."),
+    ] = None,
+    acting: Annotated[
+        str | None,
+        typer.Option(
+            help="How trained policies act: greedy, boltzmann:TEMPERATURE, epsilon:SHARE, or "
+            "chosen (by rollouts, after training); by default the preset's."
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(

@@ -54,6 +54,13 @@ def watch_command(
         Path | None, typer.Option(help="Clip to write, .gif or .mp4; without it, a window opens.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the episodes and the policies.")] = 0,
+    acting: Annotated[
+        str | None,
+        typer.Option(
+            help="How the policies of --model act: greedy, boltzmann:TEMPERATURE or "
+            "epsilon:SHARE; by default as the run says."
+        ),
+    ] = None,
     episodes: Annotated[int, typer.Option(min=1, help="Number of episodes.")] = 1,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Most steps of an episode; by default to its end.")
@@ -103,7 +110,9 @@ def watch_command(
         "split": None if split == "all" else split,
         "condition": "demo" if condition is ConditionChoice.demo else int(condition.value),
     }
-    world, actor = prepare(env, model=model, focal=focal, by=by, seed=seed, **options)
+    world, actor = prepare(
+        env, model=model, focal=focal, by=by, seed=seed, acting=acting, **options
+    )
     renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
     world.seed([seed])
     console = Console()
@@ -137,6 +146,7 @@ def prepare(
     focal: str | None = None,
     by: Rule | None = None,
     seed: int = 0,
+    acting: str | None = None,
     **options: Any,
 ) -> tuple[World, Actor]:
     """The world of an environment id with one copy, and who acts in it.
@@ -145,7 +155,7 @@ def prepare(
     ----------
     env
         Id of an environment made of a species.
-    model, focal, by, seed
+    model, focal, by, seed, acting
         As for :func:`watch_command`.
     options
         Of :func:`animarl_envs.scenario.make_scenario`; they win over those of the id.
@@ -171,7 +181,7 @@ def prepare(
     policy = None
     if model is not None:
         name = species if isinstance(species, str) else species.name
-        policy, species, recorded, learned = load_trained(model, name, seed)
+        policy, species, recorded, learned = load_trained(model, name, seed, acting)
         if learned is not None and focal not in (None, learned):
             raise InputError(
                 f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
@@ -197,7 +207,7 @@ def prepare(
 
 
 def load_trained(
-    folder: Path, species: str, seed: int
+    folder: Path, species: str, seed: int, acting: str | None = None
 ) -> tuple[Any, Species, Demonstrations, str | None]:
     """The trained policy of a run, as it acts in tests, its fitted species, and its demonstrations.
 
@@ -211,7 +221,7 @@ def load_trained(
     from animarl_algos.data.focal import FocalPolicy
     from animarl_algos.runs.run_folder import RunFolder
 
-    run = RunFolder(folder)
+    run = RunFolder(folder, acting)
     settings, recorded = run.settings, run.demos
     if settings.species != species:
         raise InputError(

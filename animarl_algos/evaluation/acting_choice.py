@@ -137,19 +137,19 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     duration = [(r.lengths - 1) * r.dt for r in (simulated, recorded)]
     path = [path_lengths(r)[:, r.movers].mean(axis=1) for r in (simulated, recorded)]
     levels = (np.arange(SPEEDS) + 0.5) / SPEEDS
-    speeds = [np.quantile(r.speeds(), levels, axis=0).T for r in (simulated, recorded)]
+    speeds = [np.quantile(r.speeds(), levels, axis=0) for r in (simulated, recorded)]
     return Candidate(
         acting=name,
         outcome=float(0.5 * np.abs(shares[0] - shares[1]).sum()),
-        duration=relative_distance(*duration),
-        path_length=relative_distance(*path),
-        speed=float(np.mean([relative_distance(a, b) for a, b in zip(*speeds, strict=True)])),
+        duration=relative_distance(duration[0], duration[1]),
+        path_length=relative_distance(path[0], path[1]),
+        speed=float(np.mean([relative_distance(a, b) for a, b in zip(speeds[0].T, speeds[1].T)])),
     )
 
 
-def relative_distance(simulated: Floats, recorded: Floats) -> float:
+def relative_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:
     """Wasserstein distance over the recorded mean."""
     from scipy.stats import wasserstein_distance
 
-    scale = float(np.abs(recorded).mean())
+    scale = float(np.abs(np.asarray(recorded)).mean())
     return float(wasserstein_distance(simulated, recorded)) / scale if scale > 0 else 0.0

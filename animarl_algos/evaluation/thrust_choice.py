@@ -40,11 +40,11 @@ def tracking_floor(
     followed = rounded(track(seen, locomotion).positions, seen.resolution())
     still, smoothing = resting_step(recorded), comparison_smoothing(seen)
     block = PART if seen.num_episodes < FEW else None
-    sides = [
+    own, other = (
         window_features(each, seen.arena, block=block, still=still, smoothing=smoothing)
         for each in (recorded, replace(recorded, positions=followed))
-    ]
-    return tell_apart(*sides, np.random.default_rng(seed), deals=1).auc
+    )
+    return tell_apart(own, other, np.random.default_rng(seed), deals=1).auc
 
 
 def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> int:

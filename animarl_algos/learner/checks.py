@@ -60,7 +60,7 @@ SET_BY_LEARNER = {
 def phase_of(model: SequenceQLearning, name: str) -> Phase:
     """The numbers of the ``"online"`` or ``"offline"`` phase, checked."""
     prefix = "" if name == "online" else "offline_"
-    own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
+    own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
     settings = {key: getattr(model, prefix + key) for key in own}
     scaled = name == "offline" and model.offline_scaled_penalties
     return Phase(name=name, lambda1=model.lambda1, scaled_penalties=scaled, **settings)

@@ -198,7 +198,9 @@ def run_offline_phase(
             _keep_best(model, row)
             progress.history.append({"epoch": float(progress.epoch)} | row)
             for name, value in row.items():
-                model.logger.record(f"offline/{name}", value)
+                # Tables on the screen cut names short, and those of individuals are then the same.
+                each = "stdout" if name.count("/") > 1 else None
+                model.logger.record(f"offline/{name}", value, exclude=each)
             model.logger.record("offline/epoch", progress.epoch, exclude="tensorboard")
             model.logger.dump(step=progress.epoch)
             bar.update()

@@ -145,7 +145,7 @@ def constructor_settings(
     env
         What it learns in: its species has a section of its own.
     given
-        Settings by name; a table goes over the preset's key by key.
+        Settings by name; a table goes over the preset's key by key, and None empties it.
 
     Raises
     ------
@@ -159,7 +159,11 @@ def constructor_settings(
             raise InputError(f"setting {name!r} is unknown: choose among {', '.join(settings)}")
     if given.get("offline_epochs") and not settings["offline_epochs"] and pretrained is not None:
         settings = constructed(learner_preset(pretrained, section).arguments)
-    tables = {name: dict(settings[name] or {}) | dict(given.get(name) or {}) for name in TABLES}
+    tables = {
+        # None, as presets and records of runs have it, says that there is nothing in the table.
+        name: {} if table is None else dict(settings[name] or {}) | dict(table)
+        for name, table in ((name, given.get(name, {})) for name in TABLES)
+    }
     return settings | dict(given) | tables
 
 

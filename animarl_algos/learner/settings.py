@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from stable_baselines3.common.type_aliases import Schedule, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.losses.phase import PhaseSettings
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.ranges import COUNT, POSITIVE
 from animarl_envs.errors import InputError
@@ -17,7 +18,7 @@ POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
 """By their names in files and arguments."""
 
 
-class LearnerSettings(TypedDict, total=False):
+class LearnerSettings(PhaseSettings, total=False):
     """Keyword arguments of every learner; their defaults are preset ``default``'s.
 
     Parameters
@@ -29,7 +30,7 @@ class LearnerSettings(TypedDict, total=False):
     batch_size, offline_batch_size
         Sequences per individual and update.
     gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
-        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
+        Of the online phase; see :class:`animarl_algos.losses.phase.Phase`. Those with
         ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
         measures the penalties of all actions in units of their mean instead of arena units, as in
         the paper.
@@ -67,8 +68,8 @@ class LearnerSettings(TypedDict, total=False):
         How its minibatches are drawn and its steps taken, see
         :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
     policy_kwargs
-        See :class:`animarl_algos.networks.policies.GruPolicy`. This table and
-        ``replay_buffer_kwargs`` go over the preset's key by key.
+        See :class:`animarl_algos.networks.policies.GruPolicy`. This table, ``offline_kwargs`` and
+        ``replay_buffer_kwargs`` go over the preset's key by key; None empties them.
     stats_window_size
         Episodes in the means of the log.
     """
@@ -76,7 +77,6 @@ class LearnerSettings(TypedDict, total=False):
     learning_rate: float | Schedule
     buffer_size: int
     batch_size: int
-    gamma: float
     tau: float
     target_update_interval: int | tuple[int, str]
     train_freq: int | tuple[int, str]
@@ -88,11 +88,6 @@ class LearnerSettings(TypedDict, total=False):
     exploration_final_eps: float
     exploration_steps: int
     exploration_fraction: float | None
-    alpha: float
-    lambda1: float
-    lambda2: float
-    lambda3: float
-    max_grad_norm: float | None
     sequence_length: int | None
     burn_in: int
     state_mode: str
@@ -103,12 +98,6 @@ class LearnerSettings(TypedDict, total=False):
     offline_epochs: int | None
     offline_learning_rate: float
     offline_batch_size: int
-    offline_gamma: float
-    offline_alpha: float
-    offline_scaled_penalties: bool
-    offline_lambda2: float
-    offline_lambda3: float
-    offline_max_grad_norm: float | None
     offline_patience: int | None
     offline_kwargs: dict[str, Any] | None
     policy_kwargs: dict[str, Any] | None

@@ -8,7 +8,8 @@ import torch
 
 from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.losses.losses import mean_recall, treatment_counts
-from animarl_algos.losses.terms import LossTerm, Phase
+from animarl_algos.losses.phase import Phase
+from animarl_algos.losses.terms import LossTerm
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 

@@ -21,49 +21,10 @@ from animarl_algos.losses.losses import (
     squared_l2,
     treatment_cross_entropy,
 )
+from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.values import ValueDistribution, one_step_target
-from animarl_algos.ranges import NOT_NEGATIVE, POSITIVE_OR_NONE, PROBABILITY
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
-
-
-@dataclass(frozen=True)
-class Phase:
-    """The numbers of one phase of training.
-
-    Attributes
-    ----------
-    name
-        ``"offline"`` or ``"online"``, for messages and logs.
-    gamma
-        Discount per step.
-    alpha
-        Weight of the distance penalty in the reward, ``R - alpha * penalty``.
-    lambda1, lambda2, lambda3
-        Weights of squared l2 norm, treatment cross-entropy and action supervision.
-    max_grad_norm
-        Largest gradient norm of one individual; ``None`` does not clip.
-    scaled_penalties
-        Whether penalties of all actions are taken in units of their mean over actions and steps
-        (per individual and batch) instead of arena units. That mean is about ``u dt^2``, how far
-        one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
-    """
-
-    name: str
-    gamma: float
-    alpha: float
-    lambda1: float
-    lambda2: float
-    lambda3: float
-    max_grad_norm: float | None
-    scaled_penalties: bool = False
-
-    def __post_init__(self) -> None:
-        prefix = "" if self.name == "online" else f"{self.name}_"
-        PROBABILITY.check(prefix + "gamma", self.gamma)
-        for key in ("alpha", "lambda1", "lambda2", "lambda3"):
-            NOT_NEGATIVE.check(prefix + key, getattr(self, key))
-        POSITIVE_OR_NONE.check(prefix + "max_grad_norm", self.max_grad_norm)
 
 
 class ActionValues(Protocol):

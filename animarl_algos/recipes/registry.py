@@ -1,4 +1,7 @@
-"""The learners by their names on the command line and in ``zoo_configs``."""
+"""The learners by their names on the command line and in ``zoo_configs``.
+
+The classes imported here are also public names of :mod:`animarl_algos`.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,11 @@ from animarl_algos.recipes.dqn import DQN
 from animarl_algos.recipes.qrdqn import QRDQN
 from animarl_algos.recipes.soft_bc import QRSoftBC, SoftBC
 from animarl_envs.errors import InputError
+
+__all__ = [
+    "BC", "DQAAS", "DQCIL", "DQDIL", "DQN", "QRBC", "QRDQAAS", "QRDQCIL", "QRDQDIL", "QRDQN",
+    "RECIPES", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

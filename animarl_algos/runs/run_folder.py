@@ -48,9 +48,13 @@ OPTIONS_BEFORE = {"observation": "paper", "rebound": False}
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Paths of a run, and what is in them."""
+    """Paths of a run, and what is in them.
+
+    ``acting_rule`` goes over the rule that trained policies of the run act by.
+    """
 
     path: Path
+    acting_rule: str | None = None
 
     def start(self, settings: RunSettings, demos: Demonstrations, command: str) -> None:
         """Write what the run is, or make sure that what is there is the same run.
@@ -207,7 +211,7 @@ class RunFolder:
         InputError
             If none was chosen yet, or the file is damaged.
         """
-        asked = self.settings.acting
+        asked = self.acting_rule or self.settings.acting
         if asked != CHOSEN:
             return Acting.parse(asked)
         file = self.path / "policies" / f"{name}.acting.json"
@@ -225,7 +229,7 @@ class RunFolder:
 
     def has_acting(self, name: str) -> bool:
         """Whether it is known by which rule a trained policy acts."""
-        asked = self.settings.acting
+        asked = self.acting_rule or self.settings.acting
         return asked != CHOSEN or (self.path / "policies" / f"{name}.acting.json").exists()
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
