@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ import toys
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.gradient_step import minibatch_values
-from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.losses.terms import MinibatchValues
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.replay.batch import SequenceBatch
@@ -31,7 +30,7 @@ SETTINGS: dict[str, Any] = {
     "offline_scaled_penalties": False,
     "offline_loss": "recipe",
     "exploration": "epsilon",
-    "offline_kwargs": asdict(OfflineSettings()),
+    "offline_kwargs": None,
     "offline_patience": None,
     "policy_kwargs": {"hidden": 8, "depth": 2, "head_layers": 1, "dropout": 0.0},
     "seed": 3,

@@ -55,8 +55,8 @@ from animarl_algos.learner.settings import (
 )
 from animarl_algos.learner.updating import Updater
 from animarl_algos.learner.validation import demonstrated_values
+from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.recipe import OfflineLoss, Recipe
-from animarl_algos.losses.terms import Phase
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError

@@ -10,8 +10,8 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from animarl_algos.learner.exploration import Exploration, LinearDecay
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.settings import as_frequency
+from animarl_algos.losses.phase import WEIGHTS, Phase
 from animarl_algos.losses.recipe import OfflineLoss
-from animarl_algos.losses.terms import Phase
 from animarl_algos.ranges import (
     COUNT,
     COUNT_OR_NONE,

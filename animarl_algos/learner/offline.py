@@ -33,8 +33,9 @@ from animarl_algos.learner.validation import (
     named_figures,
     validation_figures,
 )
+from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.recipe import OfflineLoss, Recipe, Selection
-from animarl_algos.losses.terms import Phase, ScoredActionsTemporalDifference
+from animarl_algos.losses.terms import ScoredActionsTemporalDifference
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
