@@ -88,11 +88,15 @@ def test_files_are_plain_data() -> None:
                 "epsilon:0.1",
                 "epsilon:0.5",
                 "paper",
+                "epsilon",
+                "boltzmann",
+                "recipe",
                 "hard",
                 "soft",
             ),
             *(name for name in RECIPES),
             "pretraining",
+            "cloning",
         }
 
 
