@@ -22,6 +22,7 @@ from animarl_algos.evaluation.collect import Policy, RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs import pipeline
+from animarl_algos.runs.acting import acting_of
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -103,7 +104,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 
 def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: RunFolder) -> None:
-    chosen = run.acting("soft-bc")
+    chosen = acting_of(run, "soft-bc")
     assert (run.path / "policies" / "soft-bc.acting.json").exists()
     again = pipeline.learn(run, "soft-bc", progress_bar=False)
     assert again.policy.acting == chosen
@@ -123,7 +124,7 @@ def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(
     file = copy / "policies" / "soft-bc.acting.json"
     file.write_text("{")
     with pytest.raises(InputError, match="it is damaged"):
-        RunFolder(copy).acting("soft-bc")
+        acting_of(RunFolder(copy), "soft-bc")
     file.unlink()
     with pytest.raises(InputError, match="no acting rule was chosen yet"):
-        RunFolder(copy).acting("soft-bc")
+        acting_of(RunFolder(copy), "soft-bc")
