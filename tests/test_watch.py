@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -120,7 +119,7 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     from animarl_algos.evaluation.acting_choice import ActingChoice
     from animarl_algos.networks.acting_rule import Acting
     from animarl_algos.runs.acting import acting_file
-from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run_folder import RunFolder
     from animarl_algos.runs.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
     from animarl_envs.fitting import fit_locomotion
