@@ -93,6 +93,7 @@ def test_files_are_plain_data() -> None:
                 "recipe",
                 "hard",
                 "soft",
+                "tracking",
             ),
             *(name for name in RECIPES),
             "pretraining",
