@@ -12,8 +12,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 .PHONY: demo test slow mutants lint types clean
 
 demo: $(STAMP)
-	$(BIN)/animarl run packaged --species agent --algo dqdil-pt --steps 10000 --seed 0 --out out/demo \
-		--set learning_rate=0.00002 --set alpha=0.02
+	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
 
 test: $(STAMP) lint types
 	$(PYTEST) -m "not slow" --cov --cov-report=term:skip-covered

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_algos.report.figures import trajectory_pair
+from animarl_algos.runs.pipeline import method_name
 from animarl_algos.runs.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,8 +23,10 @@ PERCENTILES = (10, 30, 50, 70, 90)  # of the duration: chosen by rank, not by ey
 def main() -> None:
     run = RunFolder(ROOT / "out" / "demo")
     demos = run.demos.select(split="test")
-    rollouts = Rollouts.load(run.path / "rollouts" / "DQDIL-PT.npz")
-    rollouts = rollouts.select(rollouts.cue == rollouts.condition)  # told the truth
+    name = method_name(run.settings.algo)
+    rollouts = Rollouts.load(run.path / "rollouts" / f"{name}.npz")
+    told_nothing_false = (rollouts.cue == NO_CUE) | (rollouts.cue == rollouts.condition)
+    rollouts = rollouts.select(told_nothing_false)
     length = rollouts.lengths
     panels = []
     for percentile in PERCENTILES:

@@ -22,6 +22,7 @@ from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import decide_along
+from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_algos.recipes.dqn import DQN
 from animarl_algos.report.interpretation import action_labels
 from animarl_envs.arena import Arena
@@ -31,7 +32,6 @@ from animarl_envs.demos.splits import assign_splits
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import (
     LocomotionFit,
-    choose_thrusts,
     demonstrated_actions,
     fit_joint,
     fit_locomotion,
@@ -399,9 +399,17 @@ def test_exact_tracks_of_one_magnitude_stay_what_they_are() -> None:
     assert choose_thrusts(demos) == 1
 
 
-def test_more_magnitudes_are_chosen_where_there_are_more() -> None:
-    demos, _ = walk(TRUTH, 7, noise=1e-3)
+def test_as_many_magnitudes_are_chosen_as_there_are() -> None:
+    demos, _ = walk(TRUTH, 7)
     assert choose_thrusts(demos) == 3
+
+
+def test_the_floor_needs_two_episodes_to_tell_apart() -> None:
+    demos, _ = walk(TRUTH, 7)
+    assert tracking_floor(demos, TRUTH).estimate < 0.6
+    poorer = joint_locomotion(demos, 1)
+    assert tracking_floor(demos, poorer).estimate > 0.8
+    assert np.isnan(tracking_floor(demos.select(episodes=[0]), TRUTH).estimate)
 
 
 def test_the_terminal_speed_reaches_the_fast_steps() -> None:
@@ -544,6 +552,7 @@ def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
         found = float(row["thrust"]) * np.array(row["magnitudes"].split(), dtype=float)
         np.testing.assert_allclose(found, truth.thrust * np.array(truth.magnitudes), rtol=1e-4)
         assert float(row["tracking_error"]) < 1e-3 < float(rows[0]["tracking_error"])
+        assert float(row["floor"]) < float(rows[0]["floor"]) - GAIN
     assert "Chosen on training episodes: 3" in result.output
 
 
@@ -568,7 +577,6 @@ def test_recorded_agents_have_one_magnitude_and_are_followed_exactly(data_dir: P
     tracking = track(demos, truth)
     np.testing.assert_array_equal(tracking.actions, demonstrated_actions(demos, truth))
     assert np.abs(tracking.positions - demos.positions).max() < 1e-5
-    assert choose_thrusts(demos) == 1
 
 
 @pytest.mark.realdata

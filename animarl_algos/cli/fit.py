@@ -19,10 +19,11 @@ from animarl_algos.cli.thrusts import (
     save_thrust_rows,
     thrust_rows,
 )
+from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
-from animarl_envs.fitting import IndividualFit, LocomotionFit, choose_thrusts, fit_locomotion
+from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
 from animarl_envs.species import get_species
 
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
@@ -120,7 +121,10 @@ def compare_thrusts(
     console: Console,
     out: Path | None,
 ) -> None:
-    """Fit each number of thrust magnitudes and print how closely it follows the episodes."""
+    """Fit each number of thrust magnitudes and print how closely it follows the episodes.
+
+    Also says which number ``animarl run`` chooses, among those that it tries.
+    """
     if out is not None and out.suffix == ".json" and len(numbers) > 1:
         raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
     seen = demos if split is None else demos.select(split=split)
@@ -128,10 +132,11 @@ def compare_thrusts(
         fit_locomotion(demos, thrusts=number, split=split, bootstrap=0, seed=seed)
         for number in numbers
     ]
-    rows = thrust_rows(fits, seen)
+    rows = thrust_rows(fits, seen, seed=seed)
     console.print(format_thrust_table(rows, seen, split or "all"))
     if len(numbers) > 1:
-        console.print(f"Chosen on training episodes: {choose_thrusts(demos)}", highlight=False)
+        chosen = choose_thrusts(demos, seed=seed)
+        console.print(f"Chosen on training episodes: {chosen}", highlight=False)
     if out is not None:
         if out.suffix == ".json":
             fits[0].save(out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from animarl_algos.evaluation.thrust_choice import tracking_floor
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -33,6 +35,7 @@ class ThrustRow:
     speed_distance: float  # Wasserstein distance over the mean recorded speed
     terminal_speed: float  # [arena unit / s]
     fast_speed: float  # 99 % quantile of the recorded speed [arena unit / s]
+    floor: float  # a classifier's AUC of tracked against recorded, all individuals; NaN: too few
 
 
 def parse_thrusts(given: Sequence[str]) -> tuple[int, ...]:
@@ -52,8 +55,13 @@ def parse_thrusts(given: Sequence[str]) -> tuple[int, ...]:
     return tuple(sorted({int(text) for text in texts}))
 
 
-def thrust_rows(fits: Sequence[LocomotionFit], seen: Demonstrations) -> list[ThrustRow]:
-    """What each fit makes of the episodes ``seen``, followed in closed loop."""
+def thrust_rows(
+    fits: Sequence[LocomotionFit], seen: Demonstrations, *, seed: int = 0
+) -> list[ThrustRow]:
+    """What each fit makes of the episodes ``seen``, followed in closed loop.
+
+    ``seed`` is that of the classifier's folds.
+    """
     steps = np.delete(np.arange(len(seen.positions)), seen.offsets[:-1])
     speed = np.linalg.norm(seen.velocities()[steps], axis=2)
     fast = np.quantile(speed, FAST, axis=0)
@@ -61,11 +69,13 @@ def thrust_rows(fits: Sequence[LocomotionFit], seen: Demonstrations) -> list[Thr
     for fit in fits:
         tracking = track(seen, fit.locomotion)
         errors, speeds = tracking_errors(seen, tracking), speed_distances(seen, tracking)
+        floor = tracking_floor(seen, fit.locomotion, seed=seed).estimate
         for i, one in enumerate(fit.individuals):
             rows.append(
                 ThrustRow(
                     len(one.magnitudes), one.name, one.damping, one.thrust, one.magnitudes,
                     float(errors[i]), float(speeds[i]), one.terminal_speed, float(fast[i]),
+                    floor,
                 )
             )  # fmt: skip
     return rows
@@ -77,7 +87,8 @@ def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: 
     caption = (
         f"{len(seen)} {kind} episodes ({which}) followed in closed loop. Tracking error: median "
         "distance over steps. Speed distance: Wasserstein distance of tracked and recorded speeds "
-        "over the mean recorded speed. Lengths in arena units."
+        "over the mean recorded speed. Floor: how often a classifier ranks tracked motion above "
+        "recorded motion (0.5: cannot tell them apart). Lengths in arena units."
     )
     table = Table(
         title=f"Thrust magnitudes of {seen.species}", caption=caption, box=SIMPLE_HEAD,
@@ -87,7 +98,7 @@ def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: 
     table.add_column("individual", no_wrap=True)
     for heading in (
         "d", "u", "multiples of u", "tracking\nerror", "speed\ndistance", "terminal\nspeed",
-        "99 %\nspeed",
+        "99 %\nspeed", "floor\n(AUC)",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     for row in rows:
@@ -96,6 +107,7 @@ def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: 
             " ".join(f"{m:.2f}" for m in row.magnitudes),
             f"{row.tracking_error:.2g}", f"{row.speed_distance:.1%}",
             f"{row.terminal_speed:.3g}", f"{row.fast_speed:.3g}",
+            f"{row.floor:.2f}" if math.isfinite(row.floor) else "-",
         )  # fmt: skip
     return table
 

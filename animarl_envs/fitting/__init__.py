@@ -1,7 +1,7 @@
 """Fitting damping d and thrust u of v' = (1 - d) v + u a dt to recorded episodes."""
 
 from animarl_envs.fitting.joint import fit_joint
-from animarl_envs.fitting.magnitudes import choose_thrusts, joint_locomotion
+from animarl_envs.fitting.magnitudes import joint_locomotion
 from animarl_envs.fitting.onset import fit_onset
 from animarl_envs.fitting.result import IndividualFit, LocomotionFit, fit_locomotion
 from animarl_envs.fitting.tracking import Tracking, one_step_misses, track
@@ -13,7 +13,7 @@ from animarl_envs.fitting.transitions import (
 )
 
 __all__ = [
-    "IndividualFit", "LocomotionFit", "Tracking", "Transitions", "choose_thrusts",
-    "demonstrated_actions", "fit_joint", "fit_locomotion", "fit_onset", "joint_locomotion",
-    "one_step_misses", "track", "transitions", "velocity_rmse",
+    "IndividualFit", "LocomotionFit", "Tracking", "Transitions", "demonstrated_actions",
+    "fit_joint", "fit_locomotion", "fit_onset", "joint_locomotion", "one_step_misses", "track",
+    "transitions", "velocity_rmse",
 ]  # fmt: skip

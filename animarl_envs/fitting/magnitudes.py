@@ -1,4 +1,4 @@
-"""Fitting M thrust magnitudes to every individual, and choosing M.
+"""Fitting M thrust magnitudes to every individual.
 
 With one magnitude this is the joint fit. With more, d and all thrusts are fitted together from
 several starting points, and then held against fixed multiples of the one-magnitude thrust which did
@@ -7,13 +7,14 @@ well on moths, termites and flies: what follows the recordings more closely in c
 the joint fit, of which the magnitudes are multiples.
 
 In every fit the terminal speed of the largest thrust is at least the recorded 99 % quantile of
-speed: a model that cannot go as fast as the animal cannot move like it.
+speed: a model that cannot go as fast as the animal cannot move like it. How many magnitudes a set
+asks for is chosen above, where there is a classifier
+(``animarl_algos.evaluation.thrust_choice``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from animarl_envs.checks import is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import best_of, fit_joint
-from animarl_envs.fitting.tracking import speed_distances, track, tracking_errors
+from animarl_envs.fitting.tracking import track, tracking_errors
 from animarl_envs.fitting.transitions import Transitions, transitions
 from animarl_envs.locomotion import MOST_THRUSTS, Locomotion
 
@@ -36,10 +37,6 @@ MULTIPLES: dict[int, tuple[float, ...]] = {
 }
 """Measured best of fixed multiples of u, by the number of magnitudes."""
 TOLERANCE = 1e-5  # relative change of d and magnitudes at which a fit of several has converged
-CHOICE = (1, 2, 3, 4, 5)  # numbers of magnitudes that are tried
-CLOSE = 0.05  # speed distance that will do
-GAIN = 0.2  # share of the speed distance that one more magnitude must take away ...
-LEAST_GAIN = 0.005  # ... and the least that counts
 
 
 def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
@@ -62,31 +59,6 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
             f"thrusts is {thrusts!r}: give a whole number of thrust magnitudes, 1 to {MOST_THRUSTS}"
         )
     return _richer(demos, _one_magnitude(demos), thrusts)
-
-
-def choose_thrusts(demos: Demonstrations) -> int:
-    """How many magnitudes the training episodes ask for (all episodes, if none are for training).
-
-    The smallest number under which closed-loop tracking moves at the recorded speeds (speed
-    distance below ``CLOSE``, on average over individuals) and one more magnitude would take away
-    less than ``GAIN`` of that distance, or less than ``LEAST_GAIN``.
-    """
-    seen = demos.select(split="train") if (demos.split == "train").any() else demos
-    ones = _one_magnitude(seen)
-
-    def distance(thrusts: int) -> float:
-        fit = _richer(seen, ones, thrusts)
-        return float(speed_distances(seen, track(seen, fit)).mean())
-
-    here = distance(CHOICE[0])
-    for thrusts, following in pairwise(CHOICE):
-        if here < LEAST_GAIN:
-            return thrusts
-        there = distance(following)
-        if here < CLOSE and here - there < max(GAIN * here, LEAST_GAIN):
-            return thrusts
-        here = there
-    return CHOICE[-1]
 
 
 def fast_speed(data: Transitions) -> float:
