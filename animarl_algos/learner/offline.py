@@ -155,9 +155,7 @@ class OfflineLearner(Protocol):
     offline_loss: str
 
     @property
-    def offline_recipe(self) -> Recipe:
-        """Whose offline terms are minimised."""
-        ...
+    def offline_recipe(self) -> Recipe: ...
 
     @property
     def logger(self) -> Logger: ...
@@ -263,14 +261,13 @@ def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
                 f"the {name} demonstrations hold action {highest}, the environment has "
                 f"{model.policy.num_actions}: make them for this environment"
             )
-        scores = any(
-            isinstance(t, ScoredActionsTemporalDifference) for t in model.offline_recipe.offline
-        )
+        recipe = model.offline_recipe
+        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in recipe.offline)
         if scores and scored is None:
             raise InputError(
                 f"the {name} demonstrations carry no penalties of all actions, which "
-                f"{model.offline_recipe.name} learns from offline: make the dataset with the "
-                "fitted dynamics of their species"
+                f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
+                "their species"
             )
 
 
