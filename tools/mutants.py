@@ -41,9 +41,9 @@ LIBRARIES = (
 # What must notice a mutant: few and fast tests, or a run takes days.
 TARGETS = {
     "animarl_envs/locomotion.py": ("test_locomotion.py",),
-    "animarl_envs/kinematics.py": ("test_walls.py",),
+    "animarl_envs/kinematics.py": ("test_kinematics.py",),
     "animarl_envs/worlds/rules.py": ("test_rules.py",),
-    "animarl_envs/dtw.py": ("test_dtw.py",),
+    "animarl_envs/dtw.py": ("test_dtw_rows.py",),
     "animarl_algos/losses/losses.py": ("test_losses.py",),
     "animarl_algos/losses/terms.py": ("test_losses.py", "test_recipes_by_hand.py"),
     "animarl_algos/losses/values.py": ("test_losses.py",),
