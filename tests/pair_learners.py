@@ -28,8 +28,11 @@ SETTINGS: dict[str, Any] = {
     "offline_gamma": 0.99,
     "offline_alpha": 10.0,
     "offline_scaled_penalties": False,
+    "offline_loss": "recipe",
+    "exploration": "epsilon",
+    "offline_kwargs": None,
     "offline_patience": None,
-    "policy_kwargs": {"hidden": 8},
+    "policy_kwargs": {"hidden": 8, "depth": 2, "head_layers": 1, "dropout": 0.0},
     "seed": 3,
     "device": "cpu",
 }

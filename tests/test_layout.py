@@ -69,7 +69,6 @@ LONGER = {  # to be divided where they are two ideas; nothing may join them
     "animarl_algos/learner/algorithm.py",
     "animarl_algos/learner/checkpoint.py",
     "animarl_algos/learner/offline.py",
-    "animarl_algos/losses/terms.py",
     "animarl_algos/networks/networks.py",
     "animarl_algos/networks/policies.py",
     "animarl_algos/replay/sequence_buffer.py",

@@ -173,6 +173,8 @@ WRONG: list[tuple[str, Any]] = [
     *(("exploration_initial_eps", value) for value in (-0.1, 1.1)),
     *(("exploration_final_eps", value) for value in (-0.1, 2.0, NAN)),
     *(("exploration_fraction", value) for value in (-1.0, 0.0, 7.0, {})),
+    *(("exploration", value) for value in ("greedy", "")),
+    *(("offline_loss", value) for value in ("bc", "")),
     *(("exploration_steps", value) for value in (-1, 2.5)),
     *(("offline_patience", value) for value in (-1, 0, 1.5, [])),
     *((name, 0) for name in ("batch_size", "offline_batch_size", "buffer_size")),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,3 +99,53 @@ def test_parameters_cannot_be_changed() -> None:
     own = Locomotion(0.25, 3.0)
     with pytest.raises(dataclasses.FrozenInstanceError):
         own.damping = 0.5  # type: ignore[misc]
+
+
+def test_several_magnitudes_have_twelve_actions_each_and_one_to_coast() -> None:
+    """By hand, the focus straight up: action 15 is the second magnitude, to the right."""
+    own = Locomotion(0.25, 3.0, (2, 0.5))
+    assert (own.thrusts, own.num_actions, own.magnitudes) == (2, 25, (2.0, 0.5))
+    expected = np.concatenate([2.0 * ACTION_VECTORS[:12], 0.5 * ACTION_VECTORS])
+    expected[-1] = 0.0
+    np.testing.assert_array_equal(own.action_vectors, expected)
+    focus = np.array([0.0, 1.0])
+    for action, push in ((0, (0, 2)), (15, (0.5, 0)), (18, (0, -0.5)), (24, (0, 0))):
+        after = apply_actions(np.zeros(2), np.array(action), focus, own, DT)
+        assert after == pytest.approx([0.3 * push[0], 0.3 * push[1]])
+        assert infer_actions(np.zeros(2), after, focus, own, DT) == action
+        length = np.linalg.norm(push) or 1.0
+        towards = action_directions(np.array(action), focus, own.num_actions)
+        assert towards == pytest.approx(np.array(push) / length)
+    assert own.terminal_speed(DT) == pytest.approx(2 * 3.0 * 0.1 / 0.25)
+    assert own.top_speed(DT, 2) == pytest.approx(1.2)
+
+
+def test_action_vectors_are_shared_and_cannot_be_written() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        OWN.action_vectors[0] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("magnitudes", "said"),
+    [
+        ((), "give 1 to 10"),
+        (tuple(range(11, 0, -1)), "give 1 to 10"),
+        ("21", "give 1 to 10"),
+        (2.0, "give 1 to 10"),
+        ((2.0, "1"), "give 1 to 10"),
+        ((2.0, 2.0), "the largest first"),
+        ((1.0, 2.0), "the largest first"),
+        ((1.0, 0.0), "the largest first"),
+        ((1.0, -0.5), "the largest first"),
+        ((math.inf, 1.0), "the largest first"),
+        ((math.nan,), "give 1 to 10|the largest first"),
+    ],
+)
+def test_impossible_magnitudes_are_refused(magnitudes: Any, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Locomotion(0.5, 1.0, magnitudes)
+
+
+def test_magnitudes_may_be_ten_and_an_array() -> None:
+    ten = Locomotion(0.5, 1.0, np.arange(10, 0, -1))  # type: ignore[arg-type]
+    assert ten.magnitudes == tuple(range(10, 0, -1)) and ten.num_actions == 121

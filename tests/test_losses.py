@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from types import SimpleNamespace
 
@@ -28,6 +29,7 @@ from animarl_algos.losses.values import (
     ErrorLoss,
     ExpectedValue,
     Quantiles,
+    one_step_target,
     take_action,
     value_distribution,
 )
@@ -174,8 +176,39 @@ def test_q_values_and_the_choice_of_distribution() -> None:
     assert value_distribution(2).q_values(values).tolist() == [[0.5, 2.5, 4.5], [6.5, 8.5, 10.5]]
     assert value_distribution(None).q_values(values[..., :1]).tolist() == [[0, 2, 4], [6, 8, 10]]
     assert take_action(values, torch.tensor([2, 0])).tolist() == [[4, 5], [6, 7]]
-    with pytest.raises(InputError, match="n_quantiles is 1"):
-        value_distribution(1)
+    assert (value_distribution(None).num_quantiles, value_distribution(2).num_quantiles) == (1, 2)
+    for wrong in (1, 2.5):
+        with pytest.raises(InputError, match=f"n_quantiles is {wrong}"):
+            value_distribution(wrong)  # type: ignore[arg-type]
+
+
+def test_what_is_learned_cannot_be_changed() -> None:
+    loss = Quantiles(2).td_loss(torch.zeros(3, 2), torch.zeros(3, 2))
+    for frozen, name in (
+        (Quantiles(2), "num_quantiles"),
+        (ExpectedValue(), "loss"),
+        (loss, "loss"),
+    ):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(frozen, name, None)
+
+
+def test_targets_and_errors_belong_to_their_own_step() -> None:
+    """Two individuals, three steps, four columns, each with its own numbers."""
+    generator = torch.Generator().manual_seed(3)
+    rewards = torch.randn(2, 3, 4, generator=generator)
+    terminated = torch.rand(2, 3, 4, generator=generator) < 0.4
+    bootstrap = torch.randn(2, 3, 4, 5, generator=generator)
+    target = one_step_target(rewards, terminated, bootstrap, 0.9)
+    expected = rewards[..., None] + torch.where(terminated[..., None], 0.0, 0.9 * bootstrap)
+    torch.testing.assert_close(target, expected)
+    for loss in ErrorLoss:
+        found = ExpectedValue(loss).td_loss(bootstrap[..., :1], target[..., :1])
+        assert found.loss.shape == found.error.shape == (2, 3, 4)
+        error = (target - bootstrap)[..., 0]
+        torch.testing.assert_close(found.error, error.abs())
+        huber = torch.where(error.abs() < 1.0, 0.5 * error**2, error.abs() - 0.5)
+        torch.testing.assert_close(found.loss, error**2 if loss is ErrorLoss.SQUARED else huber)
 
 
 def test_masked_mean_counts_each_individuals_own_steps() -> None:

@@ -88,11 +88,16 @@ def test_files_are_plain_data() -> None:
                 "epsilon:0.1",
                 "epsilon:0.5",
                 "paper",
+                "epsilon",
+                "boltzmann",
+                "recipe",
                 "hard",
                 "soft",
+                "tracking",
             ),
             *(name for name in RECIPES),
             "pretraining",
+            "cloning",
         }
 
 

@@ -12,7 +12,7 @@ from scipy import stats
 from step_streams import Stream, fill, make_buffer
 
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.replay.sum_tree import SumTrees
+from animarl_algos.replay.sum_tree import SumTrees, find_leaf
 
 
 @pytest.mark.parametrize("stratified", [True, False])
@@ -46,6 +46,28 @@ def test_the_sum_tree_keeps_its_sums(changes: list[tuple[int, float]]) -> None:
     held = np.flatnonzero(plain)
     again.restore(held, plain[None, held])
     np.testing.assert_array_equal(again.nodes, trees.nodes)
+
+
+def test_a_tree_has_twice_the_next_power_of_two_nodes() -> None:
+    assert [SumTrees.num_nodes(n) for n in (0, 1, 2, 3, 4, 5, 8, 9)] == [0, 4, 4, 8, 8, 16, 16, 32]
+
+
+def test_a_leaf_is_found_by_the_cumulative_priority() -> None:
+    """By hand: shares end at 0.5, 0.5, 3.5 and 5; an end belongs to the next leaf that has any."""
+    trees = SumTrees(2, 4)
+    trees.set(1, [0, 1, 2, 3], [0.5, 0.0, 3.0, 1.5])
+    found = {0.0: 0, 0.49: 0, 0.5: 2, 3.49: 2, 3.5: 3, 4.99: 3, 5.0: 3, 5.1: 3}
+    assert {mass: find_leaf(trees.nodes, 1, mass) for mass in found} == found
+    trees.set(1, [3], [0.0])
+    assert find_leaf(trees.nodes, 1, 3.6) == 2  # rounding never leads to a leaf without priority
+
+
+def test_draws_are_stratified_unless_asked_otherwise() -> None:
+    trees = SumTrees(1, 8)
+    trees.set(0, np.arange(8), np.ones(8))
+    streams = np.array([5], dtype=np.uint64)
+    assert trees.draw(0, 8, streams).tolist() == list(range(8))
+    assert trees.draw(0, 8, streams, stratified=False).tolist() != list(range(8))
 
 
 def filled_with_priorities(

@@ -15,6 +15,7 @@ from pair_learners import SETTINGS, make_pair_learner, weights
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger, configure
 
+from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.recipes.dqn import DQN
 from animarl_algos.recipes.registry import RECIPES
 
@@ -175,6 +176,52 @@ def test_what_a_callback_leaves_in_the_acting_rule_changes_no_step() -> None:
 
     plain, watched = (make_pair_learner("dqn") for _ in range(2))
     assert torch.equal(weights(plain.learn(80)), weights(watched.learn(80, callback=greedy)))
+
+
+def test_online_collection_samples_at_temperatures_fitted_after_the_offline_phase() -> None:
+    fitted = make_pair_learner("dqdil-pt", exploration="boltzmann")
+    fitted.learn(80)
+    by_hand = make_pair_learner("dqdil-pt", exploration="epsilon")
+    by_hand.pretrain()
+    temperatures = by_hand.fit_temperature(by_hand.demonstration_data().val)
+    assert by_hand.policy.acting.kind is Kind.EPSILON
+    by_hand.policy.acting = Acting.boltzmann(temperatures)
+    by_hand.learn(80)
+    assert fitted.policy.temperature == tuple(temperatures)
+    assert torch.equal(weights(fitted), weights(by_hand))
+
+
+def test_without_an_offline_phase_there_is_nothing_to_fit() -> None:
+    sampled, plain = (make_pair_learner("dqn", exploration=e) for e in ("boltzmann", "epsilon"))
+    assert torch.equal(weights(sampled.learn(60)), weights(plain.learn(60)))
+    assert sampled.policy.acting.kind is Kind.EPSILON
+
+
+def test_a_learner_may_begin_as_a_clone_whose_state_values_are_zero() -> None:
+    clone, adapting = (
+        make_pair_learner(name, offline_loss="cloning", offline_epochs=5)
+        for name in ("soft-bc", "dqdil-pt")
+    )
+    cloned = make_pair_learner("soft-bc", offline_epochs=5)
+    for model in (clone, adapting, cloned):
+        model.pretrain()
+    values, weight = "dueling.value.", cloned.policy.q_net.state_dict()
+    for model in (clone, adapting):
+        for network in (model.policy.q_net, model.policy.q_net_target):
+            for name, found in network.state_dict().items():
+                zero = name.startswith(values)
+                assert torch.equal(found, torch.zeros_like(found) if zero else weight[name])
+    assert any(w.abs().max() > 0 for name, w in weight.items() if name.startswith(values))
+
+
+@pytest.mark.parametrize("name", ["dqdil-pt", "dqaas", "dqcil-pt"])
+def test_cloning_keeps_the_adversary_and_the_online_phase(name: str) -> None:
+    recipe = make_pair_learner(name).recipe
+    cloning = recipe.cloning()
+    assert [t.name for t in cloning.offline] == ["supervision", "treatment"][
+        : 1 + recipe.needs_condition
+    ]
+    assert cloning.online == recipe.online
 
 
 def test_as_many_updates_as_steps() -> None:

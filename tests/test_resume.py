@@ -25,6 +25,7 @@ from animarl_algos.learner.checkpoint import (
     save_checkpoint,
     serialised,
 )
+from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.dqaas import DQAAS
 from animarl_algos.recipes.dqdil import DQDIL
 from animarl_algos.recipes.dqn import DQN
@@ -44,18 +45,20 @@ def go_on(model: SequenceQLearning, folder: Path, steps: int = STEPS) -> Sequenc
     return model.learn(steps - model.num_timesteps, reset_num_timesteps=False)
 
 
+class Stop(CheckpointCallback):
+    """Interrupts the online phase."""
+
+    def at_boundary(self) -> None:
+        super().at_boundary()
+        if self.model.num_timesteps >= 200:
+            raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("recipe", [DQDIL, DQAAS, QRDQN])
 def test_a_resumed_run_equals_an_uninterrupted_one(
     recipe: type[SequenceQLearning], tmp_path: Path
 ) -> None:
     """The checkpoint is taken in mid-episode, with another seed and other weights to overwrite."""
-
-    class Stop(CheckpointCallback):
-        def at_boundary(self) -> None:
-            super().at_boundary()
-            if self.model.num_timesteps >= 200:
-                raise KeyboardInterrupt
-
     straight = make(recipe, offline_epochs=0).learn(STEPS)
     with pytest.raises(KeyboardInterrupt):
         make(recipe, offline_epochs=0).learn(STEPS, callback=Stop(tmp_path, every=150))
@@ -86,6 +89,20 @@ def test_the_offline_phase_resumes_too(tmp_path: Path) -> None:
     resumed.learn(100, reset_num_timesteps=False)
     assert torch.equal(weights(straight), weights(resumed))
     assert resumed.offline_progress.history == straight.offline_progress.history
+
+
+def test_a_resumed_run_samples_at_the_same_temperatures(tmp_path: Path) -> None:
+    def learner() -> SequenceQLearning:
+        data = demonstrations()
+        return make(demonstrations=data, offline_epochs=2, exploration="boltzmann")
+
+    straight = learner().learn(STEPS)
+    with pytest.raises(KeyboardInterrupt):
+        learner().learn(STEPS, callback=Stop(tmp_path, every=150))
+    resumed = go_on(learner(), tmp_path)
+    assert straight.policy.acting == resumed.policy.acting
+    assert straight.policy.acting.kind is Kind.BOLTZMANN
+    assert torch.equal(weights(straight), weights(resumed))
 
 
 KILLED = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -117,6 +118,7 @@ class Pusher:
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     from animarl_algos.evaluation.acting_choice import ActingChoice
     from animarl_algos.networks.acting_rule import Acting
+    from animarl_algos.runs.acting import acting_file
     from animarl_algos.runs.run_folder import RunFolder
     from animarl_algos.runs.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
@@ -141,7 +143,8 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     run.save_policy("dqn", run.learner("dqn", env))
     with pytest.raises(InputError, match="no acting rule was chosen yet"):
         prepare(agent, model=run.path)
-    run.save_acting("dqn", ActingChoice(Acting(), ()))
+    chosen = ActingChoice(Acting(), ()).to_json()
+    acting_file(run, "dqn").write_text(json.dumps(chosen))
 
     world, actor = prepare(agent, model=run.path)
     assert world.scenario.drivers == ("action",) * 3

@@ -4,51 +4,52 @@
     python tools/mutants.py animarl_envs/locomotion.py --sample 60
 
 Mutants are made by cosmic-ray's operators (comparison, sign, number, condition, loop) in a copy of
-the project, one at a time; where tests can do without numba it is off, so that kernels run as they
-are written. Printed are the share that tests noticed and each change that none did: either a test
-is missing, or the change makes no difference.
+the project, one at a time, with numba off, so that kernels run as they are written. Each is tested
+in a process forked from this one, where the libraries, which do not change, are imported already.
+Printed are the share that tests noticed and each change that none did: either a test is missing, or
+the change makes no difference.
 """
 
 from __future__ import annotations
 
 import argparse
 import difflib
+import gc
+import importlib
+import importlib.util
+import multiprocessing
 import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple
 
+import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator
 
 ROOT = Path(__file__).resolve().parents[1]
-TIMES = 8.0  # a mutant that takes so many times as long as the original hangs: noticed
+TIMES, GRACE = 8.0, 10.0  # a mutant that takes so many times as long, and so many seconds, hangs
+LIBRARIES = (
+    "numba", "torch", "scipy.stats", "scipy.fft", "gymnasium", "pettingzoo", "hypothesis",
+    "stable_baselines3", "sb3_contrib",
+)  # fmt: skip
 
-
-class Target(NamedTuple):
-    """What must notice a mutant: few and fast test files, or a run takes days."""
-
-    tests: tuple[str, ...]
-    compiled: bool = False  # tests that step a world need its kernels compiled, which is slow
-
-
+# What must notice a mutant: few and fast tests, or a run takes days.
 TARGETS = {
-    "animarl_envs/locomotion.py": Target(("test_locomotion.py",)),
-    "animarl_envs/worlds/rules.py": Target(("test_chase_world.py",), compiled=True),
-    "animarl_envs/dtw.py": Target(("test_dtw.py",), compiled=True),
-    "animarl_algos/losses/losses.py": Target(("test_losses.py",)),
-    "animarl_algos/losses/terms.py": Target(("test_losses.py", "test_recipes_by_hand.py")),
-    "animarl_algos/losses/values.py": Target(("test_losses.py",)),
-    "animarl_algos/replay/sum_tree.py": Target(("test_prioritised_replay.py",)),
-    "animarl_algos/evaluation/statistics.py": Target(("test_statistics.py",)),
-    "animarl_algos/evaluation/distances.py": Target(("test_statistics.py",)),
+    "animarl_envs/locomotion.py": ("test_locomotion.py",),
+    "animarl_envs/kinematics.py": ("test_kinematics.py",),
+    "animarl_envs/worlds/rules.py": ("test_rules.py",),
+    "animarl_envs/dtw.py": ("test_dtw_rows.py",),
+    "animarl_algos/losses/losses.py": ("test_losses.py",),
+    "animarl_algos/losses/terms.py": ("test_losses.py", "test_recipes_by_hand.py"),
+    "animarl_algos/losses/values.py": ("test_losses.py",),
+    "animarl_algos/replay/sum_tree.py": ("test_prioritised_replay.py",),
+    "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
+    "animarl_algos/evaluation/distances.py": ("test_statistics.py",),
 }
 
 _BINARY = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Mul", "Mod_Mul")
@@ -66,60 +67,79 @@ OPERATORS = (
 )  # fmt: skip
 
 
-def mutants(text: str) -> Iterator[str]:
-    """The source with one thing changed, for every operator and every place it applies to."""
-    places = list(ast_nodes(get_ast(text)))
-    for name in OPERATORS:
-        operator = get_operator(name)()
-        count = sum(len(list(operator.mutation_positions(node))) for node in places)
-        for occurrence in range(count):
-            changed = mutate_code(text, operator, occurrence)
-            if changed is not None and changed != text:
-                yield changed
+def mutants(text: str, most: int | None, seed: int) -> list[str]:
+    """The source with one thing changed, for every operator and every place it applies to.
+
+    Or as many of them as ``most``, drawn at random.
+    """
+    nodes = list(ast_nodes(get_ast(text)))
+    operators = [get_operator(name)() for name in OPERATORS]
+    places = [
+        (operator, occurrence)
+        for operator in operators
+        for occurrence in range(sum(len(list(operator.mutation_positions(n))) for n in nodes))
+    ]
+    if most is not None:
+        random.Random(seed).shuffle(places)
+    made: dict[str, None] = {}  # a set that keeps the order
+    for operator, occurrence in places:
+        if len(made) == most:
+            break
+        changed = mutate_code(text, operator, occurrence)
+        if changed is not None and changed != text:
+            made[changed] = None
+    return list(made)
 
 
-def noticed(copy: Path, target: Target, seconds: float | None) -> bool:
+def noticed(copy: Path, tests: tuple[str, ...], seconds: float | None) -> bool:
     """Whether a test fails, or hangs, in the copy of the project as it now stands."""
-    command = [
-        sys.executable, "-B", "-m", "pytest", "-x", "-q", "-p", "no:xdist",
-        "-p", "no:cacheprovider",
-        "-m", "not slow and not realdata", *(f"tests/{name}" for name in target.tests),
-    ]  # fmt: skip
-    environment = os.environ | {
-        "NUMBA_DISABLE_JIT": str(int(not target.compiled)),
-        "PYTHONPATH": str(copy),
-    }
-    try:
-        done = subprocess.run(
-            command, cwd=copy, env=environment, capture_output=True, timeout=seconds
-        )
-    except subprocess.TimeoutExpired:
-        return True
-    return done.returncode != 0
+    process = multiprocessing.get_context("fork").Process(target=_run_tests, args=(copy, tests))
+    process.start()
+    process.join(seconds)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    return process.exitcode != 0
+
+
+def _run_tests(copy: Path, tests: tuple[str, ...]) -> None:
+    """In a process of its own: run the copy's tests and leave with pytest's exit code."""
+    silence = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(silence, stream.fileno())
+    os.chdir(copy)
+    sys.path.insert(0, str(copy))
+    code = pytest.main(
+        ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not realdata"]
+        + [f"tests/{name}" for name in tests]
+    )
+    os._exit(int(code))
+
+
+def write(path: Path, text: str) -> None:
+    """Put a mutant in its place, without the bytecode of the one before, which may look as new."""
+    path.write_text(text)
+    Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
 
 
 def examine(module: str, sample: int | None, seed: int, copy: Path) -> tuple[int, int]:
     """Print the mutants of a module that survive; returns how many were noticed, of how many."""
-    path, target = copy / module, TARGETS[module]
+    path, tests = copy / module, TARGETS[module]
     text = path.read_text()
     start = monotonic()
-    if noticed(copy, target, None):
-        raise SystemExit(
-            f"{module}: {', '.join(target.tests)} fail without any change: mend them first"
-        )
-    seconds = TIMES * (monotonic() - start)
-    made = list(dict.fromkeys(mutants(text)))
-    if sample is not None and sample < len(made):
-        made = random.Random(seed).sample(made, sample)
+    if noticed(copy, tests, None):
+        raise SystemExit(f"{module}: {', '.join(tests)} fail without any change: mend them first")
+    seconds = GRACE + TIMES * (monotonic() - start)
+    made = mutants(text, sample, seed)
     killed = 0
     for changed in made:
-        path.write_text(changed)
-        if noticed(copy, target, seconds):
+        write(path, changed)
+        if noticed(copy, tests, seconds):
             killed += 1
             continue
         lines = difflib.unified_diff(text.splitlines(), changed.splitlines(), lineterm="", n=0)
         print(f"{module} survives:", *list(lines)[2:], sep="\n  ", flush=True)
-    path.write_text(text)
+    write(path, text)
     share = killed / max(len(made), 1)
     print(f"{module}: {killed} of {len(made)} noticed ({100 * share:.1f} %)", flush=True)
     return killed, len(made)
@@ -132,6 +152,11 @@ def main() -> None:
     parser.add_argument("--sample", type=int, help="as many mutants of each, drawn at random")
     parser.add_argument("--seed", type=int, default=0, help="of the drawing")
     asked = parser.parse_args()
+    os.environ["NUMBA_DISABLE_JIT"] = "1"  # before numba is imported, which is when it is read
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # they take longer than the tests
+    for library in LIBRARIES:
+        importlib.import_module(library)
+    gc.freeze()  # or every fork copies what the collector touches
     totals = [0, 0]
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "project"

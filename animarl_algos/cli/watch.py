@@ -219,6 +219,7 @@ def load_trained(
         If the folder holds no trained policy, or one of another species.
     """
     from animarl_algos.data.focal import FocalPolicy
+    from animarl_algos.runs.acting import acting_of
     from animarl_algos.runs.run_folder import RunFolder
 
     run = RunFolder(folder, acting)
@@ -233,7 +234,7 @@ def load_trained(
     fitted = run.species(recorded, run.fit)
     learner = run.learner(settings.algo, run.environment(fitted, recorded))
     run.load_policy(settings.algo, learner)
-    learner.policy.acting = run.acting(settings.algo)
+    learner.policy.acting = acting_of(run, settings.algo)
     learner.policy.seed(seed)
     if settings.focal is None:
         return learner, fitted, recorded, None

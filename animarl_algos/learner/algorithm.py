@@ -30,7 +30,11 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions
 from animarl_algos.learner import checks, making, online, saving
 from animarl_algos.learner.collecting import Collector, Memory
-from animarl_algos.learner.exploration import LinearDecay, fit_boltzmann_temperature
+from animarl_algos.learner.exploration import (
+    Exploration,
+    LinearDecay,
+    fit_boltzmann_temperature,
+)
 from animarl_algos.learner.offline import (
     DemonstrationData,
     OfflineDataset,
@@ -52,7 +56,7 @@ from animarl_algos.learner.settings import (
 from animarl_algos.learner.updating import Updater
 from animarl_algos.learner.validation import demonstrated_values
 from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.recipe import Recipe
+from animarl_algos.losses.recipe import OfflineLoss, Recipe
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
@@ -106,6 +110,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
     replay_buffer: SequenceReplayBuffer | None  # type: ignore[assignment]
     target_update_interval: int | tuple[int, str]
     updates_per_episode: float
+    exploration: str
     exploration_initial_eps: float
     exploration_final_eps: float
     exploration_steps: int
@@ -117,6 +122,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
     state_mode: str
     prioritized: bool
     max_episode_steps: int | None
+    offline_loss: str
     offline_epochs: int
     offline_learning_rate: float
     offline_batch_size: int
@@ -253,6 +259,12 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """The numbers of the ``"online"`` or ``"offline"`` phase."""
         return checks.phase_of(self, name)
 
+    @property
+    def offline_recipe(self) -> Recipe:
+        """The recipe whose offline terms are minimised; see ``offline_loss``."""
+        cloning = self.offline_loss == OfflineLoss.CLONING
+        return self.recipe.cloning() if cloning else self.recipe
+
     def refuse_what_does_not_suit(self) -> None:
         """Look at the environment and the demonstrations as :meth:`learn` would, before it.
 
@@ -307,7 +319,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
     def pretrain(self, *, progress_bar: bool = False) -> OfflineProgress:
         """Run the offline phase, or what is left of it; returns its learning curves.
 
-        One that is over stays as it is, also if ``offline_epochs`` is raised.
+        One that is over stays as it is, also if ``offline_epochs`` is raised. With ``exploration``
+        ``"boltzmann"`` the temperatures are fitted to its outcome, for all steps that follow.
 
         Raises
         ------
@@ -320,7 +333,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
             return self.offline_progress
         if not hasattr(self, "_logger"):
             self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
-        run_offline_phase(self, self.demonstration_data(), progress_bar=progress_bar)
+        data = self.demonstration_data()
+        run_offline_phase(self, data, progress_bar=progress_bar)
+        if self.exploration == Exploration.BOLTZMANN:
+            self.policy.temperature = self.fit_temperature(data.val)
         return self.offline_progress
 
     def demonstration_data(self) -> DemonstrationData:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
-from animarl_algos.learner.exploration import LinearDecay
+from animarl_algos.learner.exploration import Exploration, LinearDecay
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.phase import WEIGHTS, Phase
+from animarl_algos.losses.recipe import OfflineLoss
 from animarl_algos.ranges import (
     COUNT,
     COUNT_OR_NONE,
@@ -80,6 +81,12 @@ def refuse_bad_settings(model: SequenceQLearning) -> None:
         NOT_NEGATIVE.check("learning_rate at the start", rate(1.0))
     else:
         POSITIVE.check("learning_rate", rate)
+    if model.exploration not in list(Exploration):
+        raise InputError(f"exploration is {model.exploration!r}: choose {' or '.join(Exploration)}")
+    if model.offline_loss not in list(OfflineLoss):
+        raise InputError(
+            f"offline_loss is {model.offline_loss!r}: choose {' or '.join(OfflineLoss)}"
+        )
     LinearDecay(model.exploration_initial_eps, model.exploration_final_eps, model.exploration_steps)
     for phase in ("online", "offline"):
         phase_of(model, phase)

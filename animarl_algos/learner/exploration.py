@@ -1,4 +1,4 @@
-"""Exploration: the schedule of epsilon, and a Boltzmann temperature fitted to demonstrated actions.
+"""Exploration: of which kind, epsilon's schedule, and a temperature fitted to demonstrated actions.
 
 The draws themselves are the policy's (one per slot); here is how much of them, and when.
 """
@@ -6,6 +6,7 @@ The draws themselves are the policy's (one per slot); here is how much of them, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,13 @@ from scipy.optimize import minimize_scalar
 
 from animarl_algos.ranges import PROBABILITY, WHOLE
 from animarl_envs.errors import InputError
+
+
+class Exploration(StrEnum):
+    """How online collection acts."""
+
+    EPSILON = "epsilon"  # greedy but for a share of random actions (the paper)
+    BOLTZMANN = "boltzmann"  # sampled at temperatures fitted after the offline phase
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -34,11 +34,12 @@ from animarl_algos.learner.validation import (
     validation_figures,
 )
 from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.recipe import Recipe, Selection
+from animarl_algos.losses.recipe import OfflineLoss, Recipe, Selection
 from animarl_algos.losses.terms import ScoredActionsTemporalDifference
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
+from animarl_algos.networks.value_stream import zero_value_stream
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -136,7 +137,6 @@ class OfflineProgress:
 class OfflineLearner(Protocol):
     """What the offline phase needs of a learner: its networks, settings and log."""
 
-    recipe: ClassVar[Recipe]
     policy: GruPolicy
     layout: SlotLayout
     env: VecEnv | None
@@ -152,6 +152,10 @@ class OfflineLearner(Protocol):
     offline_progress: OfflineProgress
     best_weights: dict[str, torch.Tensor] | None
     average_weights: dict[str, torch.Tensor] | None
+    offline_loss: str
+
+    @property
+    def offline_recipe(self) -> Recipe: ...
 
     @property
     def logger(self) -> Logger: ...
@@ -206,7 +210,9 @@ def run_offline_phase(
     assert model.best_weights is not None
     _warn_of_ignorance(model)
     policy.q_net.load_state_dict(model.best_weights)
-    policy.q_net_target.load_state_dict(model.best_weights)
+    if model.offline_loss == OfflineLoss.CLONING:
+        zero_value_stream(policy.q_net)
+    policy.q_net_target.load_state_dict(policy.q_net.state_dict())
     model.reset_optimizer(model.lr_schedule(1.0))
     progress.done = True
     model.best_weights = model.average_weights = None
@@ -255,18 +261,19 @@ def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
                 f"the {name} demonstrations hold action {highest}, the environment has "
                 f"{model.policy.num_actions}: make them for this environment"
             )
-        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in model.recipe.offline)
+        recipe = model.offline_recipe
+        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in recipe.offline)
         if scores and scored is None:
             raise InputError(
                 f"the {name} demonstrations carry no penalties of all actions, which "
-                f"{model.recipe.name} learns from offline: make the dataset with the fitted "
-                "dynamics of their species"
+                f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
+                "their species"
             )
 
 
 def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> Figures:
     """One pass over the training split; returns the mean of each term."""
-    policy, phase, terms = model.policy, model.phase("offline"), model.recipe.offline
+    policy, phase, terms = model.policy, model.phase("offline"), model.offline_recipe.offline
     settings, individuals = model.offline_settings, model.layout.individuals
     generator = np.random.default_rng([model.root_seed, epoch])
     dropout = DropoutDraws(policy.q_net.dropout, [model.root_seed, epoch], individuals)
@@ -345,7 +352,7 @@ def _keep_best(model: OfflineLearner, row: Figures) -> None:
     One that is out of patience keeps what it has, as if it were trained alone and had stopped.
     """
     progress, individuals = model.offline_progress, model.layout.individuals
-    figures = own_figures(row, model.recipe.selection, individuals)
+    figures = own_figures(row, model.offline_recipe.selection, individuals)
     if len(progress.best_epochs) != len(individuals):  # at the start, or of an older checkpoint
         progress.best_epochs = (progress.best_epochs or [0]) * len(individuals)
         progress.best_figures = (progress.best_figures or [float("inf")]) * len(individuals)
@@ -377,7 +384,7 @@ def own_figures(row: Figures, figure: str, individuals: tuple[str, ...]) -> list
 
 def _warn_of_ignorance(model: OfflineLearner) -> None:
     """Say plainly which clones know no more than how often each action is taken."""
-    if model.recipe.selection is Selection.MEAN_RANK:
+    if model.offline_recipe.selection is Selection.MEAN_RANK:
         return  # its values are no logits
     progress, individuals = model.offline_progress, model.layout.individuals
     ignorant = []

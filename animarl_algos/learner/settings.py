@@ -46,13 +46,20 @@ class LearnerSettings(PhaseSettings, total=False):
         May be fractional.
     learning_starts
         Steps acted at random before the first update.
+    exploration
+        ``"boltzmann"``: after an offline phase, actions are sampled at the temperatures under which
+        the validation actions are likeliest, so that online collection acts as the policy acts.
+        ``"epsilon"``, and without an offline phase: epsilon-greedy (the paper).
     exploration_initial_eps, exploration_final_eps, exploration_steps
-        Epsilon, linear over this many steps, then constant. ``exploration_fraction`` gives the
-        steps as a share of ``total_timesteps`` instead.
+        Epsilon, linear over this many steps, then constant; unused where actions are sampled.
+        ``exploration_fraction`` gives the steps as a share of ``total_timesteps`` instead.
     sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
         See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
     max_episode_steps
         Longest episode; None: what the environment declares.
+    offline_loss
+        ``"recipe"``: the recipe's own offline terms. ``"cloning"``: cross-entropy of soft labels
+        instead, after which the values of states, of which cloning says nothing, begin at 0.
     offline_epochs
         Epochs on the demonstrations before the first step in the environment; the best by
         validation is kept, for each individual its own. ``offline_patience`` stops after so many
@@ -76,6 +83,7 @@ class LearnerSettings(PhaseSettings, total=False):
     gradient_steps: int
     updates_per_episode: float
     learning_starts: int
+    exploration: str
     exploration_initial_eps: float
     exploration_final_eps: float
     exploration_steps: int
@@ -86,6 +94,7 @@ class LearnerSettings(PhaseSettings, total=False):
     prioritized: bool
     replay_buffer_kwargs: dict[str, Any] | None
     max_episode_steps: int | None
+    offline_loss: str
     offline_epochs: int | None
     offline_learning_rate: float
     offline_batch_size: int

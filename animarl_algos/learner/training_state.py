@@ -12,6 +12,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.offline import OfflineProgress
 from animarl_algos.learner.pace import Pace
 from animarl_algos.learner.saving import PACE_NAMES, pace_numbers
+from animarl_algos.networks.acting_rule import Acting
 
 COUNTERS = (
     "num_timesteps", "_total_timesteps", "_episode_num", "_n_updates",
@@ -40,6 +41,7 @@ def training_state(
     counters = {name: getattr(model, name) for name in COUNTERS} | pace_numbers(model.pace)
     counters["offline_progress"] = model.offline_progress.as_json()
     counters["policy_random_state"] = model.policy.random_state
+    counters["acting"] = model.policy.acting.to_json()
     counters["late_episodes"] = [
         {key: float(value) for key, value in info.items()} for info in model.ep_info_buffer or ()
     ]
@@ -75,6 +77,8 @@ def restore_training_state(
     model.pace = Pace(**{key: counters[name] for key, name in PACE_NAMES.items()})
     model.offline_progress = OfflineProgress.from_json(counters["offline_progress"])
     model.policy.random_state = counters["policy_random_state"]
+    if "acting" in counters:  # older checkpoints act by epsilon, which is among the counters
+        model.policy.acting = Acting.from_json(counters["acting"])
     model.ep_info_buffer = deque(counters["late_episodes"], maxlen=model._stats_window_size)
     model.ep_success_buffer = deque(maxlen=model._stats_window_size)
     model.policy.q_net.load_state_dict(tensors["q_net"])

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from animarl_algos.losses.terms import LossTerm
+from animarl_algos.losses.terms import LossTerm, SoftActionSupervision, TreatmentAdversary
 
 
 class Selection(StrEnum):
@@ -14,6 +14,13 @@ class Selection(StrEnum):
     CROSS_ENTROPY = "cross_entropy"  # of the demonstrated action, values as logits [nat]
     LABEL_CROSS_ENTROPY = "label_cross_entropy"  # of the labels learned from, soft ones too [nat]
     MEAN_RANK = "mean_rank"  # of the demonstrated action's value among all actions, best 1
+
+
+class OfflineLoss(StrEnum):
+    """What the offline phase minimises."""
+
+    RECIPE = "recipe"  # the recipe's own terms (the paper)
+    CLONING = "cloning"  # cross-entropy of soft labels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,3 +50,15 @@ class Recipe:
     needs_distance: bool = False
     needs_alignment: bool = False
     needs_condition: bool = False
+
+    def cloning(self) -> Recipe:
+        """The same with an offline phase that clones, and keeps only the adversary of its own.
+
+        Values regressed towards penalties are soft labels too, of a scale that nobody chose.
+        """
+        kept = (term for term in self.offline if isinstance(term, TreatmentAdversary))
+        return replace(
+            self,
+            offline=(SoftActionSupervision(), *kept),
+            selection=Selection.LABEL_CROSS_ENTROPY,
+        )

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
 
-from animarl_algos.data.focal import FocalPolicy, focal_drivers
+from animarl_algos.data.focal import focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.evaluation.acting_choice import candidate_rules, choice_episodes, choose_acting
 from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -32,10 +31,10 @@ from animarl_algos.learner.checkpoint import (
 )
 from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.recorder import check_environment
-from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
+from animarl_algos.runs.acting import act_as_chosen, acting_file, for_all
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -45,7 +44,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
-from animarl_envs.scenario import Scenario, make_scenario
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds import make_world
 
@@ -81,13 +80,9 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
     """
     species, asked = checked_species(settings, demos), settings.learner()
     env = SlotVecEnv(
-        species,
-        settings.copies,
-        demos=demos,
-        focal=settings.focal,
-        condition_flag=None,
+        species, settings.copies, demos=demos, focal=settings.focal, condition_flag=None,
         **asked.env_kwargs,
-    )
+    )  # fmt: skip
     for algo in (settings.algo, *settings.compared):
         arguments = constructed(settings.learner(algo).arguments)
         learner = named_recipe(algo).algorithm(
@@ -135,7 +130,7 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
     model = run.learner(algo, env)
     if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
         run.load_policy(algo, model)
-        return _acting(run, algo, model)
+        return act_as_chosen(run, algo, model, env.scenario.species)
     checkpoints = run.path / "checkpoints" / algo
     resumed = latest_checkpoint(checkpoints) is not None
     if resumed:
@@ -148,34 +143,9 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
             reset_num_timesteps=not resumed,
             progress_bar=progress_bar,
         )
+    acting_file(run, algo).unlink(missing_ok=True)  # chosen for another policy
     run.save_policy(algo, model)
-    return _acting(run, algo, model)
-
-
-def _acting(run: RunFolder, algo: str, model: SequenceQLearning) -> SequenceQLearning:
-    """The trained model, acting by the run's rule; that is chosen now, if it was not before."""
-    settings = run.settings
-    if not run.has_acting(algo):
-        species, demos = run.species(run.demos, fit(run)), choice_episodes(run.demos, settings.seed)
-        drivers = focal_drivers(species.individuals, settings.focal)
-        scenario = make_scenario(species, demos=demos, split=None, drivers=drivers)
-
-        def acting_by(rule: Acting) -> Policy:
-            model.policy.acting = rule
-            model.policy.seed(settings.seed)
-            return _for_all(model, scenario, settings.focal)
-
-        choice = choose_acting(
-            acting_by,
-            partial(make_world, scenario),
-            demos,
-            candidate_rules(model.fit_temperature(model.demonstration_data().val)),
-            seed=settings.seed,
-            cue="actual" if model.layout.condition_flag else None,
-        )
-        run.save_acting(algo, choice)
-    model.policy.acting = run.acting(algo)
-    return model
+    return act_as_chosen(run, algo, model, env.scenario.species)
 
 
 def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
@@ -231,7 +201,7 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
         collected = [
             collect_rollouts(
                 partial(make_world, scenario),
-                _for_all(policy, scenario, settings.focal),
+                for_all(policy, scenario.names, settings.focal),
                 method=name,
                 seed=settings.seed,
                 repetitions=settings.repetitions,
@@ -242,11 +212,6 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
         rollouts[name] = Rollouts.concatenate(collected)
         rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
     return rollouts
-
-
-def _for_all(policy: Policy, scenario: Scenario, focal: str | None) -> Policy:
-    learned_one = focal is not None and isinstance(policy, SequenceQLearning)
-    return FocalPolicy(policy, scenario.names, focal) if learned_one and focal else policy
 
 
 def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:

@@ -23,13 +23,11 @@ from typing import Any
 import pandas as pd
 
 from animarl_algos.data.vec_env import SlotVecEnv, species_options
-from animarl_algos.evaluation.acting_choice import ActingChoice
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
 from animarl_algos.learner.presets import constructed
-from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, CHOSEN, RunSettings, checked_species
+from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -116,7 +114,7 @@ class RunFolder:
     def settings(self) -> RunSettings:
         """As the run was asked for."""
         try:
-            return RunSettings(**_of_this_version(self._read()["settings"]))
+            return RunSettings.recorded(self._read()["settings"])
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"{self.path / 'settings.json'}: it is not of this version of animarl ({error}): "
@@ -198,40 +196,6 @@ class RunFolder:
         with write_then_rename(self.path / "policies" / f"{name}.pt") as part:
             part.write_bytes(serialised(model.policy.q_net.state_dict()))
 
-    def save_acting(self, name: str, choice: ActingChoice) -> None:
-        """By which rule a trained policy acts, and what it was chosen from."""
-        with write_then_rename(self.path / "policies" / f"{name}.acting.json") as part:
-            part.write_text(json.dumps(choice.to_json(), indent=2) + "\n")
-
-    def acting(self, name: str) -> Acting:
-        """By which rule a trained policy acts: the run's own, or the one chosen after training.
-
-        Raises
-        ------
-        InputError
-            If none was chosen yet, or the file is damaged.
-        """
-        asked = self.acting_rule or self.settings.acting
-        if asked != CHOSEN:
-            return Acting.parse(asked)
-        file = self.path / "policies" / f"{name}.acting.json"
-        try:
-            return Acting.from_json(json.loads(file.read_text())["acting"])
-        except FileNotFoundError:
-            raise InputError(
-                f"{file}: no acting rule was chosen yet: let 'animarl train' finish, or give "
-                "--acting"
-            ) from None
-        except (ValueError, TypeError, KeyError) as error:
-            raise InputError(
-                f"{file}: it is damaged ({error}): remove it and train again"
-            ) from None
-
-    def has_acting(self, name: str) -> bool:
-        """Whether it is known by which rule a trained policy acts."""
-        asked = self.acting_rule or self.settings.acting
-        return asked != CHOSEN or (self.path / "policies" / f"{name}.acting.json").exists()
-
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
         """Put the final weights into a learner of the same settings."""
         file = self.path / "policies" / f"{name}.pt"
@@ -293,21 +257,10 @@ def _environment(
     return {"observation": species.observation, "rebound": species.arena.rebound} | options
 
 
-def _of_this_version(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a run, also of one recorded before acting rules and thrust magnitudes."""
-    settings = dict(settings)
-    if "test_epsilon" in settings:
-        settings["acting"] = f"epsilon:{settings.pop('test_epsilon'):g}"
-        settings["thrusts"] = "1"
-    return settings
-
-
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that decide a result."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        found[name] = importlib.metadata.version(name)
-    return found
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | packages
 
 
 def _plain(value: Any) -> Any:

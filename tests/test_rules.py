@@ -1,0 +1,113 @@
+"""The scripted rules, as arrays: what walls cost, where the target flees to, and that pursuers push
+straight on. The numbers 6 steps, a quarter, 10 and 0.05 are the rule's own, written out here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.locomotion import Locomotion, apply_actions
+from animarl_envs.worlds.rules import decide, wall_cost
+
+DT = 0.1
+OWN = Locomotion(0.2, 3.0, (1.0, 0.4))
+SQUARE, DISC, OPEN = (SHAPE_CODES[name] for name in ("square", "disc", "open"))
+
+
+@pytest.mark.parametrize(
+    ("shape", "x", "y", "cost"),
+    [
+        # The margin of a field of size 2 is 0.5 wide and begins at 1.5.
+        (SQUARE, 0.0, 0.0, 0.0),
+        (SQUARE, 1.5, -1.5, 0.0),
+        (SQUARE, 1.75, 0.3, 0.25),
+        (SQUARE, -0.3, -1.75, 0.25),
+        (SQUARE, -2.0, 1.75, 1.25),  # both walls of a corner
+        (SQUARE, 2.5, 0.0, 4.0),  # beyond the wall it goes on rising
+        (DISC, 0.0, 0.0, 0.0),
+        (DISC, 0.9, 1.2, 0.0),
+        (DISC, 1.2, -1.6, 1.0),
+        (DISC, -1.05, 1.4, 0.25),
+        (OPEN, 5.0, 5.0, 0.0),
+    ],
+)
+def test_walls_cost_the_depth_in_their_margin_squared(
+    shape: int, x: float, y: float, cost: float
+) -> None:
+    assert wall_cost(x, y, shape, 2.0) == pytest.approx(cost, abs=1e-12)
+
+
+def unit(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def moves(
+    own: Locomotion, who: int, given: tuple[NDArray[np.float64], ...], shape: int, size: float
+) -> NDArray[np.uint64]:
+    """What ``decide`` says of positions, velocities and focus directions ``(B, K, 2)``."""
+    position, velocity, towards = (np.ascontiguousarray(a.transpose(1, 2, 0)) for a in given)
+    individuals, _, copies = position.shape
+    actions = np.full((individuals, copies), 77, dtype=np.uint64)
+    pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * individuals)
+    decide(
+        who, position, velocity, towards, own.damping, own.thrust, pushes, DT, shape, size, actions
+    )
+    others = np.delete(actions, who, axis=0)
+    assert (others == 77).all()  # a rule speaks for its own individual alone
+    return actions[who]
+
+
+def scene(
+    individuals: int, copies: int, size: float, seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    rng = np.random.default_rng(seed)
+    return (
+        rng.uniform(-size, size, (copies, individuals, 2)),
+        rng.normal(0, 0.5, (copies, individuals, 2)),
+        unit(rng.uniform(0, 2 * np.pi, (copies, individuals))),
+    )
+
+
+@pytest.mark.parametrize("individuals", [2, 3])
+@pytest.mark.parametrize("shape", [SQUARE, DISC, OPEN])
+def test_the_target_takes_the_action_of_the_lowest_cost(individuals: int, shape: int) -> None:
+    size, copies, target = 1.5, 80, individuals - 1
+    position, velocity, towards = scene(individuals, copies, size, seed=3)
+    if shape == SQUARE:
+        position[:40, target, 0] *= 0.1  # some near one wall alone
+        position[:40, target, 1] = 1.3
+    chosen = moves(OWN, target, (position, velocity, towards), shape, size)
+    margin = 0.25 * size
+    costs = np.empty((OWN.num_actions, copies))
+    for k in range(OWN.num_actions):
+        place, speed = position[:, target], velocity[:, target]
+        for _ in range(6):
+            speed = apply_actions(speed, np.full(copies, k), towards[:, target], OWN, DT)
+            place = place + speed * DT
+        reach = np.abs(place) if shape == SQUARE else np.linalg.norm(place, axis=1, keepdims=True)
+        depth = np.maximum(reach - (size - margin), 0.0) / margin * (shape != OPEN)
+        costs[k] = 10.0 * (depth**2).sum(axis=1)
+        for j in range(target):  # a pursuer, as seen half of the time ahead
+            gap = np.linalg.norm(position[:, j] + 0.3 * velocity[:, j] - place, axis=1)
+            costs[k] += 1.0 / (gap + 0.05 * size)
+    np.testing.assert_array_equal(chosen, costs.argmin(axis=0))
+    assert len(set(chosen.tolist())) > 5
+
+
+def test_of_equal_actions_the_first_is_taken() -> None:
+    still = Locomotion(0.2, 1e-300)  # so weak that no action moves anybody
+    assert (moves(still, 2, scene(3, 20, 1.0, seed=1), SQUARE, 1.0) == 0).all()
+
+
+def test_pursuers_accelerate_straight_at_the_target() -> None:
+    for who in (0, 1):
+        assert (moves(OWN, who, scene(3, 20, 1.0, seed=2), SQUARE, 1.0) == 0).all()
+
+
+def test_the_target_runs_from_who_is_behind_it() -> None:
+    """Known answer: at rest in the open, the pursuer straight ahead, it runs straight away."""
+    position = np.array([[[1.0, 0.0], [0.0, 0.0]]])
+    towards = np.array([[[-1.0, 0.0], [1.0, 0.0]]])
+    assert moves(OWN, 1, (position, np.zeros((1, 2, 2)), towards), OPEN, 1.0).tolist() == [6]

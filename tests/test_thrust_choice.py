@@ -1,0 +1,35 @@
+"""As many thrust magnitudes are chosen as a classifier needs to be fooled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from animarl_algos.evaluation.thrust_choice import choose_thrusts, tracking_floor
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.fitting.magnitudes import joint_locomotion
+from animarl_envs.fitting.tracking import track
+from animarl_envs.locomotion import Locomotion
+
+
+@pytest.fixture(scope="module")
+def chases() -> Demonstrations:
+    demos = load_packaged("agent")
+    long = np.flatnonzero((demos.split == "train") & (demos.lengths > 60))
+    return demos.select(episodes=long[:40])
+
+
+def test_animals_with_one_thrust_get_one(chases: Demonstrations) -> None:
+    assert choose_thrusts(chases) == 1
+    assert tracking_floor(chases, joint_locomotion(chases)).estimate < 0.6
+
+
+def test_animals_that_push_with_several_strengths_get_several(chases: Demonstrations) -> None:
+    """Tracks of the chases that can be followed with magnitudes of 1.6, 0.8 and 0.3 only."""
+    strengths = (Locomotion(0.25, 3.0, (1.6, 0.8, 0.3)),) * 3
+    wobbly = replace(chases, positions=track(chases, strengths).positions)
+    assert choose_thrusts(wobbly) > 1
+    assert tracking_floor(wobbly, joint_locomotion(wobbly)).estimate > 0.8
