@@ -63,7 +63,6 @@ LONGER = {  # to be divided where they are two ideas; nothing may join them
     "animarl_envs/worlds/plume/plume.py",
     "animarl_envs/drawing/sketch.py",
     "animarl_algos/cli/watch.py",
-    "animarl_algos/data/dataset.py",
     "animarl_algos/learner/algorithm.py",
     "animarl_algos/learner/checkpoint.py",
     "animarl_algos/learner/offline.py",

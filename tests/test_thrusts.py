@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import animarl_envs
 from animarl_algos.cli.main import app
 from animarl_algos.cli.thrusts import parse_thrusts
-from animarl_algos.data.dataset import dynamics_scored_penalties
+from animarl_algos.data.action_penalties import dynamics_scored_penalties
 from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv
