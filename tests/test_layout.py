@@ -67,7 +67,6 @@ LONGER = {  # to be divided where they are two ideas; nothing may join them
     "animarl_algos/networks/networks.py",
     "animarl_algos/networks/policies.py",
     "animarl_algos/replay/sequence_buffer.py",
-    "animarl_algos/report/figures.py",
 }
 
 
