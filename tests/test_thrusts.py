@@ -54,8 +54,9 @@ from animarl_envs.locomotion import (
     apply_actions,
     infer_actions,
 )
-from animarl_envs.scenario import make_scenario, scenario_as_data
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY, SILKMOTH, Species
+from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.rules import LOOKAHEAD, decide
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
