@@ -60,7 +60,6 @@ ALLOWED: dict[tuple[str, str], str] = {}
 LONGEST = 300  # lines of a file
 LONGER = {  # to be divided where they are two ideas; nothing may join them
     "animarl_algos/learner/algorithm.py",
-    "animarl_algos/learner/offline.py",
     "animarl_algos/networks/networks.py",
     "animarl_algos/networks/policies.py",
     "animarl_algos/replay/sequence_buffer.py",
