@@ -31,7 +31,8 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_envs import environment_id

@@ -38,8 +38,8 @@ from stable_baselines3.common.utils import LinearSchedule
 from animarl_algos.cli.run import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.demonstrations import OfflineDataset
 from animarl_algos.learner.gradient_step import minibatch_values
-from animarl_algos.learner.offline import OfflineDataset
 from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.dqcil import DQCIL
 from animarl_algos.recipes.dqdil import DQDIL

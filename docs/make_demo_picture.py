@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
-from animarl_algos.report.figures import trajectory_pair
+from animarl_algos.report.path_figures import trajectory_pair
 from animarl_algos.runs.pipeline import method_name
 from animarl_algos.runs.run_folder import RunFolder
 

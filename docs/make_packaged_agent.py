@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from animarl_algos.report import style
-from animarl_algos.report.figures import draw_paths
+from animarl_algos.report.path_figures import draw_paths
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.drawing.palette import PURSUERS, to_hex
 from animarl_envs.species import AGENT

@@ -59,20 +59,10 @@ ALLOWED: dict[tuple[str, str], str] = {}
 
 LONGEST = 300  # lines of a file
 LONGER = {  # to be divided where they are two ideas; nothing may join them
-    "animarl_envs/scenario.py",
-    "animarl_envs/worlds/base.py",
-    "animarl_envs/worlds/plume/plume.py",
-    "animarl_envs/drawing/sketch.py",
-    "animarl_algos/cli/watch.py",
-    "animarl_algos/data/dataset.py",
-    "animarl_algos/evaluation/verdict.py",
     "animarl_algos/learner/algorithm.py",
-    "animarl_algos/learner/checkpoint.py",
-    "animarl_algos/learner/offline.py",
     "animarl_algos/networks/networks.py",
     "animarl_algos/networks/policies.py",
     "animarl_algos/replay/sequence_buffer.py",
-    "animarl_algos/report/figures.py",
 }
 
 

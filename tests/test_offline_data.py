@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from animarl_algos.data.dataset import OfflineDataset, dynamics_scored_penalties
+from animarl_algos.data.action_penalties import dynamics_scored_penalties
+from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations

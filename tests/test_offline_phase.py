@@ -14,7 +14,8 @@ from pair_learners import SETTINGS, Split, demonstrations, make_pair_learner, we
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import CheckpointCallback, load_checkpoint
+from animarl_algos.learner.checkpoint import load_checkpoint
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.offline import OfflineProgress, _decay, train_epoch
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.recipes.soft_bc import SoftBC

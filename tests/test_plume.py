@@ -17,7 +17,8 @@ import animarl_envs  # noqa: F401  registers the environments
 from animarl_envs.drawing.clips import write_clip
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
+from animarl_envs.worlds.plume.hits import is_hit
+from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table
 from tools.packaged_data.plume_fit import compare, distance
 from tools.packaged_data.plume_probe import Probe, summarise, whiffs_and_blanks
 

@@ -12,6 +12,7 @@ from stable_baselines3.common.utils import ConstantSchedule
 
 from animarl_algos.networks.acting_rule import boltzmann
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
+from animarl_algos.networks.slots import decide_on_device
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")
@@ -90,7 +91,7 @@ def test_compiled_and_tensor_acting_agree(
     rng = np.random.default_rng(0)
     hidden = rng.uniform(-1, 1, (S, policy.q_net.units)).astype(np.float32)
     previous = rng.integers(0, A + 1, S)
-    want_q, want_hidden = policy._advance_on_device(observations, previous, hidden)
+    want_q, want_hidden = decide_on_device(policy.q_net, observations, previous, hidden)
     got_q = policy._actor.decide(observations, previous, hidden)
     np.testing.assert_allclose(got_q, want_q, rtol=1e-4, atol=5e-6)
     np.testing.assert_allclose(hidden, want_hidden, rtol=1e-4, atol=5e-6)

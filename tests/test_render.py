@@ -16,9 +16,9 @@ import pytest
 from animarl_envs import parallel_env
 from animarl_envs.arena import Arena
 from animarl_envs.drawing import palette
+from animarl_envs.drawing.canvas import view_of
 from animarl_envs.drawing.render import Renderer, round_length, write_clip
 from animarl_envs.drawing.scene import PlumeField, Scene, SceneRecorder
-from animarl_envs.drawing.sketch import view_of
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds.chase.world import ChaseWorld

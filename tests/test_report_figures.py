@@ -8,9 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from animarl_algos.report.figures import shared_bins, trajectory_pair
+from animarl_algos.report.figures import shared_bins
 from animarl_algos.report.interpretation import advantage, value_map, values_along_path
 from animarl_algos.report.learning_curves import chosen_curves
+from animarl_algos.report.path_figures import trajectory_pair
 from animarl_algos.report.style import to_image
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError

@@ -18,13 +18,13 @@ from pair_learners import SETTINGS, demonstrations, weights
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import (
-    CheckpointCallback,
     in_short,
     latest_checkpoint,
     load_checkpoint,
     save_checkpoint,
     serialised,
 )
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.dqaas import DQAAS
 from animarl_algos.recipes.dqdil import DQDIL

@@ -16,7 +16,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 import animarl_algos.learner.offline
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.offline import train_epoch
 
 STEPS = 240

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import animarl_envs
 from animarl_algos.cli.main import app
 from animarl_algos.cli.thrusts import parse_thrusts
-from animarl_algos.data.dataset import dynamics_scored_penalties
+from animarl_algos.data.action_penalties import dynamics_scored_penalties
 from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -54,8 +54,9 @@ from animarl_envs.locomotion import (
     apply_actions,
     infer_actions,
 )
-from animarl_envs.scenario import make_scenario, scenario_as_data
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY, SILKMOTH, Species
+from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.rules import LOOKAHEAD, decide
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth

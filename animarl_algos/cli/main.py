@@ -21,7 +21,7 @@ try:
         train_command,
     )
     from animarl_algos.cli.watch import watch_command
-    from animarl_algos.learner.checkpoint import TERMINATED
+    from animarl_algos.learner.checkpoint_callback import TERMINATED
 except ModuleNotFoundError as error:
     if (error.name or "").startswith("animarl"):
         raise

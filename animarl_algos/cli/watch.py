@@ -14,20 +14,22 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import Progress
 
-import animarl_envs
-from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_algos.cli.watch_actors import (
+    Actor,
+    idle_actor,
+    load_trained,
+    programmed_actor,
+    trained_actor,
+)
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import Scenario, make_scenario
-from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
 HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
-Actor = Callable[[World, bool], NDArray[np.integer]]
-"""From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
 
 
 class Rule(StrEnum):
@@ -204,81 +206,6 @@ def prepare(
     if programmed:
         return world, programmed_actor(world.scenario, seed)
     return world, idle_actor
-
-
-def load_trained(
-    folder: Path, species: str, seed: int, acting: str | None = None
-) -> tuple[Any, Species, Demonstrations, str | None]:
-    """The trained policy of a run, as it acts in tests, its fitted species, and its demonstrations.
-
-    Last comes whom it drives, if a single individual learned; its actions for the others are idle.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no trained policy, or one of another species.
-    """
-    from animarl_algos.data.focal import FocalPolicy
-    from animarl_algos.runs.acting import acting_of
-    from animarl_algos.runs.run_folder import RunFolder
-
-    run = RunFolder(folder, acting)
-    settings, recorded = run.settings, run.demos
-    if settings.species != species:
-        raise InputError(
-            f"{folder}: it was trained as {settings.species}, not as {species}: watch "
-            f"{animarl_envs.environment_id(settings.species)}"
-        )
-    if not run.has_policy(settings.algo):
-        raise InputError(f"{folder}: there is no trained policy yet: let 'animarl train' finish")
-    fitted = run.species(recorded, run.fit)
-    learner = run.learner(settings.algo, run.environment(fitted, recorded))
-    run.load_policy(settings.algo, learner)
-    learner.policy.acting = acting_of(run, settings.algo)
-    learner.policy.seed(seed)
-    if settings.focal is None:
-        return learner, fitted, recorded, None
-    policy = FocalPolicy(learner, fitted.individuals, settings.focal)
-    return policy, fitted, recorded, settings.focal
-
-
-def idle_actor(world: World, start: bool) -> NDArray[np.integer]:
-    """No decisions: the world replays or follows its script."""
-    return np.zeros((1, world.num_individuals), dtype=np.int64)
-
-
-def programmed_actor(scenario: Scenario, seed: int) -> Actor:
-    """The programmed moth: surge, zigzag, loop."""
-    from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
-
-    species = scenario.species
-    assert isinstance(species, SearchSpecies)
-    moth = ProgrammedMoth(1, np.random.default_rng(seed), species)
-
-    def act(world: World, start: bool) -> NDArray[np.integer]:
-        if start:
-            moth.reset()
-        return moth.act(world.observation)
-
-    return act
-
-
-def trained_actor(policy: Any) -> Actor:
-    """A policy of ``predict``; one that was trained with the condition's flag is told it."""
-    state: Any = None
-
-    def act(world: World, start: bool) -> NDArray[np.integer]:
-        nonlocal state
-        num = world.num_individuals
-        observation = world.observation[0]
-        if policy.observation_space.shape[-1] == observation.shape[-1] + 1:
-            flag = np.full((num, 1), world.condition[0], dtype=observation.dtype)
-            observation = np.concatenate([observation, flag], axis=1)
-        starts = np.full(num, start)
-        actions, state = policy.predict(observation, state=state, episode_start=starts)
-        return np.asarray(actions).reshape(1, num)
-
-    return act
 
 
 def play(

@@ -1,24 +1,24 @@
-"""Demonstrations as training sequences, and the penalty of every action in a recorded state."""
+"""Demonstrations as training sequences."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
+from animarl_algos.data import episode_arrays
 from animarl_algos.data.reflection import Reflection
 from animarl_algos.data.windows import WindowDraws
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.gather import BatchBuffers
 from animarl_algos.replay.rings import Frames, Sequences
-from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import Locomotion, apply_actions
 
 
 class OfflineDataset:
@@ -111,10 +111,11 @@ class OfflineDataset:
                 f"{frames} observations: give at least two frames per episode, end to end"
             )
         first = np.cumsum(size) - size
-        labels = self._array("actions", actions, np.int16, (frames, k))
-        self._refuse_missing_actions(labels, first, size, num_actions)
+        checked = partial(episode_arrays.checked, source)
+        labels = checked("actions", actions, np.int16, (frames, k))
+        episode_arrays.refuse_missing_actions(source, self.names, labels, first, size, num_actions)
         each, flat = (len(size),), (frames, k)
-        scored = self._array(
+        scored = checked(
             "action_penalties",
             action_penalties,
             np.float32,
@@ -123,7 +124,7 @@ class OfflineDataset:
         if penalties is None and action_penalties is not None:
             taken = np.maximum(labels, 0).astype(np.int64)[..., None]
             penalties = np.take_along_axis(scored, taken, axis=2)[..., 0]
-        shares = self._array(
+        shares = checked(
             "label_shares",
             label_shares,
             np.float32,
@@ -141,28 +142,28 @@ class OfflineDataset:
             )
         self.reflection = reflection
         self._frames = Frames(
-            observations=self._array("observations", observations, np.float32, (*flat, dim)),
+            observations=checked("observations", observations, np.float32, (*flat, dim)),
             actions=labels,
-            rewards=self._array("rewards", rewards, np.float32, flat),
-            penalties=self._array("penalties", penalties, np.float32, flat),
+            rewards=checked("rewards", rewards, np.float32, flat),
+            penalties=checked("penalties", penalties, np.float32, flat),
             labels=labels,
-            warmup=self._array("warmup", warmup, np.bool_, (frames,)),
+            warmup=checked("warmup", warmup, np.bool_, (frames,)),
         )
         self._sequences = Sequences(
             first=first,
             prefix=np.zeros(each, dtype=np.int64),
             trained=size - 1,
             at_start=np.ones(each, dtype=np.bool_),
-            terminated=self._array("terminated", terminated, np.bool_, each),
-            condition=self._array("condition", condition, np.float32, each),
+            terminated=checked("terminated", terminated, np.bool_, each),
+            condition=checked("condition", condition, np.float32, each),
             frames=size,
             initial_state=np.zeros((len(size), k, 0), dtype=np.float32),
         )
-        self._episodes = self._trainable_episodes(first, size)
+        self._episodes = episode_arrays.trainable_episodes(source, self._frames.warmup, first, size)
         self._windows = WindowDraws(
             first,
             size - 1,
-            self._leading_warmup(first, size),
+            episode_arrays.leading_warmup(self._frames.warmup, first, size),
             self._sequences.terminated,
             self._sequences.condition,
         )
@@ -293,119 +294,3 @@ class OfflineDataset:
             seen = np.concatenate([seen, self.reflection.observations(seen)])
         mean, sd = seen.mean(axis=0), seen.std(axis=0)
         return torch.from_numpy(mean).float(), torch.from_numpy(sd).float()
-
-    def _leading_warmup(
-        self, first: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """Steps at the start of each episode that enter no loss."""
-        masked = self._frames.warmup
-        return np.array(
-            [
-                n - 1 if masked[f : f + n - 1].all() else int(np.argmin(masked[f : f + n - 1]))
-                for f, n in zip(first, lengths, strict=True)
-            ],
-            dtype=np.int64,
-        )
-
-    def _array(
-        self, name: str, value: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
-    ) -> NDArray[Any]:
-        """``value`` as the kernels want it, zeros if it is not given; finite and of this shape."""
-        if value is None:
-            return np.zeros(shape, dtype=dtype)
-        array = np.ascontiguousarray(value, dtype=dtype)
-        if array.shape != shape:
-            raise InputError(
-                f"{self.source}: {name} have shape {array.shape}, not {shape}: "
-                "make them from the same episodes"
-            )
-        if not np.isfinite(array).all():
-            place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-            raise InputError(
-                f"{self.source}: {name} at {place} is not a finite number: "
-                "look for a gap in the recording there"
-            )
-        return array if array.flags.writeable else array.copy()
-
-    def _refuse_missing_actions(
-        self,
-        actions: NDArray[np.int16],
-        first: NDArray[np.int64],
-        lengths: NDArray[np.int64],
-        num_actions: int,
-    ) -> None:
-        bad = (actions < 0) | (actions >= num_actions)
-        bad[first + lengths - 1] = False
-        if bad.any():
-            frame, k = (int(i) for i in np.argwhere(bad)[0])
-            episode = int(np.searchsorted(first, frame, side="right") - 1)
-            raise InputError(
-                f"{self.source}: episode {episode}, frame {frame - first[episode]}, "
-                f"{self.names[k]}: action {actions[frame, k]} is not one of 0 .. "
-                f"{num_actions - 1}: infer the actions of the recording first"
-            )
-
-    def _trainable_episodes(
-        self, first: NDArray[np.int64], lengths: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        masked = self._frames.warmup
-        kept = [not masked[f : f + n - 1].all() for f, n in zip(first, lengths, strict=True)]
-        if not any(kept):
-            raise InputError(
-                f"{self.source}: all episodes end within the warm-up: shorten the warm-up"
-            )
-        return np.flatnonzero(kept)
-
-
-def dynamics_scored_penalties(
-    demos: Demonstrations,
-    velocities: NDArray[np.floating],
-    locomotion: Sequence[Locomotion],
-    focus: NDArray[np.floating],
-    dt: float,
-) -> NDArray[np.float32]:
-    """How far each action would have led from where the animal went next.
-
-    The fitted dynamics predicts the next position for all 12 M + 1 actions from each demonstrated
-    state, ``p + v' dt`` with ``v' = (1 - d) v + u a dt``; the penalty is the Euclidean distance to
-    the next demonstrated position. The smallest is that of the action that inverse dynamics infers,
-    for both compare the same vectors, here times dt^2.
-
-    Parameters
-    ----------
-    demos
-        The demonstrations.
-    velocities
-        ``(frames, K, 2)``, arena frame [arena unit / s].
-    locomotion
-        Parameters of each of the K individuals.
-    focus
-        ``(frames, K, 2)``, unit vectors towards the focus at each frame, arena frame.
-    dt
-        Time between frames [s].
-
-    Returns
-    -------
-    ``(frames, K, 12 M + 1)`` float32 [arena unit]; zero at each episode's last frame.
-    """
-    positions = demos.positions
-    if not velocities.shape == focus.shape == positions.shape or len(locomotion) != len(
-        demos.individuals
-    ):
-        raise InputError(
-            f"{demos.name}: positions {positions.shape}, velocities {velocities.shape}, focus "
-            f"{focus.shape} and {len(locomotion)} locomotion models do not belong together: "
-            "make them from the same demonstrations"
-        )
-    following = np.concatenate([positions[1:], positions[-1:]])
-    num_actions = locomotion[0].num_actions
-    penalties = np.empty((*positions.shape[:2], num_actions), dtype=np.float32)
-    for k, fitted in enumerate(locomotion):
-        for action in range(num_actions):
-            velocity = apply_actions(
-                velocities[:, k], np.full(len(positions), action), focus[:, k], fitted, dt
-            )
-            error = positions[:, k] + velocity * dt - following[:, k]
-            penalties[:, k, action] = np.hypot(error[:, 0], error[:, 1])
-    penalties[demos.offsets[1:] - 1] = 0.0
-    return penalties

@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.data.dataset import OfflineDataset, dynamics_scored_penalties
+from animarl_algos.data.action_penalties import dynamics_scored_penalties
+from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.labels import Labels, soft_labels
 from animarl_algos.data.reflection import Mirror, Reflection
 from animarl_algos.ranges import POSITIVE

@@ -30,18 +30,13 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions
 from animarl_algos.learner import checks, making, online, saving
 from animarl_algos.learner.collecting import Collector, Memory
+from animarl_algos.learner.demonstrations import DemonstrationData, OfflineDataset, refuse_foreign
 from animarl_algos.learner.exploration import (
     Exploration,
     LinearDecay,
     fit_boltzmann_temperature,
 )
-from animarl_algos.learner.offline import (
-    DemonstrationData,
-    OfflineDataset,
-    OfflineProgress,
-    refuse_foreign,
-    run_offline_phase,
-)
+from animarl_algos.learner.offline import OfflineProgress, run_offline_phase
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.presets import constructor_settings
 from animarl_algos.learner.progress import BoundaryHook, with_progress_bar

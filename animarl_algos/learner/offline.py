@@ -14,74 +14,27 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.type_aliases import Schedule
-from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
-from animarl_algos.data.slots import SlotLayout
+from animarl_algos.learner.demonstrations import DemonstrationData, OfflineDataset, refuse_foreign
 from animarl_algos.learner.gradient_step import minibatch_values, update
-from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.learner.offline_learner import OfflineLearner
 from animarl_algos.learner.validation import (
-    Episodes,
     Figures,
     judged_network,
     named_figures,
     validation_figures,
 )
-from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.recipe import OfflineLoss, Recipe, Selection
-from animarl_algos.losses.terms import ScoredActionsTemporalDifference
+from animarl_algos.losses.recipe import OfflineLoss, Selection
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.networks.value_stream import zero_value_stream
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
-
-
-class OfflineDataset(Episodes, Protocol):
-    """Demonstrated episodes as sequences; see :mod:`animarl_algos.data.dataset`."""
-
-    def windows(
-        self,
-        batch_size: int,
-        count: int,
-        generator: np.random.Generator,
-        *,
-        length: int,
-        burn_in: int = 0,
-    ) -> Iterator[SequenceBatch]:
-        """``count`` minibatches of pieces, drawn independently."""
-        ...
-
-    def input_statistics(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and standard deviation (K, n) of the observations."""
-        ...
-
-    @property
-    def num_episodes(self) -> int:
-        """Episodes with a step that enters a loss."""
-        ...
-
-    @property
-    def num_steps(self) -> int:
-        """Steps of all episodes."""
-        ...
-
-
-class DemonstrationData(Protocol):
-    """The two splits that training may see."""
-
-    @property
-    def train(self) -> OfflineDataset: ...
-
-    @property
-    def val(self) -> OfflineDataset: ...
 
 
 @dataclass
@@ -132,45 +85,6 @@ class OfflineProgress:
         if epoch:
             state |= {"best_epochs": [epoch], "best_figures": [figure]}
         self.__dict__.update(self.__class__().__dict__ | state)
-
-
-class OfflineLearner(Protocol):
-    """What the offline phase needs of a learner: its networks, settings and log."""
-
-    policy: GruPolicy
-    layout: SlotLayout
-    env: VecEnv | None
-    lr_schedule: Schedule
-    device: torch.device
-    observation_size: int
-    root_seed: int
-    offline_epochs: int
-    offline_learning_rate: float
-    offline_batch_size: int
-    offline_patience: int | None
-    offline_settings: OfflineSettings
-    offline_progress: OfflineProgress
-    best_weights: dict[str, torch.Tensor] | None
-    average_weights: dict[str, torch.Tensor] | None
-    offline_loss: str
-
-    @property
-    def offline_recipe(self) -> Recipe: ...
-
-    @property
-    def logger(self) -> Logger: ...
-
-    def phase(self, name: str) -> Phase:
-        """The numbers of the ``"offline"`` phase."""
-        ...
-
-    def at_boundary(self) -> None:
-        """Called before each epoch, when all that a checkpoint holds is whole."""
-        ...
-
-    def reset_optimizer(self, learning_rate: float) -> None:
-        """A new optimiser for the online network, with nothing accumulated."""
-        ...
 
 
 def run_offline_phase(
@@ -228,47 +142,6 @@ def _begin(model: OfflineLearner, train: OfflineDataset) -> None:
             network.standardise_inputs(mean.to(model.device), sd.to(model.device))
     if settings.average:
         model.average_weights = {k: v.clone() for k, v in policy.q_net.state_dict().items()}
-
-
-def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
-    """Demonstrations of other individuals, another observation or other actions are refused."""
-    for name, dataset in (("training", data.train), ("validation", data.val)):
-        batch = next(iter(dataset.batches(1)), None)
-        if batch is None:
-            raise InputError(
-                f"the {name} split holds no demonstrated episode: split the data again"
-            )
-        mine = (model.layout.num_individuals, model.observation_size)
-        theirs = (batch.num_individuals, batch.observations.shape[-1])
-        if mine != theirs:
-            raise InputError(
-                f"the {name} demonstrations have {theirs[0]} individuals with {theirs[1]} "
-                f"observation components, the environment {mine[0]} with {mine[1]}: "
-                "make them for this environment"
-            )
-        known = getattr(dataset, "individuals", None)  # of this package's datasets, if named
-        placed = getattr(model.env, "individuals", None)  # of a VecEnv of slots
-        if isinstance(known, tuple) and placed is not None and known != tuple(placed):
-            raise InputError(
-                f"the {name} demonstrations are of {', '.join(known)}, the environment's "
-                f"individuals are {', '.join(model.layout.individuals)}: make them for this "
-                "environment"
-            )
-        scored = batch.action_penalties
-        highest = int(batch.actions.max()) if scored is None else scored.shape[-1] - 1
-        if highest >= model.policy.num_actions:
-            raise InputError(
-                f"the {name} demonstrations hold action {highest}, the environment has "
-                f"{model.policy.num_actions}: make them for this environment"
-            )
-        recipe = model.offline_recipe
-        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in recipe.offline)
-        if scores and scored is None:
-            raise InputError(
-                f"the {name} demonstrations carry no penalties of all actions, which "
-                f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
-                "their species"
-            )
 
 
 def train_epoch(model: OfflineLearner, dataset: OfflineDataset, epoch: int) -> Figures:

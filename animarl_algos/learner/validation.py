@@ -17,7 +17,7 @@ from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
-    from animarl_algos.learner.offline import OfflineLearner
+    from animarl_algos.learner.offline_learner import OfflineLearner
 
 MOST_EPISODES = 16
 """Episodes looked at together: minibatches of windows may be of hundreds, episodes are long."""

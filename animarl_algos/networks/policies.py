@@ -18,14 +18,15 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
 from animarl_algos.losses.values import ExpectedValue, Quantiles, value_distribution
+from animarl_algos.networks import slots
 from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.kernels.acting import CompiledActor
 from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.slots import State
 from animarl_algos.ranges import COUNT, NOT_NEGATIVE, Range
 from animarl_envs.errors import InputError
 
 DROPOUT = Range(most=0.95)
-State = tuple[NDArray[np.float32], NDArray[np.int64]]
 
 
 class GruPolicy(BasePolicy):  # type: ignore[misc]
@@ -274,70 +275,23 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         episode_start: NDArray[Any] | None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], bool]:
         """Q-values (S, actions), next hidden state (S, H), and whether there was one bare slot."""
-        shape = self.observation_space.shape
-        observation = np.asarray(observation)
-        single = observation.shape == shape
-        slots = 1 if single else len(observation)
-        if not single and observation.shape[1:] != shape:
-            raise InputError(
-                f"observation of shape {observation.shape} does not fit the observation space: "
-                f"give {shape}, or (slots, *{shape})"
-            )
-        if slots % len(self.individuals):
-            raise InputError(
-                f"{slots} slots cannot be dealt to the {len(self.individuals)} individuals "
-                f"{self.individuals}: give the observations of all of them, copy by copy"
-            )
-        flat = np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32)
-        hidden, previous = self._remembered(state, episode_start, slots)
+        shape, individuals = self.observation_space.shape, self.individuals
+        flat, single = slots.flattened(observation, shape, individuals)
+        hidden, previous = self._remembered(state, episode_start, len(flat))
         if self.q_net.input_mean.is_cpu:  # self.device would walk all parameters
             return self._actor.decide(flat, previous, hidden), hidden, single
-        return *self._advance_on_device(flat, previous, hidden), single
+        return *slots.decide_on_device(self.q_net, flat, previous, hidden), single
 
     def _remembered(
         self,
         state: tuple[NDArray[Any], ...] | None,
         episode_start: NDArray[Any] | None,
-        slots: int,
+        count: int,
     ) -> State:
         """A copy of the memory, without that of slots whose episode begins."""
         if state is None:
-            return self.initial_state(slots)
-        hidden = np.array(state[0], dtype=np.float32, order="C")
-        previous = np.array(state[1], dtype=np.int64, order="C")
-        if hidden.shape != (slots, self.q_net.units) or previous.shape != (slots,):
-            raise InputError(
-                f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
-                f"of {self.q_net.units} units: give the one that the last call returned"
-            )
-        if not 0 <= previous.min() <= previous.max() <= self.num_actions:
-            raise InputError(
-                f"previous actions run from {previous.min()} to {previous.max()}: they must lie in "
-                f"0 .. {self.num_actions - 1}, or be {self.num_actions} for none"
-            )
-        if episode_start is not None:
-            begins = np.asarray(episode_start, dtype=bool)
-            hidden[begins], previous[begins] = 0.0, self.num_actions
-        return hidden, previous
-
-    def _advance_on_device(
-        self,
-        observation: NDArray[np.float32],
-        previous: NDArray[np.int64],
-        hidden: NDArray[np.float32],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        individuals = len(self.individuals)
-
-        def stacked(array: NDArray[Any]) -> torch.Tensor:
-            shaped = array.reshape(-1, individuals, *array.shape[1:])
-            return torch.from_numpy(shaped).to(self.device).transpose(0, 1)
-
-        def slots(tensor: torch.Tensor) -> NDArray[Any]:
-            array: NDArray[Any] = tensor.transpose(0, 1).flatten(0, 1).cpu().numpy()
-            return array
-
-        q_values, state = self.q_net.step(stacked(observation), stacked(previous), stacked(hidden))
-        return slots(q_values), slots(state)
+            return self.initial_state(count)
+        return slots.remembered(state, episode_start, count, self.q_net.units, self.num_actions)
 
     def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> NDArray[np.int64]:
         """Actions (S,) for Q-values (S, actions): greedy, or by the acting rule, one draw each."""

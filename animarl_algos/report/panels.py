@@ -16,6 +16,7 @@ from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, interpretation
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.learning_curves import chosen_curves, learning_curve
+from animarl_algos.report.path_figures import trajectory_pair
 from animarl_algos.report.sentences import comparison_row, number
 from animarl_algos.report.style import Image, method_label, to_image
 
@@ -37,7 +38,7 @@ def trajectories(inputs: ReportInputs) -> Iterator[tuple[str, list[Image]]]:
         for i in order[ranks].tolist():
             demo = int(rollouts.demo[i])
             ending = "reached" if rollouts.captured[i] else "not reached"
-            figure = figures.trajectory_pair(
+            figure = trajectory_pair(
                 rollouts.path(i),
                 inputs.demos.episode(demo).positions,
                 inputs.demos.arena,

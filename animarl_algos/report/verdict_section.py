@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.motion import MEASURES
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.verdict import AUC, Verdict
+from animarl_algos.evaluation.told_apart import AUC
+from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
 from animarl_algos.report.blocks import Block, Gallery, Group, Row, Table, Text

@@ -23,12 +23,8 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import (
-    CheckpointCallback,
-    latest_checkpoint,
-    load_checkpoint,
-    steps_done,
-)
+from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint, steps_done
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.recorder import check_environment
 from animarl_algos.recipes.registry import named_recipe

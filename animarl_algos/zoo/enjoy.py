@@ -13,7 +13,8 @@ from huggingface_sb3 import EnvironmentName
 from rl_zoo3.utils import get_model_path
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.cli.watch import play, trained_actor
+from animarl_algos.cli.watch import play
+from animarl_algos.cli.watch_actors import trained_actor
 from animarl_algos.data.focal import FocalPolicy
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning

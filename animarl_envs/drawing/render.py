@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.drawing import palette
+from animarl_envs.drawing.canvas import Canvas, View, view_of
 from animarl_envs.drawing.clips import CLIP_SUFFIXES, write_clip
 from animarl_envs.drawing.palette import RGB
 from animarl_envs.drawing.scene import Scene
-from animarl_envs.drawing.sketch import Canvas, View, draw_bodies, draw_ground, draw_paths, view_of
+from animarl_envs.drawing.sketch import draw_bodies, draw_ground, draw_paths
 from animarl_envs.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:

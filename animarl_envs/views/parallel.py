@@ -13,9 +13,10 @@ from pettingzoo import ParallelEnv
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import make_scenario, scenario_as_data
+from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import action_space, chosen_demos, observation_space
+from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 
 Observations = dict[str, NDArray[np.float32]]

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import scenario_as_data
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
@@ -20,6 +19,7 @@ from animarl_envs.views.common import (
     focal_scenario,
     observation_space,
 )
+from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 
 

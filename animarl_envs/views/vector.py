@@ -13,7 +13,6 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import scenario_as_data
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
@@ -24,6 +23,7 @@ from animarl_envs.views.common import (
     focal_scenario,
     observation_space,
 )
+from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 
 

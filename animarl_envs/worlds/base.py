@@ -18,6 +18,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import DRIVERS, Scenario
+from animarl_envs.worlds.flat_demos import flat_demonstrations
 from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
 
@@ -113,7 +114,7 @@ class World(ABC):
         self._disturbed = delay > 0 or scenario.observation_noise > 0
         self.observation = np.zeros_like(self.sensed) if self._disturbed else self.sensed
 
-        self._demos = _flat_demonstrations(scenario)
+        self._demos = flat_demonstrations(scenario)
         self._drivers = np.array([DRIVERS[d] for d in scenario.drivers], dtype=np.int8)
         self._warmup = scenario.species.warmup if scenario.paired else 0
         self.trackers: list[Tracker] = []
@@ -241,40 +242,6 @@ def _restored(
     world.trackers = trackers
     world.set_state(state)
     return world
-
-
-class FlatDemos(NamedTuple):
-    """Demonstrations as kernels read them; empty arrays where there are none."""
-
-    position: NDArray[np.float64]  # (frames, K, 2)
-    velocity: NDArray[np.float64]  # (frames, K, 2)
-    start: NDArray[np.int64]  # (episodes + 1,)
-    condition: NDArray[np.int8]  # (episodes,)
-
-
-def recorded_speed(scenario: Scenario) -> float:
-    """The highest speed in the scenario's demonstrations [arena unit / s], 0 without any."""
-    if scenario.demos is None:
-        return 0.0
-    return float(np.linalg.norm(scenario.demos.velocities(), axis=-1).max())
-
-
-def recorded_reach(scenario: Scenario) -> float:
-    """How far out the scenario's demonstrations lie in x or y [arena unit], 0 without any."""
-    return 0.0 if scenario.demos is None else float(np.abs(scenario.demos.positions).max())
-
-
-def _flat_demonstrations(scenario: Scenario) -> FlatDemos:
-    demos = scenario.demos
-    if demos is None:
-        empty = np.zeros((0, scenario.species.num_individuals, 2))
-        return FlatDemos(empty, empty, np.zeros(1, dtype=np.int64), np.zeros(0, dtype=np.int8))
-    return FlatDemos(
-        np.ascontiguousarray(demos.positions),
-        demos.velocities(),
-        demos.offsets.astype(np.int64),
-        np.ascontiguousarray(demos.condition),
-    )
 
 
 @jit

@@ -20,7 +20,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import read_npz
 from animarl_envs.species import SILKMOTH
 from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.plume import NUM_PATTERNS, ModelPlume, is_hit
+from animarl_envs.worlds.plume.hits import is_hit
+from animarl_envs.worlds.plume.plume import NUM_PATTERNS, ModelPlume
 
 ENOUGH = 50  # samples that a cell needs to be compared
 WHIFF_EDGES = np.array([1, 2, 3, 4, 5, 6, 7, 9, 12, 1000])  # [frames]

@@ -17,10 +17,11 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.worlds.base import World, recorded_reach, recorded_speed
+from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
+from animarl_envs.worlds.flat_demos import recorded_reach, recorded_speed
 
 
 class ChaseWorld(World):

@@ -2,7 +2,7 @@
 
 State arrays have the copy as their last axis: position and velocity ``(2, B)``, sensed ``(n, B)``,
 the rest is a :class:`animarl_envs.worlds.search.senses.Body`; the plume's table is a
-:class:`animarl_envs.worlds.plume.plume.HitTable`.
+:class:`animarl_envs.worlds.plume.hits.HitTable`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.kinematics import next_velocity
 from animarl_envs.species import SearchSpecies
-from animarl_envs.worlds.plume.plume import is_hit
+from animarl_envs.worlds.plume.hits import is_hit
 from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
 
 HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]

@@ -20,7 +20,8 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
-from animarl_envs.worlds.base import World, recorded_speed
+from animarl_envs.worlds.base import World
+from animarl_envs.worlds.flat_demos import recorded_speed
 from animarl_envs.worlds.plume.plume import ModelPlume, PlumeField, as_plume, hit_table
 from animarl_envs.worlds.search import kernels as kernels
 from animarl_envs.worlds.search.layout import observation_components as observation_components

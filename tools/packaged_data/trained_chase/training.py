@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.checkpoint import CheckpointCallback, latest_checkpoint, load_checkpoint
+from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_algos.recipes.dqn import DQN
 from animarl_envs.errors import InputError

@@ -1,0 +1,117 @@
+"""The row ``auc`` of a verdict: whether a classifier tells rollouts and recordings apart.
+
+Its area is read beside that of recordings among themselves, of the locomotion model's closed-loop
+tracking and of random actions. Up to ``NEAR_AUC`` the two are taken for alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.classifier import Telling, among_themselves, tell_apart
+from animarl_algos.evaluation.motion import RECORDED_SCALE, Measure
+from animarl_algos.evaluation.null import Tested
+from animarl_algos.evaluation.prepared import Prepared, factual
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.evaluation.verdict_rows import row_of
+from animarl_algos.evaluation.windows import WINDOW, Windows, resting_step, window_features
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.resolution import rounded
+from animarl_envs.errors import InputError
+
+Floats = NDArray[np.float64]
+
+NEAR_AUC = 0.65  # up to here a classifier hardly tells the two apart
+FLOOR_MARGIN = 0.10  # ... or up to this much above what the locomotion model allows
+FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
+PART = 15  # windows of such a part
+AUC = "auc"
+
+
+class Tracked(Protocol):
+    """Closed-loop tracking of the evaluated demonstrations, frame for frame."""
+
+    @property
+    def positions(self) -> Floats:
+        """``(frames, individuals, 2)``, arena frame [arena unit]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Classified:
+    """What the classifier makes of the rollouts and of what they are read beside."""
+
+    simulated: Telling
+    among: Interval
+    floor: Interval
+    ceiling: Interval
+    block: int | None
+
+    @classmethod
+    def of(
+        cls,
+        prepared: Prepared,
+        counted: Rollouts,
+        floor: Tracked | None,
+        baselines: Mapping[str, Rollouts],
+        references: Demonstrations | None,
+        streams: list[np.random.Generator],
+    ) -> Classified:
+        demos = prepared.demos
+        block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
+
+        still = resting_step(prepared.recorded)
+
+        def windows(rollouts: Rollouts) -> Windows:
+            return window_features(rollouts, demos.arena, block=block, still=still)
+
+        own = windows(prepared.recorded)
+        rng, null_rng = streams
+        simulated = tell_apart(own, windows(counted), rng, importance=True)
+        ceiling = tracked = UNDEFINED
+        if (random := baselines.get("random")) is not None:
+            drawn = prepared.filtered(factual(random, demos))
+            ceiling = tell_apart(own, windows(drawn), rng, deals=1).auc
+        if floor is not None:
+            if floor.positions.shape != demos.positions.shape:
+                raise InputError(
+                    f"the tracking has shape {floor.positions.shape} and the demonstrations "
+                    f"{demos.positions.shape}: track the evaluated ones"
+                )
+            stored = rounded(floor.positions, demos.resolution())
+            followed = replace(Rollouts.from_demonstrations(demos), positions=stored)
+            tracked = tell_apart(own, windows(prepared.filtered(followed)), rng).auc
+        if references is None:
+            among = among_themselves(own, null_rng)
+        else:
+            others = windows(prepared.filtered(Rollouts.from_demonstrations(references)))
+            apart = replace(others, group=others.group + own.group.max() + 1)
+            among = tell_apart(own, apart, null_rng, deals=1).auc
+        return cls(simulated, among, tracked, ceiling, block)
+
+
+def auc_row(found: Classified) -> dict[str, Any]:
+    auc, among = found.simulated.auc, found.among
+    measure = Measure(AUC, f"Told apart by a classifier on {WINDOW:g} s (AUC)", "", "", "", "")
+    gap = Interval(*(part - among.estimate for part in (auc.estimate, auc.low, auc.high)))
+    tested = Tested(abs(auc.estimate - 0.5), abs(among.high - 0.5), math.nan)
+    row = row_of(measure, RECORDED_SCALE, among.estimate, auc.estimate, gap, tested)
+    if not math.isfinite(auc.estimate):
+        return row | {"alike": True, "verdict": "too few demonstrations to say"}
+    if auc.low <= np.fmax(0.5, among.estimate):
+        return row | {"alike": True, "verdict": "not told apart"}
+    if auc.estimate <= NEAR_AUC:
+        return row | {"alike": True, "verdict": "hardly told apart"}
+    if math.isfinite(found.floor.estimate) and (
+        auc.estimate <= found.floor.estimate + FLOOR_MARGIN
+    ):
+        return row | {"alike": True, "verdict": "as near as the fitted locomotion allows"}
+    by = max(found.simulated.importance.items(), key=lambda item: item[1])[0]
+    return row | {"alike": False, "verdict": f"told apart, most of all by {by}"}

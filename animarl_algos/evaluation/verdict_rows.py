@@ -1,0 +1,107 @@
+"""The rows of a verdict: endings and motion, each beside what chance alone would give.
+
+A row is taken for alike if chance explains it, or if the gap is small (``NEAR``, ``NEAR_SHARE``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.distances import null_distances
+from animarl_algos.evaluation.energy_score import energy_scores, pooled_score
+from animarl_algos.evaluation.motion import MEASURES, RECORDED_SCALE, Measure, Unit, ending
+from animarl_algos.evaluation.null import Exchanges, Tested
+from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, bootstrap_difference, cells
+
+Floats = NDArray[np.float64]
+
+NEAR = 0.10  # of the recorded mean: a gap that is called small even if chance does not explain it
+NEAR_SHARE = 0.05  # the same for a share of episodes or steps
+OUTCOMES = "outcomes"
+ALIKE, NEARLY = "as recorded", "nearly as recorded"
+
+
+def rows_of(
+    prepared: Prepared, counted: Rollouts, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """The rows of endings and of motion."""
+    starts = np.unique(counted.demo)
+    exchanges = Exchanges.draw(counted.demo, prepared.demos.num_episodes, rng)
+    true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
+    ends = [ending(one) for one in (prepared.recorded, counted)]
+    rows = [_outcome_row(exchanges.chi_squared(np.concatenate(ends)))]
+    for measure in MEASURES:
+        a, b = true[measure.key], simulated[measure.key]
+        if measure.is_outcome and not (a.any() or b.any()):
+            continue
+        both = np.concatenate([a, b])
+        tested = exchanges.wasserstein(both) if measure.spread else exchanges.difference(both)
+        one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
+        many = cells(b, counted.seed, counted.demo, len(a))
+        gap = bootstrap_difference(many, one, rng)
+        row = row_of(measure, prepared.unit, one.mean, many.mean, gap, tested)
+        if measure.spread:
+            null = null_distances(a[starts], len(b), rng).wasserstein
+            scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
+            row |= {
+                "recorded_null": null.high,
+                "energy": float(np.mean(scores)),
+                "energy_pooled": pooled_score(a[starts]),
+            }
+        row["alike"], row["verdict"] = _judged(measure, row, tested, a[starts], b)
+        rows.append(row)
+    return rows
+
+
+def row_of(
+    measure: Measure, unit: Unit, recorded: float, simulated: float, gap: Interval, tested: Tested
+) -> dict[str, Any]:
+    return {
+        "measure": measure.key,
+        "label": measure.label,
+        "unit": measure.unit.format(length=unit.name),
+        "recorded": recorded,
+        "simulated": simulated,
+        "difference": gap.estimate,
+        "difference_low": gap.low,
+        "difference_high": gap.high,
+        "distance": tested.value,
+        "null": tested.null,
+        "p": tested.p,
+        "recorded_null": math.nan,
+        "energy": math.nan,
+        "energy_pooled": math.nan,
+    }
+
+
+def _judged(
+    measure: Measure, row: Mapping[str, Any], tested: Tested, recorded: Floats, simulated: Floats
+) -> tuple[bool, str]:
+    """Whether it counts as alike, and in words."""
+    if tested.inside:
+        return True, ALIKE
+    allowed = NEAR_SHARE if measure.is_share else NEAR * abs(row["recorded"])
+    if tested.value <= allowed:
+        return True, NEARLY
+    if abs(row["difference"]) < tested.value / 2:  # means agree more than the values do
+        return False, (
+            f"{measure.noun} too much alike"
+            if simulated.std() < recorded.std()
+            else f"{measure.noun} too varied"
+        )
+    return False, measure.too_much if row["difference"] > 0 else measure.too_little
+
+
+def _outcome_row(tested: Tested) -> dict[str, Any]:
+    outcomes = Measure(OUTCOMES, "Endings together (chi-squared)", "", "endings differ", "", "")
+    row = row_of(outcomes, RECORDED_SCALE, math.nan, math.nan, UNDEFINED, tested)
+    return row | {
+        "alike": tested.inside, "verdict": ALIKE if tested.inside else outcomes.too_much
+    }  # fmt: skip
