@@ -18,6 +18,7 @@ from animarl_algos.losses.losses import (
     clip_grad_norm_per_individual,
     masked_mean,
     mean_recall,
+    soft_action_cross_entropy,
     squared_l2,
     treatment_counts,
     treatment_cross_entropy,
@@ -231,6 +232,24 @@ def test_action_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
     gradient = torch.autograd.grad(loss.sum(), logits)[0]
     assert gradient[:, 2].abs().sum() == 0
     assert gradient[0, 0, 1].abs().sum() == 0
+
+
+def test_soft_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
+    """By hand: logits (0, log 3) are the chances 1/4 and 3/4."""
+    logits = torch.tensor([0.0, math.log(3.0)]).expand(2, 2, 3, 2)
+    shares = torch.zeros(2, 2, 3, 2)
+    shares[0, 0, 0] = torch.tensor([1.0, 0.0])
+    shares[0, 1, 2] = torch.tensor([0.5, 0.5])
+    shares[1, 0, 1] = torch.tensor([0.25, 0.75])
+    shares[1, 1, 1] = torch.tensor([1.0, 0.0])
+    valid = torch.ones(2, 2, 3, dtype=torch.bool)
+    valid[1, 1] = False
+    rare, often = -math.log(0.25), -math.log(0.75)
+    first, second = (rare + 0.5 * (rare + often)) / 2, 0.25 * rare + 0.75 * often
+    loss = soft_action_cross_entropy(logits, shares, valid)
+    assert loss.tolist() == pytest.approx([first, second])
+    weighted = soft_action_cross_entropy(logits, shares, valid, torch.tensor([[1.0, 1, 0]] * 2))
+    assert weighted.tolist() == pytest.approx([rare / 2, second])
 
 
 def test_treatment_cross_entropy_by_hand() -> None:

@@ -45,11 +45,11 @@ TARGETS = {
     "animarl_envs/worlds/rules.py": ("test_rules.py",),
     "animarl_envs/dtw.py": ("test_dtw_rows.py",),
     "animarl_algos/losses/losses.py": ("test_losses.py",),
-    "animarl_algos/losses/terms.py": ("test_losses.py", "test_recipes_by_hand.py"),
+    "animarl_algos/losses/terms.py": ("test_loss_terms.py", "test_losses.py"),
     "animarl_algos/losses/values.py": ("test_losses.py",),
     "animarl_algos/replay/sum_tree.py": ("test_prioritised_replay.py",),
     "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
-    "animarl_algos/evaluation/distances.py": ("test_statistics.py",),
+    "animarl_algos/evaluation/distances.py": ("test_distances.py",),
 }
 
 _BINARY = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Mul", "Mod_Mul")
