@@ -14,6 +14,7 @@ from animarl_algos.evaluation.distances import (
     kde_weighted,
     null_distances,
     wasserstein,
+    wasserstein_weighted,
 )
 from animarl_algos.evaluation.statistics import draw_weights
 
@@ -38,6 +39,30 @@ def test_kde_distance_equals_scipys_densities_integrated() -> None:
         assert kde_distance(first, second) == pytest.approx(
             textbook_kde_distance(first, second), abs=2e-3
         )
+
+
+def test_the_grid_reaches_four_of_the_widest_bandwidths_beyond_the_values() -> None:
+    """By hand: (0, 2) has the standard deviation sqrt(2); one value has the least width."""
+    rule = kde_rule([0.0, 2.0], [10.0])
+    assert rule is not None
+    widest = 2.0**0.5 * 2.0**-0.2
+    assert rule.floor == pytest.approx(0.01 * 10.0)
+    assert len(rule.grid) == 512
+    assert rule.grid[[0, -1]] == pytest.approx([-4.0 * widest, 10.0 + 4.0 * widest])
+    narrow = kde_rule([0.0], [10.0])
+    assert narrow is not None
+    assert narrow.grid[[0, -1]] == pytest.approx([-0.4, 10.4])
+
+
+def test_values_that_differ_by_rounding_alone_are_equal() -> None:
+    assert kde_rule([0.0], [1e-10]) is None and kde_rule([1e6], [1e6 + 1e-4]) is None
+    assert kde_rule([0.0], [1e-8]) is not None and kde_rule([1e6], [1e6 + 1e-2]) is not None
+
+
+def test_kde_distance_of_very_small_samples() -> None:
+    first, second = np.array([0.0, 1.0]), np.array([2.0, 2.7, 4.0])
+    expected = textbook_kde_distance(first, second)
+    assert kde_distance(first, second) == pytest.approx(expected, abs=2e-3)
 
 
 def test_kde_distance_is_symmetric_and_free_of_scale() -> None:
@@ -93,6 +118,58 @@ def test_wasserstein_equals_scipy() -> None:
     first, second = rng.normal(size=31), rng.exponential(size=17)
     assert wasserstein(first, second) == pytest.approx(stats.wasserstein_distance(first, second))
     assert wasserstein(first, first + 2.5) == pytest.approx(2.5)
+
+
+def test_weighted_wasserstein_equals_scipy() -> None:
+    rng = np.random.default_rng(18)
+    a, b = rng.normal(size=12), np.round(rng.normal(size=9), 1)
+    b[3] = b[4] = a[0]  # ties within a sample and between the two
+    first, second = (rng.integers(0, 4, (6, n)).astype(float) for n in (12, 9))
+    found = wasserstein_weighted(a, first, b, second)
+    for r in range(6):
+        expected = stats.wasserstein_distance(a, b, first[r], second[r])
+        assert found[r] == pytest.approx(expected)
+    first[2] = 0.0  # nothing was drawn
+    assert (
+        np.isnan(wasserstein_weighted(a, first, b, second)).tolist()
+        == [False] * 2 + [True] + [False] * 3
+    )
+
+
+def test_one_seed_and_one_demonstration_leave_nothing_to_resample() -> None:
+    """Every resample is then the sample itself, in both distances."""
+    rng = np.random.default_rng(19)
+    simulated = rng.normal(size=30)
+    both = bootstrap_distances(simulated, [2.0], np.full(30, 7), np.zeros(30, dtype=int), rng, 20)
+    assert both.wasserstein.estimate == pytest.approx(np.abs(simulated - 2.0).mean())
+    assert (both.wasserstein.low, both.wasserstein.high) == pytest.approx(
+        [both.wasserstein.estimate] * 2
+    )
+    assert (both.kde.low, both.kde.high) == pytest.approx([both.kde.estimate] * 2, abs=0.02)
+
+
+def test_what_does_not_count_leaves_the_distances_alone() -> None:
+    simulated, demo = np.array([1.0, np.nan, 2.0, 4.0]), np.array([0, 1, 2, 1])
+    recorded = np.array([0.0, 5.0, np.nan])
+    both = bootstrap_distances(simulated, recorded, [3, 3, 8, 8], demo, np.random.default_rng(0))
+    assert both.wasserstein.estimate == pytest.approx(wasserstein([1.0, 2.0, 4.0], [0.0, 5.0]))
+    assert both.kde.estimate == pytest.approx(kde_distance([1.0, 2.0, 4.0], [0.0, 5.0]))
+    nothing = bootstrap_distances([1.0], [np.nan], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing.wasserstein.estimate)
+
+
+def test_null_reference_needs_a_value_of_each() -> None:
+    rng = np.random.default_rng(20)
+    assert np.isnan(null_distances([1.0, 2.0], 0, rng).kde.estimate)
+    assert null_distances([1.0, 1.0], 1, rng, 20).kde.estimate == 0.0
+    alone = null_distances([0.0, 1.0], 1, rng, 400, num_recorded=1)
+    # Two coins: equal half of the time, else one apart.
+    assert alone.wasserstein.estimate == pytest.approx(0.5, abs=0.1)
+    assert (alone.wasserstein.low, alone.wasserstein.high) == (0.0, 1.0)
+    assert alone.kde.estimate == pytest.approx(1.0, abs=0.2)
+    as_many = null_distances(rng.normal(size=40), 40, rng, 200).wasserstein.estimate
+    fewer = null_distances(rng.normal(size=40), 40, rng, 200, num_recorded=4).wasserstein.estimate
+    assert as_many < 0.6 * fewer
 
 
 def test_null_reference_shows_the_bias() -> None:
