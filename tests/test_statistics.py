@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Anova,
     Cells,
     Interval,
     bootstrap_difference,
@@ -95,6 +99,40 @@ def test_interval_is_undefined_when_many_resamples_are() -> None:
     assert percentile_interval(1.0, np.linspace(0, 1, 1001)).low == pytest.approx(0.025)
 
 
+def test_interval_holds_the_central_share_of_what_is_defined() -> None:
+    values = np.linspace(0, 1, 1001)
+    interval = percentile_interval(0.4, values)
+    assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.4, 0.025, 0.975))
+    half = percentile_interval(0.4, values, confidence=0.5)
+    assert (half.low, half.high) == pytest.approx((0.25, 0.75))
+    # One in twenty may be without a value, no more.
+    for without, defined in ((5, True), (6, False)):
+        some = np.where(np.arange(100) < without, np.nan, 1.0)
+        assert np.isfinite(percentile_interval(1.0, some).low) == defined
+    assert np.isnan(percentile_interval(np.nan, values).low)
+
+
+def test_intervals_exclude_zero_and_overlap() -> None:
+    assert Interval(1.0, 0.1, 2.0).excludes_zero and Interval(-1.0, -2.0, -0.1).excludes_zero
+    assert not Interval(1.0, 0.0, 2.0).excludes_zero and not Interval(-1.0, -2.0, 0.0).excludes_zero
+    assert not Interval(0.5, -0.5, 0.5).excludes_zero and not UNDEFINED.excludes_zero
+    below, above = Interval(0.5, 0.0, 1.0), Interval(2.0, 1.5, 2.5)
+    assert not below.overlaps(above) and not above.overlaps(below)
+    touching = Interval(1.2, 1.0, 1.5)
+    for other in (below, above, touching, UNDEFINED):
+        assert touching.overlaps(other) and other.overlaps(touching)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        below.low = 2.0  # type: ignore[misc]
+
+
+def test_misshapen_cells_are_refused() -> None:
+    for sums, counts in (((2, 3), (3, 2)), ((3,), (3,)), ((2, 3), (3,)), ((1, 2, 3), (1, 2, 3))):
+        with pytest.raises(InputError, match="seeds, demos"):
+            Cells(np.zeros(sums), np.zeros(counts))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Cells(np.zeros((1, 1)), np.zeros((1, 1))).sums = np.ones((1, 1))  # type: ignore[misc]
+
+
 @pytest.mark.parametrize(
     ("seeds", "demos", "sd", "least", "most"),
     [
@@ -179,6 +217,19 @@ def test_within_demo_intervals_need_two_methods() -> None:
     assert alone[0].estimate == 1.0 and np.isnan(alone[0].low)
     with pytest.raises(InputError, match="methods, resamples"):
         within_demo_intervals([1.0, 2.0], np.zeros((3, 10)))
+    for estimates, resampled in ((np.zeros((2, 1)), np.zeros((2, 10))), ([1.0, 2.0], [1.0, 2.0])):
+        with pytest.raises(InputError, match="methods, resamples"):
+            within_demo_intervals(estimates, resampled)
+
+
+def test_within_demo_intervals_by_hand() -> None:
+    """Two methods, scaled by sqrt(2 / 1) about their own means."""
+    draws = np.array([[1.0, 2.0, 3.0], [5.0, 4.0, 9.0]])
+    first, second = within_demo_intervals([2.0, 6.0], draws, confidence=1.0)
+    # Less each resample's mean (3, 3, 6): -2, -1, -3 and 2, 1, 3; less -2 and 2; times sqrt(2).
+    root = 2.0**0.5
+    assert (first.estimate, first.low, first.high) == pytest.approx((2.0, 2.0 - root, 2.0 + root))
+    assert (second.estimate, second.low, second.high) == pytest.approx((6.0, 6 - root, 6 + root))
 
 
 def test_same_generator_same_numbers() -> None:
@@ -193,6 +244,41 @@ def test_same_generator_same_numbers() -> None:
 def test_f_equals_scipy() -> None:
     groups = np.random.default_rng(7).normal(size=(4, 9)) + np.arange(4)[:, None]
     assert f_statistic(groups) == pytest.approx(stats.f_oneway(*groups).statistic)
+
+
+def test_f_of_many_tables_is_the_f_of_each() -> None:
+    tables = np.random.default_rng(10).normal(size=(5, 2, 3, 4))
+    each = [[stats.f_oneway(*table).statistic for table in row] for row in tables]
+    np.testing.assert_allclose(f_statistic(tables), each)
+
+
+def test_permutation_p_counts_the_observed_order_too() -> None:
+    """Known answers: two pairs far apart, which 2 of 4 orders within pairs keep so."""
+    table = np.array([[0.0, 0.1], [100.0, 100.2]])
+    rng = np.random.default_rng(11)
+    result = permutation_anova(table, rng, 4000, paired=True, unit="demonstration")
+    assert result.f == pytest.approx(stats.f_oneway(*table).statistic)
+    assert result.unit == "demonstration"
+    assert result.p == pytest.approx(1 / 2, abs=0.03)
+    # Dealt afresh, 8 of the 24 orders keep the pairs together: the two below, and the two above.
+    assert permutation_anova(table, rng, 4000, paired=False).p == pytest.approx(1 / 3, abs=0.03)
+    far = np.arange(40.0).reshape(2, 20)
+    assert permutation_anova(far, rng, 9, paired=False) == Anova(
+        float(f_statistic(far)), 1 / 10, "unit"
+    )
+
+
+def test_an_anova_of_a_large_table_is_done_in_parts() -> None:
+    """More numbers than are permuted at once; nothing differs, so p is anything but small."""
+    table = np.random.default_rng(12).normal(size=(2, 400_000))
+    result = permutation_anova(table, np.random.default_rng(13), 5, paired=True)
+    assert (result.p * 6) == pytest.approx(round(result.p * 6)) and 1 / 6 <= result.p <= 1.0
+
+
+def test_anova_of_equal_values_finds_nothing() -> None:
+    assert permutation_anova(np.ones((2, 2)), np.random.default_rng(0), paired=True) == Anova(
+        0.0, 1.0, "unit"
+    )
 
 
 @pytest.mark.parametrize("paired", [True, False])
@@ -216,6 +302,10 @@ def test_anova_refuses_what_it_cannot_judge() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="two groups"):
         permutation_anova(np.ones((1, 5)), rng, paired=True)
+    with pytest.raises(InputError, match="two groups"):
+        permutation_anova(np.ones((5, 1)), rng, paired=True)
+    with pytest.raises(InputError, match="two groups"):
+        permutation_anova(np.ones((2, 2, 2)), rng, paired=True)
     with pytest.raises(InputError, match="finite"):
         permutation_anova([[1.0, np.nan], [1.0, 2.0]], rng, paired=True)
     assert permutation_anova(np.ones((2, 5)), rng, paired=True).p == 1.0
