@@ -117,6 +117,7 @@ def test_wasserstein_equals_scipy() -> None:
     rng = np.random.default_rng(15)
     first, second = rng.normal(size=31), rng.exponential(size=17)
     assert wasserstein(first, second) == pytest.approx(stats.wasserstein_distance(first, second))
+    assert wasserstein(second, first) == pytest.approx(wasserstein(first, second))
     assert wasserstein(first, first + 2.5) == pytest.approx(2.5)
 
 

@@ -285,6 +285,8 @@ def test_balanced_accuracy_weighs_both_treatments_equally() -> None:
     condition = torch.tensor([[1, 1, 1, 0, 0]])
     valid = torch.ones(1, 1, 5, dtype=torch.bool)
     assert mean_recall(treatment_counts(logits, condition, valid)).item() == 0.75
+    undecided = treatment_counts(torch.zeros(1, 1, 5), condition, valid)
+    assert undecided.tolist() == [[[2, 2], [0, 3]]]  # evens are told as treatment 0
     valid[..., 3] = False
     assert mean_recall(treatment_counts(logits, condition, valid)).item() == 1.0
     assert (
