@@ -40,6 +40,18 @@ def test_a_straight_wall_holds_each_axis_by_itself() -> None:
     assert speeds.tolist() == [[[0.0, 0.5], [0.0, 0.5], [-0.2, 0.0], [0.0, 0.0]]]
 
 
+def test_slow_ones_are_judged_as_fast_ones_are() -> None:
+    places, speeds = held(SQUARE, [[[2.1, -2.1], [2.1, -2.1]]], [[[0.1, -0.1], [-0.1, 0.1]]])
+    assert places.tolist() == [[[2.0, -2.0], [2.0, -2.0]]]
+    assert speeds.tolist() == [[[0.0, 0.0], [-0.1, 0.1]]]
+
+
+def test_who_stands_on_a_round_wall_is_not_beyond_it() -> None:
+    places, speeds = held(DISC, [[[2.0, 0.0], [0.0, -2.0]]], [[[1.0, 0.5], [0.5, -1.0]]])
+    assert places.tolist() == [[[2.0, 0.0], [0.0, -2.0]]]
+    assert speeds.tolist() == [[[1.0, 0.5], [0.5, -1.0]]]
+
+
 def test_who_stands_on_a_straight_wall_is_not_beyond_it() -> None:
     """Nor is one who moves back inside robbed of the velocity."""
     places, speeds = held(SQUARE, [[[2.0, -2.0], [2.5, -2.5]]], [[[1.0, -1.0], [-0.7, 0.7]]])

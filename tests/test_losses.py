@@ -18,6 +18,7 @@ from animarl_algos.losses.losses import (
     clip_grad_norm_per_individual,
     masked_mean,
     mean_recall,
+    soft_action_cross_entropy,
     squared_l2,
     treatment_counts,
     treatment_cross_entropy,
@@ -218,6 +219,7 @@ def test_masked_mean_counts_each_individuals_own_steps() -> None:
     weights = torch.tensor([[0.5], [2.0]])
     assert masked_mean(per_step, valid, weights).tolist() == [1.0, 14.0]
     assert masked_mean(per_step, torch.zeros_like(valid)).tolist() == [0.0, 0.0]
+    assert masked_mean(per_step, valid & (per_step == 3.0)).tolist() == [3.0, 0.0]
 
 
 def test_action_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
@@ -234,6 +236,24 @@ def test_action_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
     assert gradient[0, 0, 1].abs().sum() == 0
 
 
+def test_soft_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
+    """By hand: logits (0, log 3) are the chances 1/4 and 3/4."""
+    logits = torch.tensor([0.0, math.log(3.0)]).expand(2, 2, 3, 2)
+    shares = torch.zeros(2, 2, 3, 2)
+    shares[0, 0, 0] = torch.tensor([1.0, 0.0])
+    shares[0, 1, 2] = torch.tensor([0.5, 0.5])
+    shares[1, 0, 1] = torch.tensor([0.25, 0.75])
+    shares[1, 1, 1] = torch.tensor([1.0, 0.0])
+    valid = torch.ones(2, 2, 3, dtype=torch.bool)
+    valid[1, 1] = False
+    rare, often = -math.log(0.25), -math.log(0.75)
+    first, second = (rare + 0.5 * (rare + often)) / 2, 0.25 * rare + 0.75 * often
+    loss = soft_action_cross_entropy(logits, shares, valid)
+    assert loss.tolist() == pytest.approx([first, second])
+    weighted = soft_action_cross_entropy(logits, shares, valid, torch.tensor([[1.0, 1, 0]] * 2))
+    assert weighted.tolist() == pytest.approx([rare / 2, second])
+
+
 def test_treatment_cross_entropy_by_hand() -> None:
     logits = torch.tensor([[[0.0, math.log(3.0)]]])
     condition = torch.tensor([[1, 0]])
@@ -242,11 +262,32 @@ def test_treatment_cross_entropy_by_hand() -> None:
     assert treatment_cross_entropy(logits, condition, valid).item() == pytest.approx(expected)
 
 
+def test_conditions_belong_to_their_own_individual_and_column() -> None:
+    """Three individuals, two steps, three columns: no two axes can be mistaken unnoticed."""
+    generator = torch.Generator().manual_seed(4)
+    logits = torch.randn(3, 2, 3, generator=generator)
+    condition = torch.tensor([[1, 0, 0], [1, 1, 0], [0, 1, 1]])
+    valid = torch.rand(3, 2, 3, generator=generator) < 0.8
+    every = condition[:, None].repeat(1, 2, 1)
+    counts, losses = torch.zeros(3, 2, 2, dtype=torch.int64), torch.zeros(3)
+    for k, t, b in valid.nonzero().tolist():
+        sign = 1.0 if condition[k, b] else -1.0
+        losses[k] += math.log1p(math.exp(-sign * float(logits[k, t, b])))
+        counts[k, condition[k, b]] += torch.tensor([sign * float(logits[k, t, b]) > 0, True])
+    for given in (condition, every):
+        assert torch.equal(treatment_counts(logits, given, valid), counts)
+        torch.testing.assert_close(
+            treatment_cross_entropy(logits, given, valid), losses / valid.sum((1, 2))
+        )
+
+
 def test_balanced_accuracy_weighs_both_treatments_equally() -> None:
     logits = torch.tensor([[[1.0, 1.0, 1.0, 1.0, -1.0]]])
     condition = torch.tensor([[1, 1, 1, 0, 0]])
     valid = torch.ones(1, 1, 5, dtype=torch.bool)
     assert mean_recall(treatment_counts(logits, condition, valid)).item() == 0.75
+    undecided = treatment_counts(torch.zeros(1, 1, 5), condition, valid)
+    assert undecided.tolist() == [[[2, 2], [0, 3]]]  # evens are told as treatment 0
     valid[..., 3] = False
     assert mean_recall(treatment_counts(logits, condition, valid)).item() == 1.0
     assert (
@@ -279,6 +320,14 @@ def test_clipping_equals_torch_for_each_individual() -> None:
         for p, q in zip(parameters, alone):
             torch.testing.assert_close(p.grad[k], q.grad)
     assert torch.equal(parameters[0].grad[0], before[0][0])  # small gradients are left alone
+
+
+def test_a_gradient_hardly_too_long_is_clipped_and_none_is_no_error() -> None:
+    parameter = nn.Parameter(torch.zeros(1, 2))
+    parameter.grad = torch.tensor([[0.9, 1.2]])  # of length 1.5
+    assert clip_grad_norm_per_individual([parameter], 1.0).item() == pytest.approx(1.5)
+    torch.testing.assert_close(parameter.grad, torch.tensor([[0.6, 0.8]]))
+    assert clip_grad_norm_per_individual([nn.Parameter(torch.zeros(1, 2))], 1.0).shape == (0,)
 
 
 def test_a_broken_gradient_leaves_the_clipping_of_the_others() -> None:

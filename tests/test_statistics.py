@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
-from animarl_algos.evaluation.distances import (
-    bootstrap_distances,
-    kde_distance,
-    kde_rule,
-    kde_weighted,
-    null_distances,
-    wasserstein,
-)
 from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Anova,
     Cells,
     Interval,
     bootstrap_difference,
@@ -104,6 +99,40 @@ def test_interval_is_undefined_when_many_resamples_are() -> None:
     assert percentile_interval(1.0, np.linspace(0, 1, 1001)).low == pytest.approx(0.025)
 
 
+def test_interval_holds_the_central_share_of_what_is_defined() -> None:
+    values = np.linspace(0, 1, 1001)
+    interval = percentile_interval(0.4, values)
+    assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.4, 0.025, 0.975))
+    half = percentile_interval(0.4, values, confidence=0.5)
+    assert (half.low, half.high) == pytest.approx((0.25, 0.75))
+    # One in twenty may be without a value, no more.
+    for without, defined in ((5, True), (6, False)):
+        some = np.where(np.arange(100) < without, np.nan, 1.0)
+        assert np.isfinite(percentile_interval(1.0, some).low) == defined
+    assert np.isnan(percentile_interval(np.nan, values).low)
+
+
+def test_intervals_exclude_zero_and_overlap() -> None:
+    assert Interval(1.0, 0.1, 2.0).excludes_zero and Interval(-1.0, -2.0, -0.1).excludes_zero
+    assert not Interval(1.0, 0.0, 2.0).excludes_zero and not Interval(-1.0, -2.0, 0.0).excludes_zero
+    assert not Interval(0.5, -0.5, 0.5).excludes_zero and not UNDEFINED.excludes_zero
+    below, above = Interval(0.5, 0.0, 1.0), Interval(2.0, 1.5, 2.5)
+    assert not below.overlaps(above) and not above.overlaps(below)
+    touching = Interval(1.2, 1.0, 1.5)
+    for other in (below, above, touching, UNDEFINED):
+        assert touching.overlaps(other) and other.overlaps(touching)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        below.low = 2.0  # type: ignore[misc]
+
+
+def test_misshapen_cells_are_refused() -> None:
+    for sums, counts in (((2, 3), (3, 2)), ((3,), (3,)), ((2, 3), (3,)), ((1, 2, 3), (1, 2, 3))):
+        with pytest.raises(InputError, match="seeds, demos"):
+            Cells(np.zeros(sums), np.zeros(counts))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Cells(np.zeros((1, 1)), np.zeros((1, 1))).sums = np.ones((1, 1))  # type: ignore[misc]
+
+
 @pytest.mark.parametrize(
     ("seeds", "demos", "sd", "least", "most"),
     [
@@ -188,6 +217,19 @@ def test_within_demo_intervals_need_two_methods() -> None:
     assert alone[0].estimate == 1.0 and np.isnan(alone[0].low)
     with pytest.raises(InputError, match="methods, resamples"):
         within_demo_intervals([1.0, 2.0], np.zeros((3, 10)))
+    for estimates, resampled in ((np.zeros((2, 1)), np.zeros((2, 10))), ([1.0, 2.0], [1.0, 2.0])):
+        with pytest.raises(InputError, match="methods, resamples"):
+            within_demo_intervals(estimates, resampled)
+
+
+def test_within_demo_intervals_by_hand() -> None:
+    """Two methods, scaled by sqrt(2 / 1) about their own means."""
+    draws = np.array([[1.0, 2.0, 3.0], [5.0, 4.0, 9.0]])
+    first, second = within_demo_intervals([2.0, 6.0], draws, confidence=1.0)
+    # Less each resample's mean (3, 3, 6): -2, -1, -3 and 2, 1, 3; less -2 and 2; times sqrt(2).
+    root = 2.0**0.5
+    assert (first.estimate, first.low, first.high) == pytest.approx((2.0, 2.0 - root, 2.0 + root))
+    assert (second.estimate, second.low, second.high) == pytest.approx((6.0, 6 - root, 6 + root))
 
 
 def test_same_generator_same_numbers() -> None:
@@ -202,6 +244,41 @@ def test_same_generator_same_numbers() -> None:
 def test_f_equals_scipy() -> None:
     groups = np.random.default_rng(7).normal(size=(4, 9)) + np.arange(4)[:, None]
     assert f_statistic(groups) == pytest.approx(stats.f_oneway(*groups).statistic)
+
+
+def test_f_of_many_tables_is_the_f_of_each() -> None:
+    tables = np.random.default_rng(10).normal(size=(5, 2, 3, 4))
+    each = [[stats.f_oneway(*table).statistic for table in row] for row in tables]
+    np.testing.assert_allclose(f_statistic(tables), each)
+
+
+def test_permutation_p_counts_the_observed_order_too() -> None:
+    """Known answers: two pairs far apart, which 2 of 4 orders within pairs keep so."""
+    table = np.array([[0.0, 0.1], [100.0, 100.2]])
+    rng = np.random.default_rng(11)
+    result = permutation_anova(table, rng, 4000, paired=True, unit="demonstration")
+    assert result.f == pytest.approx(stats.f_oneway(*table).statistic)
+    assert result.unit == "demonstration"
+    assert result.p == pytest.approx(1 / 2, abs=0.03)
+    # Dealt afresh, 8 of the 24 orders keep the pairs together: the two below, and the two above.
+    assert permutation_anova(table, rng, 4000, paired=False).p == pytest.approx(1 / 3, abs=0.03)
+    far = np.arange(40.0).reshape(2, 20)
+    assert permutation_anova(far, rng, 9, paired=False) == Anova(
+        float(f_statistic(far)), 1 / 10, "unit"
+    )
+
+
+def test_an_anova_of_a_large_table_is_done_in_parts() -> None:
+    """More numbers than are permuted at once; nothing differs, so p is anything but small."""
+    table = np.random.default_rng(12).normal(size=(2, 400_000))
+    result = permutation_anova(table, np.random.default_rng(13), 5, paired=True)
+    assert (result.p * 6) == pytest.approx(round(result.p * 6)) and 1 / 6 <= result.p <= 1.0
+
+
+def test_anova_of_equal_values_finds_nothing() -> None:
+    assert permutation_anova(np.ones((2, 2)), np.random.default_rng(0), paired=True) == Anova(
+        0.0, 1.0, "unit"
+    )
 
 
 @pytest.mark.parametrize("paired", [True, False])
@@ -225,114 +302,10 @@ def test_anova_refuses_what_it_cannot_judge() -> None:
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="two groups"):
         permutation_anova(np.ones((1, 5)), rng, paired=True)
+    with pytest.raises(InputError, match="two groups"):
+        permutation_anova(np.ones((5, 1)), rng, paired=True)
+    with pytest.raises(InputError, match="two groups"):
+        permutation_anova(np.ones((2, 2, 2)), rng, paired=True)
     with pytest.raises(InputError, match="finite"):
         permutation_anova([[1.0, np.nan], [1.0, 2.0]], rng, paired=True)
     assert permutation_anova(np.ones((2, 5)), rng, paired=True).p == 1.0
-
-
-# -- distances ------------------------------------------------------------
-
-
-def textbook_kde_distance(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    grid = np.linspace(-30, 30, 20_001)
-    densities = [stats.gaussian_kde(sample)(grid) for sample in (first, second)]
-    return float(np.trapezoid(np.abs(densities[0] - densities[1]), grid))
-
-
-def test_kde_distance_known_answers() -> None:
-    rng = np.random.default_rng(10)
-    sample = rng.normal(size=60)
-    assert kde_distance(sample, sample) == 0.0
-    assert kde_distance(sample, sample + 100.0) == pytest.approx(2.0, abs=1e-3)
-
-
-def test_kde_distance_equals_scipys_densities_integrated() -> None:
-    rng = np.random.default_rng(11)
-    for shift in (0.0, 0.7, 3.0):
-        first, second = rng.normal(size=25), rng.gamma(2.0, size=60) + shift
-        assert kde_distance(first, second) == pytest.approx(
-            textbook_kde_distance(first, second), abs=2e-3
-        )
-
-
-def test_kde_distance_is_symmetric_and_free_of_scale() -> None:
-    rng = np.random.default_rng(12)
-    first, second = rng.normal(size=30), rng.normal(0.5, 2.0, 50)
-    distance = kde_distance(first, second)
-    assert kde_distance(second, first) == pytest.approx(distance)
-    assert kde_distance(1000 * first + 7, 1000 * second + 7) == pytest.approx(distance, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "expected"),
-    [
-        ([14.8] * 5, [14.8] * 9, 0.0),  # every episode timed out, here and there
-        ([14.8] * 5, [3.0] * 9, 2.0),
-        ([14.8], [3.0], 2.0),
-        ([14.8], [14.8], 0.0),
-    ],
-)
-def test_kde_distance_without_variance(
-    first: list[float], second: list[float], expected: float
-) -> None:
-    assert kde_distance(first, second) == pytest.approx(expected, abs=1e-3)
-
-
-def test_kde_distance_of_a_peak_to_a_spread() -> None:
-    spread = np.random.default_rng(13).uniform(0, 14.8, 50)
-    assert 1.7 < kde_distance([14.8] * 50, spread) < 2.0
-
-
-def test_distances_of_nothing_are_undefined() -> None:
-    assert np.isnan(kde_distance([], [1.0, 2.0])) and np.isnan(wasserstein([np.nan], [1.0]))
-    nothing = bootstrap_distances([np.nan], [1.0], [0], [0], np.random.default_rng(0))
-    assert np.isnan(nothing.kde.estimate)
-    assert np.isnan(null_distances([], 5, np.random.default_rng(0)).kde.estimate)
-
-
-def test_binned_density_equals_the_exact_one() -> None:
-    rng = np.random.default_rng(14)
-    sample, other = rng.normal(size=80), rng.normal(4, 0.5, 20)
-    rule = kde_rule(sample, other)
-    assert rule is not None
-    weights = draw_weights(rng, len(sample), 10)
-    fast = kde_weighted(rule, sample, weights)
-    for b in range(10):
-        drawn = np.repeat(sample, weights[b].astype(int))
-        exact = stats.gaussian_kde(drawn)(rule.grid)
-        assert np.abs(fast[b] - exact).sum() * rule.step < 5e-3
-
-
-def test_wasserstein_equals_scipy() -> None:
-    rng = np.random.default_rng(15)
-    first, second = rng.normal(size=31), rng.exponential(size=17)
-    assert wasserstein(first, second) == pytest.approx(stats.wasserstein_distance(first, second))
-    assert wasserstein(first, first + 2.5) == pytest.approx(2.5)
-
-
-def test_null_reference_shows_the_bias() -> None:
-    """Ten values against fifty of one distribution differ by 0.3 to 0.5; more values by less."""
-    rng = np.random.default_rng(16)
-    direct = np.mean(
-        [kde_distance(rng.exponential(size=10), rng.exponential(size=50)) for _ in range(100)]
-    )
-    assert 0.3 < direct < 0.5
-    recorded = rng.exponential(size=50)
-    null = null_distances(recorded, 10, rng, 400)
-    assert null.kde.estimate == pytest.approx(direct, abs=0.1)
-    assert null.kde.low < null.kde.estimate < null.kde.high
-    many = null_distances(recorded, 1000, rng, 400, num_recorded=1000)
-    assert many.kde.estimate < 0.15
-    assert many.wasserstein.estimate < null.wasserstein.estimate
-
-
-def test_bootstrap_distances_surround_a_large_distance() -> None:
-    rng = np.random.default_rng(17)
-    demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
-    recorded = rng.normal(size=30)
-    simulated = recorded[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
-    both = bootstrap_distances(simulated, recorded, seed, demo, rng, 400)
-    assert both.wasserstein.low < 2.0 < both.wasserstein.high
-    assert both.kde.low < both.kde.estimate < both.kde.high < 2.0
-    null = null_distances(recorded, len(simulated), rng, 400)
-    assert both.kde.low > null.kde.high

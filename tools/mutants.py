@@ -34,8 +34,8 @@ from cosmic_ray.plugins import get_operator
 ROOT = Path(__file__).resolve().parents[1]
 TIMES, GRACE = 8.0, 10.0  # a mutant that takes so many times as long, and so many seconds, hangs
 LIBRARIES = (
-    "numba", "torch", "scipy.stats", "scipy.fft", "gymnasium", "pettingzoo", "hypothesis",
-    "stable_baselines3", "sb3_contrib",
+    "numba", "torch", "torch._dynamo", "scipy.stats", "scipy.fft", "gymnasium", "pettingzoo",
+    "hypothesis", "stable_baselines3", "sb3_contrib",
 )  # fmt: skip
 
 # What must notice a mutant: few and fast tests, or a run takes days.
@@ -45,11 +45,11 @@ TARGETS = {
     "animarl_envs/worlds/rules.py": ("test_rules.py",),
     "animarl_envs/dtw.py": ("test_dtw_rows.py",),
     "animarl_algos/losses/losses.py": ("test_losses.py",),
-    "animarl_algos/losses/terms.py": ("test_losses.py", "test_recipes_by_hand.py"),
+    "animarl_algos/losses/terms.py": ("test_loss_terms.py", "test_losses.py"),
     "animarl_algos/losses/values.py": ("test_losses.py",),
     "animarl_algos/replay/sum_tree.py": ("test_prioritised_replay.py",),
     "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
-    "animarl_algos/evaluation/distances.py": ("test_statistics.py",),
+    "animarl_algos/evaluation/distances.py": ("test_distances.py",),
 }
 
 _BINARY = ("Add_Sub", "Sub_Add", "Mul_Div", "Div_Mul", "Pow_Mul", "FloorDiv_Mul", "Mod_Mul")
@@ -140,8 +140,6 @@ def examine(module: str, sample: int | None, seed: int, copy: Path) -> tuple[int
         lines = difflib.unified_diff(text.splitlines(), changed.splitlines(), lineterm="", n=0)
         print(f"{module} survives:", *list(lines)[2:], sep="\n  ", flush=True)
     write(path, text)
-    share = killed / max(len(made), 1)
-    print(f"{module}: {killed} of {len(made)} noticed ({100 * share:.1f} %)", flush=True)
     return killed, len(made)
 
 
@@ -157,15 +155,22 @@ def main() -> None:
     for library in LIBRARIES:
         importlib.import_module(library)
     gc.freeze()  # or every fork copies what the collector touches
-    totals = [0, 0]
+    counts = {}
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "project"
         ignored = shutil.ignore_patterns(".*", "__pycache__", "out", "build", "*.egg-info")
         shutil.copytree(ROOT, copy, ignore=ignored)
         for module in asked.modules or TARGETS:
-            for i, number in enumerate(examine(module, asked.sample, asked.seed, copy)):
-                totals[i] += number
-    print(f"all: {totals[0]} of {totals[1]} noticed ({100 * totals[0] / max(totals[1], 1):.1f} %)")
+            counts[module] = examine(module, asked.sample, asked.seed, copy)
+            print(f"{module}: {_share(*counts[module])}", flush=True)
+    print("\n| module | mutants | noticed |\n|---|---|---|")
+    counts["all"] = (sum(k for k, _ in counts.values()), sum(n for _, n in counts.values()))
+    for module, (killed, made) in counts.items():
+        print(f"| {module} | {made} | {_share(killed, made)} |")
+
+
+def _share(killed: int, made: int) -> str:
+    return f"{killed} ({100 * killed / max(made, 1):.1f} %)"
 
 
 if __name__ == "__main__":

@@ -1,0 +1,201 @@
+"""Distances between distributions: known answers, and agreement with SciPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from animarl_algos.evaluation.distances import (
+    bootstrap_distances,
+    kde_distance,
+    kde_rule,
+    kde_weighted,
+    null_distances,
+    wasserstein,
+    wasserstein_weighted,
+)
+from animarl_algos.evaluation.statistics import draw_weights
+
+
+def textbook_kde_distance(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    grid = np.linspace(-30, 30, 20_001)
+    densities = [stats.gaussian_kde(sample)(grid) for sample in (first, second)]
+    return float(np.trapezoid(np.abs(densities[0] - densities[1]), grid))
+
+
+def test_kde_distance_known_answers() -> None:
+    rng = np.random.default_rng(10)
+    sample = rng.normal(size=60)
+    assert kde_distance(sample, sample) == 0.0
+    assert kde_distance(sample, sample + 100.0) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_kde_distance_equals_scipys_densities_integrated() -> None:
+    rng = np.random.default_rng(11)
+    for shift in (0.0, 0.7, 3.0):
+        first, second = rng.normal(size=25), rng.gamma(2.0, size=60) + shift
+        assert kde_distance(first, second) == pytest.approx(
+            textbook_kde_distance(first, second), abs=2e-3
+        )
+
+
+def test_the_grid_reaches_four_of_the_widest_bandwidths_beyond_the_values() -> None:
+    """By hand: (0, 2) has the standard deviation sqrt(2); one value has the least width."""
+    rule = kde_rule([0.0, 2.0], [10.0])
+    assert rule is not None
+    widest = 2.0**0.5 * 2.0**-0.2
+    assert rule.floor == pytest.approx(0.01 * 10.0)
+    assert len(rule.grid) == 512
+    assert rule.grid[[0, -1]] == pytest.approx([-4.0 * widest, 10.0 + 4.0 * widest])
+    narrow = kde_rule([0.0], [10.0])
+    assert narrow is not None
+    assert narrow.grid[[0, -1]] == pytest.approx([-0.4, 10.4])
+
+
+def test_values_that_differ_by_rounding_alone_are_equal() -> None:
+    assert kde_rule([0.0], [1e-10]) is None and kde_rule([1e6], [1e6 + 1e-4]) is None
+    assert kde_rule([0.0], [1e-8]) is not None and kde_rule([1e6], [1e6 + 1e-2]) is not None
+
+
+def test_kde_distance_of_very_small_samples() -> None:
+    first, second = np.array([0.0, 1.0]), np.array([2.0, 2.7, 4.0])
+    expected = textbook_kde_distance(first, second)
+    assert kde_distance(first, second) == pytest.approx(expected, abs=2e-3)
+
+
+def test_kde_distance_is_symmetric_and_free_of_scale() -> None:
+    rng = np.random.default_rng(12)
+    first, second = rng.normal(size=30), rng.normal(0.5, 2.0, 50)
+    distance = kde_distance(first, second)
+    assert kde_distance(second, first) == pytest.approx(distance)
+    assert kde_distance(1000 * first + 7, 1000 * second + 7) == pytest.approx(distance, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        ([14.8] * 5, [14.8] * 9, 0.0),  # every episode timed out, here and there
+        ([14.8] * 5, [3.0] * 9, 2.0),
+        ([14.8], [3.0], 2.0),
+        ([14.8], [14.8], 0.0),
+    ],
+)
+def test_kde_distance_without_variance(
+    first: list[float], second: list[float], expected: float
+) -> None:
+    assert kde_distance(first, second) == pytest.approx(expected, abs=1e-3)
+
+
+def test_kde_distance_of_a_peak_to_a_spread() -> None:
+    spread = np.random.default_rng(13).uniform(0, 14.8, 50)
+    assert 1.7 < kde_distance([14.8] * 50, spread) < 2.0
+
+
+def test_distances_of_nothing_are_undefined() -> None:
+    assert np.isnan(kde_distance([], [1.0, 2.0])) and np.isnan(wasserstein([np.nan], [1.0]))
+    nothing = bootstrap_distances([np.nan], [1.0], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing.kde.estimate)
+    assert np.isnan(null_distances([], 5, np.random.default_rng(0)).kde.estimate)
+
+
+def test_binned_density_equals_the_exact_one() -> None:
+    rng = np.random.default_rng(14)
+    sample, other = rng.normal(size=80), rng.normal(4, 0.5, 20)
+    rule = kde_rule(sample, other)
+    assert rule is not None
+    weights = draw_weights(rng, len(sample), 10)
+    fast = kde_weighted(rule, sample, weights)
+    for b in range(10):
+        drawn = np.repeat(sample, weights[b].astype(int))
+        exact = stats.gaussian_kde(drawn)(rule.grid)
+        assert np.abs(fast[b] - exact).sum() * rule.step < 5e-3
+
+
+def test_wasserstein_equals_scipy() -> None:
+    rng = np.random.default_rng(15)
+    first, second = rng.normal(size=31), rng.exponential(size=17)
+    assert wasserstein(first, second) == pytest.approx(stats.wasserstein_distance(first, second))
+    assert wasserstein(second, first) == pytest.approx(wasserstein(first, second))
+    assert wasserstein(first, first + 2.5) == pytest.approx(2.5)
+
+
+def test_weighted_wasserstein_equals_scipy() -> None:
+    rng = np.random.default_rng(18)
+    a, b = rng.normal(size=12), np.round(rng.normal(size=9), 1)
+    b[3] = b[4] = a[0]  # ties within a sample and between the two
+    first, second = (rng.integers(0, 4, (6, n)).astype(float) for n in (12, 9))
+    found = wasserstein_weighted(a, first, b, second)
+    for r in range(6):
+        expected = stats.wasserstein_distance(a, b, first[r], second[r])
+        assert found[r] == pytest.approx(expected)
+    first[2] = 0.0  # nothing was drawn
+    assert (
+        np.isnan(wasserstein_weighted(a, first, b, second)).tolist()
+        == [False] * 2 + [True] + [False] * 3
+    )
+
+
+def test_one_seed_and_one_demonstration_leave_nothing_to_resample() -> None:
+    """Every resample is then the sample itself, in both distances."""
+    rng = np.random.default_rng(19)
+    simulated = rng.normal(size=30)
+    both = bootstrap_distances(simulated, [2.0], np.full(30, 7), np.zeros(30, dtype=int), rng, 20)
+    assert both.wasserstein.estimate == pytest.approx(np.abs(simulated - 2.0).mean())
+    assert (both.wasserstein.low, both.wasserstein.high) == pytest.approx(
+        [both.wasserstein.estimate] * 2
+    )
+    assert (both.kde.low, both.kde.high) == pytest.approx([both.kde.estimate] * 2, abs=0.02)
+
+
+def test_what_does_not_count_leaves_the_distances_alone() -> None:
+    simulated, demo = np.array([1.0, np.nan, 2.0, 4.0]), np.array([0, 1, 2, 1])
+    recorded = np.array([0.0, 5.0, np.nan])
+    both = bootstrap_distances(simulated, recorded, [3, 3, 8, 8], demo, np.random.default_rng(0))
+    assert both.wasserstein.estimate == pytest.approx(wasserstein([1.0, 2.0, 4.0], [0.0, 5.0]))
+    assert both.kde.estimate == pytest.approx(kde_distance([1.0, 2.0, 4.0], [0.0, 5.0]))
+    nothing = bootstrap_distances([1.0], [np.nan], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing.wasserstein.estimate)
+
+
+def test_null_reference_needs_a_value_of_each() -> None:
+    rng = np.random.default_rng(20)
+    assert np.isnan(null_distances([1.0, 2.0], 0, rng).kde.estimate)
+    assert null_distances([1.0, 1.0], 1, rng, 20).kde.estimate == 0.0
+    alone = null_distances([0.0, 1.0], 1, rng, 400, num_recorded=1)
+    # Two coins: equal half of the time, else one apart.
+    assert alone.wasserstein.estimate == pytest.approx(0.5, abs=0.1)
+    assert (alone.wasserstein.low, alone.wasserstein.high) == (0.0, 1.0)
+    assert alone.kde.estimate == pytest.approx(1.0, abs=0.2)
+    as_many = null_distances(rng.normal(size=40), 40, rng, 200).wasserstein.estimate
+    fewer = null_distances(rng.normal(size=40), 40, rng, 200, num_recorded=4).wasserstein.estimate
+    assert as_many < 0.6 * fewer
+
+
+def test_null_reference_shows_the_bias() -> None:
+    """Ten values against fifty of one distribution differ by 0.3 to 0.5; more values by less."""
+    rng = np.random.default_rng(16)
+    direct = np.mean(
+        [kde_distance(rng.exponential(size=10), rng.exponential(size=50)) for _ in range(100)]
+    )
+    assert 0.3 < direct < 0.5
+    recorded = rng.exponential(size=50)
+    null = null_distances(recorded, 10, rng, 400)
+    assert null.kde.estimate == pytest.approx(direct, abs=0.1)
+    assert null.kde.low < null.kde.estimate < null.kde.high
+    many = null_distances(recorded, 1000, rng, 400, num_recorded=1000)
+    assert many.kde.estimate < 0.15
+    assert many.wasserstein.estimate < null.wasserstein.estimate
+
+
+def test_bootstrap_distances_surround_a_large_distance() -> None:
+    rng = np.random.default_rng(17)
+    demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
+    recorded = rng.normal(size=30)
+    simulated = recorded[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
+    both = bootstrap_distances(simulated, recorded, seed, demo, rng, 400)
+    assert both.wasserstein.low < 2.0 < both.wasserstein.high
+    assert both.kde.low < both.kde.estimate < both.kde.high < 2.0
+    null = null_distances(recorded, len(simulated), rng, 400)
+    assert both.kde.low > null.kde.high
