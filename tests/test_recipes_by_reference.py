@@ -27,6 +27,7 @@ SETTINGS: dict[str, Any] = {
     "tau": 0.3,
     "target_update_interval": (10, "step"),
     "learning_starts": 20,
+    "exploration": "epsilon",
     "exploration_initial_eps": 0.5,
     "exploration_final_eps": 0.3,
     "exploration_steps": 100,
@@ -35,6 +36,9 @@ SETTINGS: dict[str, Any] = {
     "device": "cpu",
 }
 PIECES = {"sequence_length": 5, "burn_in": 2}
+PAPERS_NETWORK: dict[str, Any] = {
+    "hidden": 6, "depth": 2, "head_layers": 1, "dropout": 0.0, "previous_action": None
+}  # fmt: skip
 MEMORIES: dict[str, tuple[str, dict[str, Any]]] = {
     "recomputed state": ("GruPolicy", PIECES | {"state_mode": "recompute"}),
     "stored state": ("GruPolicy", PIECES | {"state_mode": "stored"}),
@@ -48,7 +52,7 @@ MEMORIES: dict[str, tuple[str, dict[str, Any]]] = {
 def test_a_run_equals_its_reference(name: str, memory: str) -> None:
     policy, pieces = MEMORIES[memory]
     env = ScriptedPair(2, flagged="dqcil" in name)
-    network = {"hidden": 6} | ({"n_quantiles": 4} if name.startswith("qr") else {})
+    network = PAPERS_NETWORK | ({"n_quantiles": 4} if name.startswith("qr") else {})
     model = named_recipe(name).algorithm(policy, env, **SETTINGS, **pieces, policy_kwargs=network)
     references = [ReferenceLearner(model, k, STEPS) for k in range(2)]
     log_draws(model, env)

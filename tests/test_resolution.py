@@ -64,7 +64,6 @@ def test_few_places_far_apart_still_tell_the_step_that_they_have_in_common() -> 
 
 def test_unrounded_and_nearly_unmoved_positions_have_no_grid() -> None:
     assert find_resolution(SOMEWHERE) is None
-    assert find_resolution(SOMEWHERE.astype(np.float32).astype(np.float64)) is None
     assert find_resolution(np.round(SOMEWHERE[:2], 2)) is None  # six places: by chance
     assert find_resolution(np.ones((100, 3, 2))) is None
     assert rounded(SOMEWHERE, None) is SOMEWHERE

@@ -130,7 +130,7 @@ def test_train_then_enjoy(zoo: Callable[..., Done], small: Path, tmp_path: Path)
     with np.load(run / "evaluations.npz") as evaluations:
         assert evaluations["results"].shape[1] == 2 * 3  # episodes x individuals
 
-    figures = zoo("enjoy", "--algo", "dqdil", "--env", AGENT, "--no-render", "-n", "40")
+    figures = zoo("enjoy", "--algo", "dqdil", "--env", AGENT, "--no-render", "-n", "160")
     assert figures.returncode == 0, figures.stderr
     assert "episode 1: return" in figures.stdout
     clip = zoo("enjoy", "--algo", "dqdil", "--env", AGENT, "--load-best", "--out", "a.gif")

@@ -58,7 +58,8 @@ def find_resolution(positions: Floats) -> Resolution | None:
     """
     found = [_axis(positions[..., axis]) for axis in range(2)]
     if found[0] is None or found[1] is None:
-        single = len(positions) and np.array_equal(positions, positions.astype(np.float32))
+        moved = len(np.unique(positions)) >= FEWEST
+        single = moved and np.array_equal(positions, positions.astype(np.float32))
         return SINGLE_PRECISION if single else None
     (x_step, x_origin), (y_step, y_origin) = found[0], found[1]
     return Resolution((x_step, y_step), (x_origin, y_origin))
