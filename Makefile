@@ -1,7 +1,7 @@
 # make demo   make the environment, run the main job on packaged demonstrations, name the report
 # make test   lint, types, tests with coverage
 # make slow   the tests that take minutes
-# make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices; hours for all
+# make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin

@@ -163,6 +163,7 @@ def test_pairing_removes_what_demonstrations_share() -> None:
     first = Cells(level + 0.5 + rng.normal(0, 0.1, (3, 40)), np.ones((3, 40)))
     second = Cells(level + rng.normal(0, 0.1, (1, 40)), np.ones((1, 40)))
     interval = bootstrap_difference(first, second, rng, 1000)
+    assert interval.estimate == pytest.approx(first.mean - second.mean)
     assert interval.low < 0.5 < interval.high
     assert interval.high - interval.low < 0.2
     assert interval.excludes_zero
