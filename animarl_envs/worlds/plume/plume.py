@@ -1,8 +1,8 @@
 """Odour plumes as a searcher reads them: where an antenna would be hit, step by step.
 
 A plume is turned once into a :class:`.hits.HitTable`, the maximum over the frames of each decision
-step and over the antenna's radius, one bit per grid cell, so that a reading is one look-up. A table is
-made when it is first needed, in about a tenth of a second per pattern, and kept for the process:
+step and over the antenna's radius, one bit per grid cell, so that a reading is one look-up. A table
+is made when it is first needed, in about a tenth of a second per pattern, and kept for the process:
 1 MB per pattern of 260 s at 0.5 s a step. It repeats when the pattern ends.
 
 Frame: the source lies at the origin, the air flows towards +x, y is up [m].
