@@ -56,5 +56,5 @@ def test_a_short_run_killed_offline_and_online(tmp_path: Path) -> None:
 def test_a_run_of_the_agents_killed_again_and_again(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     offline = [(int(rng.integers(3, killed_runs.EPOCHS + 1)), rng.uniform(0.0, 1.0))]
-    online = [(int(rng.integers(40, 80)), rng.uniform(0.0, 0.1)) for _ in range(4)]
+    online = [(int(rng.integers(8, 16)), rng.uniform(0.0, 0.1)) for _ in range(4)]
     kills_leave_no_trace("agent", tmp_path, offline + online)

@@ -1,0 +1,267 @@
+"""Several thrust magnitudes: fitted to tracks, and followed in closed loop."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from thrust_walks import DT, ROLES, TRUTH, walk
+from typer.testing import CliRunner
+
+from animarl_algos.cli.main import app
+from animarl_algos.cli.thrusts import parse_thrusts
+from animarl_algos.data.action_penalties import dynamics_scored_penalties
+from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
+from animarl_envs.arena import Arena
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.fitting import (
+    LocomotionFit,
+    demonstrated_actions,
+    fit_joint,
+    fit_locomotion,
+    joint_locomotion,
+    one_step_misses,
+    track,
+    transitions,
+)
+from animarl_envs.fitting.magnitudes import fast_speed
+from animarl_envs.fitting.tracking import speed_distances, tracking_errors
+from animarl_envs.focus import focus_directions
+from animarl_envs.importing.readers import read
+from animarl_envs.locomotion import (
+    MOST_THRUSTS,
+    Locomotion,
+    apply_actions,
+    infer_actions,
+)
+from animarl_envs.species import FLY
+
+# -- fits -----------------------------------------------------------------------------------------
+
+
+def test_several_magnitudes_of_exact_tracks_are_found() -> None:
+    demos, _ = walk(TRUTH, 4, episodes=60)
+    for found, truth in zip(joint_locomotion(demos, 3), TRUTH, strict=True):
+        assert found.damping == pytest.approx(truth.damping, abs=1e-6)
+        np.testing.assert_allclose(
+            found.thrust * np.array(found.magnitudes),
+            truth.thrust * np.array(truth.magnitudes),
+            rtol=1e-5,
+        )
+
+
+def test_noise_moves_the_magnitudes_little() -> None:
+    demos, _ = walk(TRUTH, 5, episodes=100, noise=5e-4)
+    for found, truth in zip(joint_locomotion(demos, 3), TRUTH, strict=True):
+        assert found.damping == pytest.approx(truth.damping, abs=0.02)
+        np.testing.assert_allclose(
+            found.thrust * np.array(found.magnitudes),
+            truth.thrust * np.array(truth.magnitudes),
+            rtol=0.05,
+        )
+
+
+def test_exact_tracks_of_one_magnitude_stay_what_they_are() -> None:
+    truth = tuple(Locomotion(0.25, u) for u in (2.4, 2.4, 3.0))
+    demos, _ = walk(truth, 6)
+    for found, own in zip(joint_locomotion(demos, 1), truth, strict=True):
+        assert found.damping == pytest.approx(0.25, abs=1e-6)
+        assert found.thrust == pytest.approx(own.thrust, abs=1e-6)
+        assert found.magnitudes == (1.0,)
+    assert choose_thrusts(demos) == 1
+
+
+def test_as_many_magnitudes_are_chosen_as_there_are() -> None:
+    demos, _ = walk(TRUTH, 7)
+    assert choose_thrusts(demos) == 3
+
+
+def test_the_floor_needs_two_episodes_to_tell_apart() -> None:
+    demos, _ = walk(TRUTH, 7)
+    assert tracking_floor(demos, TRUTH).estimate < 0.6
+    poorer = joint_locomotion(demos, 1)
+    assert tracking_floor(demos, poorer).estimate > 0.8
+    assert np.isnan(tracking_floor(demos.select(episodes=[0]), TRUTH).estimate)
+
+
+def test_the_terminal_speed_reaches_the_fast_steps() -> None:
+    """Noise biases d upwards (docs/data/fitting.md) until the animal could not go so fast."""
+    truth = (Locomotion(0.05, 1.0),) * 3
+    demos, _ = walk(truth, 8, noise=0.02)
+    data = transitions(demos, 0)
+    free, fast = fit_joint(data), fast_speed(data)
+    assert free.terminal_speed(DT) < 0.9 * fast
+    held = fit_joint(data, least_speed=fast)
+    assert held.terminal_speed(DT) == pytest.approx(fast, rel=1e-9)
+
+    # The best of all fits with that terminal speed.
+    def miss(thrust: float) -> float:
+        own = Locomotion(thrust * DT / fast, thrust)
+        actions = infer_actions(data.velocity, data.next_velocity, data.focus, own, DT)
+        rebuilt = apply_actions(data.velocity, actions, data.focus, own, DT)
+        return float(np.sum((rebuilt - data.next_velocity) ** 2))
+
+    assert miss(held.thrust) <= min(miss(0.98 * held.thrust), miss(1.02 * held.thrust))
+    for thrusts in (1, 2, 3):
+        for own in joint_locomotion(demos, thrusts):
+            assert own.terminal_speed(DT) >= fast_speed(data) * 0.9
+    fit = fit_locomotion(demos, bootstrap=50)
+    for one in fit.individuals:
+        low, high = one.damping_interval or (np.nan, np.nan)
+        assert low < one.damping < high
+
+
+def test_a_fit_with_magnitudes_passes_through_json(tmp_path: Path) -> None:
+    demos, _ = walk(TRUTH, 9)
+    fit = fit_locomotion(demos, thrusts=2, bootstrap=0)
+    assert {own.thrusts for own in fit.locomotion} == {2}
+    assert LocomotionFit.load(fit.save(tmp_path / "fit.json")) == fit
+
+
+def test_a_file_from_before_magnitudes_has_one() -> None:
+    demos, _ = walk(TRUTH, 9)
+    fit = fit_locomotion(demos, bootstrap=0)
+    record = fit.to_dict()
+    for one in record["individuals"]:
+        del one["magnitudes"]
+    assert LocomotionFit.from_dict(record) == fit
+
+
+@pytest.mark.parametrize("thrusts", [0, MOST_THRUSTS + 1, 1.5, "2"])
+def test_impossible_numbers_of_magnitudes_are_refused(thrusts: Any) -> None:
+    demos, _ = walk(TRUTH, 9, episodes=10)
+    with pytest.raises(InputError, match="thrusts is"):
+        fit_locomotion(demos, thrusts=thrusts)
+
+
+def test_the_onset_rule_has_one_thrust() -> None:
+    demos, _ = walk(TRUTH, 9, episodes=10)
+    with pytest.raises(InputError, match="onset rule fits one thrust"):
+        fit_locomotion(demos, "onset", thrusts=2, bootstrap=0)
+
+
+# -- tracking -------------------------------------------------------------------------------------
+
+
+def test_exact_tracks_are_followed_exactly() -> None:
+    demos, actions = walk(TRUTH, 10)
+    tracking = track(demos, TRUTH)
+    np.testing.assert_array_equal(tracking.actions, actions)
+    np.testing.assert_allclose(tracking.positions, demos.positions, atol=1e-12)
+    np.testing.assert_allclose(tracking.velocities, demos.velocities(), atol=1e-11)
+    assert speed_distances(demos, tracking).max() < 1e-10
+
+
+def test_each_step_is_the_best_from_where_the_simulation_is() -> None:
+    """Against all actions of one step in NumPy, focus from the simulated positions."""
+    demos, _ = walk(TRUTH, 11, episodes=5, noise=0.01)
+    poorer = tuple(Locomotion(m.damping, m.thrust, (1.2, 0.5)) for m in TRUTH)
+    tracking, velocity = track(demos, poorer), demos.velocities()
+    focus = focus_directions(tracking.positions, ROLES)
+    misses = one_step_misses(demos, poorer, tracking)
+    for frame in np.flatnonzero(tracking.actions[:, 0] >= 0):
+        for i, own in enumerate(poorer):
+            taken = tracking.actions[frame, i]
+            v = np.stack([
+                apply_actions(tracking.velocities[frame, i], np.array(k), focus[frame, i], own, DT)
+                for k in range(25)
+            ])  # fmt: skip
+            p = tracking.positions[frame, i] + v * DT
+            cost = np.sum((p - demos.positions[frame + 1, i]) ** 2, axis=1) / DT**2
+            cost += np.sum((v - velocity[frame + 1, i]) ** 2, axis=1)
+            assert cost[taken] == pytest.approx(cost.min(), rel=1e-9)
+            np.testing.assert_allclose(p[taken], tracking.positions[frame + 1, i], atol=1e-12)
+            np.testing.assert_allclose(misses[frame, i], DT * np.sqrt(cost / 2), atol=1e-12)
+    last = demos.offsets[1:] - 1
+    assert (tracking.actions[last] == -1).all() and not misses[last].any()
+
+
+def test_misses_from_recorded_states_are_distances() -> None:
+    demos, _ = walk(TRUTH, 12, episodes=10, noise=0.01)
+    scored = dynamics_scored_penalties(demos, demos.velocities(), TRUTH, demos.focus(), DT)
+    np.testing.assert_allclose(one_step_misses(demos, TRUTH), scored, rtol=1e-5, atol=1e-7)
+
+
+def test_tracking_stays_within_walls() -> None:
+    demos, _ = walk(TRUTH, 13, episodes=10)
+    walls = Arena("disc", size=0.5, boundary=0.5, rebound=True)
+    assert np.linalg.norm(demos.positions, axis=2).max() > 1.0
+    held = track(demos, TRUTH, walls).positions
+    started = np.delete(np.arange(len(held)), demos.offsets[:-1])
+    assert np.linalg.norm(held[started], axis=2).max() <= 0.5
+    free = track(demos, TRUTH, replace(walls, rebound=False)).positions
+    assert np.linalg.norm(free, axis=2).max() > 1.0
+
+
+def test_packaged_flies_are_followed_to_a_thousandth() -> None:
+    demos = load_packaged("fly").select(split="val")
+    tracking = track(demos, FLY.locomotion)
+    assert np.hypot(*(tracking.positions - demos.positions).T).max() < 5e-3
+    assert tracking_errors(demos, tracking).max() < 1e-4
+
+
+def test_tracking_wants_equal_magnitudes() -> None:
+    demos, _ = walk(TRUTH, 14, episodes=5)
+    with pytest.raises(InputError, match="thrust magnitudes"):
+        track(demos, (TRUTH[0], TRUTH[1], Locomotion(0.3, 3.0)))
+    with pytest.raises(InputError, match="3 individuals"):
+        track(demos, TRUTH[:2])
+
+
+# -- the command ----------------------------------------------------------------------------------
+
+
+def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
+    demos, _ = walk(TRUTH, 15, episodes=20)
+    file, out = demos.save(tmp_path / "walk.npz"), tmp_path / "rows.csv"
+    result = CliRunner().invoke(
+        app, ["fit", str(file), "--thrusts", "1,3", "--out", str(out)], catch_exceptions=False
+    )
+    assert result.exit_code == 0, result.output
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [row["thrusts"] for row in rows] == ["1"] * 3 + ["3"] * 3
+    for row, truth in zip(rows[3:], TRUTH, strict=True):
+        found = float(row["thrust"]) * np.array(row["magnitudes"].split(), dtype=float)
+        np.testing.assert_allclose(found, truth.thrust * np.array(truth.magnitudes), rtol=1e-4)
+        assert float(row["tracking_error"]) < 1e-3 < float(rows[0]["tracking_error"])
+        assert float(row["floor"]) < float(rows[0]["floor"]) - GAIN
+    assert "Chosen on training episodes: 3" in result.output
+
+
+def test_numbers_of_magnitudes_are_read_from_either_form() -> None:
+    assert parse_thrusts(["1,2, 5"]) == parse_thrusts(["5", "2", "1", "1"]) == (1, 2, 5)
+    for bad in (["0"], ["1,,2"], ["two"], ["11"], ["-1"]):
+        with pytest.raises(InputError, match="--thrusts"):
+            parse_thrusts(bad)
+
+
+# -- recordings -----------------------------------------------------------------------------------
+
+
+@pytest.mark.realdata
+def test_recorded_agents_have_one_magnitude_and_are_followed_exactly(data_dir: Path) -> None:
+    demos = read(data_dir / "agents_collab_hunting" / "episodes_c2ae_share_slow2.4.npz")
+    fit = joint_locomotion(demos.select(split="train"))
+    for found, thrust in zip(fit, (2.4, 2.4, 3.0), strict=True):
+        assert found.damping == pytest.approx(0.25, abs=1e-6)
+        assert found.thrust == pytest.approx(thrust, abs=1e-6)
+    truth = tuple(Locomotion(0.25, u) for u in (2.4, 2.4, 3.0))
+    tracking = track(demos, truth)
+    np.testing.assert_array_equal(tracking.actions, demonstrated_actions(demos, truth))
+    assert np.abs(tracking.positions - demos.positions).max() < 1e-5
+
+
+@pytest.mark.realdata
+def test_recorded_moths_are_followed_more_closely_with_three(data_dir: Path) -> None:
+    from animarl_envs.importing.readers import default_recipe, follow, get_reader
+
+    files = sorted((data_dir / "silkmoth_mothvr" / "raw").glob("*.csv"))
+    demos = follow(default_recipe(get_reader("mothvr")), files).select(split="train")
+    one, many = (track(demos, joint_locomotion(demos, m)) for m in (1, 3))
+    assert (tracking_errors(demos, many) < 0.7 * tracking_errors(demos, one)).all()
+    assert (speed_distances(demos, many) < 0.5 * speed_distances(demos, one)).all()
