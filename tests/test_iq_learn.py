@@ -128,8 +128,8 @@ def network_of(env: SlotVecEnv, *, recurrent: bool = True) -> StackedQNetwork:
 
 
 def outcomes_of(env: SlotVecEnv) -> NDArray[np.int8]:
-    assert env.all_demos is not None
-    return env.all_demos.select(split="train").outcome
+    assert env.demos is not None
+    return env.demos.select(split="train").outcome
 
 
 @pytest.fixture(scope="module")

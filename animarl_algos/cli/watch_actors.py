@@ -15,6 +15,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds.base import World
+from animarl_envs.worlds.executed import ExecutedActions
 
 Actor = Callable[[World, bool], NDArray[np.integer]]
 """From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
@@ -79,10 +80,15 @@ def programmed_actor(scenario: Scenario, seed: int) -> Actor:
 
 def trained_actor(policy: Any) -> Actor:
     """A policy of ``predict``; one that was trained with the condition's flag is told it."""
+    from animarl_algos.evaluation.collect import remembered
+
     state: Any = None
+    executed_by: ExecutedActions | None = None
 
     def act(world: World, start: bool) -> NDArray[np.integer]:
-        nonlocal state
+        nonlocal state, executed_by
+        if start or executed_by is None:
+            executed_by = ExecutedActions(world)
         num = world.num_individuals
         observation = world.observation[0]
         if policy.observation_space.shape[-1] == observation.shape[-1] + 1:
@@ -90,6 +96,8 @@ def trained_actor(policy: Any) -> Actor:
             observation = np.concatenate([observation, flag], axis=1)
         starts = np.full(num, start)
         actions, state = policy.predict(observation, state=state, episode_start=starts)
-        return np.asarray(actions).reshape(1, num)
+        asked = np.asarray(actions).reshape(1, num)
+        state = remembered(policy, state, asked, executed_by(asked))
+        return asked
 
     return act

@@ -54,3 +54,7 @@ class FocalPolicy:
             deterministic,
         )
         return actions, state
+
+    def remember(self, state: Any, executed: NDArray[np.integer]) -> Any:
+        """See :meth:`GruPolicy.remember`; ``executed`` of all slots."""
+        return self.policy.remember(state, executed[self.index :: self.individuals])

@@ -17,6 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.data.labels import Labels
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import track
@@ -25,6 +26,7 @@ from animarl_envs.scenario import Demos, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import observation_space
 from animarl_envs.worlds import make_world, mirror
+from animarl_envs.worlds.executed import ExecutedActions
 from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
 
 
@@ -38,8 +40,8 @@ class SlotVecEnv(VecEnv):
     num_copies
         Copies of the world, ``n``; there are ``n K`` slots.
     demos, split
-        Demonstrations with their splits, and the split that episodes start from. Training is
-        refused the test split.
+        Demonstrations with their splits, and the split that episodes start from (``None``: train
+        and val). Test episodes are dropped before anything looks at them.
     focal
         Only this individual learns; the others replay their demonstration. By default all learn.
     condition_flag, cue
@@ -59,7 +61,8 @@ class SlotVecEnv(VecEnv):
     ----------
     extras
         Arrays ``(slots,)`` that came with the last step: ``task_reward``, ``warmup``, ``demo``,
-        ``condition``, and with ``dtw`` also ``dtw_penalty`` and ``aligned_action``.
+        ``condition``, ``executed`` (the actions; during warm-up the demonstrated ones), and with
+        ``dtw`` also ``dtw_penalty`` and ``aligned_action``.
     """
 
     render_mode = None
@@ -88,16 +91,17 @@ class SlotVecEnv(VecEnv):
         self.individuals = everyone if focal is None else (focal,)
         self._learners = np.array([everyone.index(name) for name in self.individuals])
         drivers = {} if focal is None else {name: "replay" for name in everyone if name != focal}
-        self.all_demos: Demonstrations | None = full.demos
+        shown = None if full.demos is None else learnable(full.demos)
+        self.demos: Demonstrations | None = shown
         self.scenario = make_scenario(
             full.species,
-            demos=full.demos,
-            split=split if full.demos is not None else None,
+            demos=shown,
+            split=split if shown is not None else None,
             drivers=drivers,
             **{k: v for k, v in options.items() if k in SCENARIO_OPTIONS},
         )
         if condition_flag is None:
-            condition_flag = has_both_conditions(full.species, full.demos)
+            condition_flag = has_both_conditions(full.species, shown)
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
         self.world = make_world(self.scenario, num_copies)
@@ -110,6 +114,7 @@ class SlotVecEnv(VecEnv):
             with_flag(space) if condition_flag else space,
             gym.spaces.Discrete(self.world.num_actions),
         )
+        self._executed = ExecutedActions(self.world)
         self._tracker: DTWTracker | None = None
         if dtw is not None and self.scenario.paired and self.scenario.demos is not None:
             self._tracker = DTWTracker(
@@ -152,6 +157,7 @@ class SlotVecEnv(VecEnv):
             "warmup": np.repeat(world.warming, K),
             "demo": np.repeat(world.demo, K),
             "condition": np.repeat(world.condition, K),
+            "executed": self._executed(self._all_actions)[:, self._learners].ravel(),
         }
         if self._tracker is not None:
             extras["aligned_action"] = self._aligned_actions().ravel()
@@ -214,16 +220,16 @@ class SlotVecEnv(VecEnv):
 
     def offline_data(self) -> SpeciesDemonstrations:
         """The train and val splits of the demonstrations, for the offline phase."""
-        if self.all_demos is None:
+        if self.demos is None:
             raise InputError("the environment has no demonstrations: give demos=")
         if self._offline_data is None:  # its splits are made when first looked at
             species = self.scenario.species
             followed = None
             if self.labels == Labels.TRACKING:
-                followed = track(self.all_demos, species.locomotion, species.arena)
+                followed = track(self.demos, species.locomotion, species.arena)
             self._offline_data = SpeciesDemonstrations(
                 species,
-                self.all_demos,
+                self.demos,
                 self.individuals,
                 self.condition_flag,
                 labels=self.labels,

@@ -17,6 +17,7 @@ from animarl_envs.demos.resolution import Resolution, rounded
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.worlds.base import World
+from animarl_envs.worlds.executed import ExecutedActions
 
 MAX_COPIES = 512
 Cue = Literal["actual", "flipped", 0, 1]
@@ -142,6 +143,7 @@ def _run_batch(
     running = np.ones(copies, dtype=bool)
     starts = np.ones(copies * num, dtype=bool)
     state: Any = None
+    executed_by = ExecutedActions(world)
     while running.any():
         observation = world.observation.reshape(copies * num, -1)
         if flag is not None:
@@ -150,7 +152,10 @@ def _run_batch(
         actions, state = policy.predict(
             observation, state=state, episode_start=starts, deterministic=deterministic
         )
-        world.step(np.asarray(actions).reshape(copies, num))
+        asked = np.asarray(actions).reshape(copies, num)
+        executed = executed_by(asked)
+        state = remembered(policy, state, asked, executed)
+        world.step(asked)
         starts = np.zeros_like(starts)
         frames.append(world.position.copy())
         components[running] += world.components[running]
@@ -174,6 +179,19 @@ def _run_batch(
         component_names=world.reward_components,
         components=components,
     )
+
+
+def remembered(
+    policy: Policy, state: Any, asked: NDArray[np.integer], executed: NDArray[np.integer]
+) -> Any:
+    """The policy's state if a world executes other actions than those asked for, ``(B, K)``.
+
+    Policies without a method ``remember``, those of other libraries, see no previous action.
+    """
+    remember = getattr(policy, "remember", None)
+    if executed is asked or remember is None:
+        return state
+    return remember(state, executed.ravel())
 
 
 def _flag(cue: Cue, condition: NDArray[np.int8]) -> NDArray[np.int8]:

@@ -433,6 +433,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """Actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
         return self.policy.predict(observation, state, episode_start, deterministic)
 
+    def remember(self, state: Memory, executed: NDArray[np.integer]) -> Memory:
+        """See :meth:`GruPolicy.remember`."""
+        return self.policy.remember(state, executed)
+
     def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
         """Boltzmann temperatures ``(K,)`` of maximum likelihood for the demonstrated actions.
 

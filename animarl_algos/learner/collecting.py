@@ -59,16 +59,16 @@ class Collector:
         at_random: bool,
     ) -> Step:
         """One step of all slots from ``observation``, recorded in ``buffer``."""
-        actions, later = self._choose(observation, memory, epsilon, at_random)
+        actions, (hidden, _) = self._choose(observation, memory, epsilon, at_random)
         new, rewards, dones, infos = env.step(actions)
         new = np.array(new)  # type: ignore[arg-type]  # an environment may overwrite its own
         ended = self._recorder.record(
             buffer, observation, memory[0], actions, new, rewards, dones, infos
         )
+        previous = self._recorder.executed(actions).astype(np.int64)
         if ended.count:  # episodes that begin have no memory and no previous action
-            hidden, previous = later
             hidden[dones], previous[dones] = 0.0, self._policy.num_actions
-        return Step(actions, new, later, rewards, dones, infos, ended.count)
+        return Step(actions, new, (hidden, previous), rewards, dones, infos, ended.count)
 
     def _choose(
         self, observation: NDArray[Any], memory: Memory, epsilon: float, at_random: bool

@@ -91,6 +91,7 @@ class Recorder:
         """
         feedback, layout = self._feedback, self._layout
         feedback.update(infos)
+        actions = self.executed(actions)
         per_copy = (layout.num_copies, layout.num_individuals)
         task_reward = feedback.get("task_reward")
         penalty = feedback.get("dtw_penalty")
@@ -121,6 +122,11 @@ class Recorder:
             condition=condition,
         )
         return ended
+
+    def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
+        """The actions ``(S,)`` of the step just recorded: a warm-up replays others than asked."""
+        replayed = self._feedback.get("executed")
+        return actions if replayed is None else replayed
 
     def _ended(self, dones: NDArray[np.bool_]) -> Ended:
         if not dones.any():

@@ -251,8 +251,8 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         observation : ndarray (S, *shape) or (*shape)
             Of all slots, or of the only slot.
         state : (hidden (S, H) float32, previous action (S,) int64), optional
-            As returned by the last call; not changed. A caller that executes other actions than the
-            returned ones puts those into it. None starts fresh episodes.
+            As returned by the last call; not changed. Where other actions than the returned ones
+            are executed, see :meth:`remember`. None starts fresh episodes.
         episode_start : ndarray (S,) bool, optional
             Slots whose memory is forgotten first.
         deterministic
@@ -267,6 +267,10 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         q_values, hidden, single = self.advance(observation, state, episode_start)
         actions = self.choose(q_values, deterministic)
         return (actions[0] if single else actions), (hidden, actions.copy())
+
+    def remember(self, state: State, executed: NDArray[np.integer]) -> State:
+        """The ``state`` after a step that executed other actions (S,) than the returned ones."""
+        return state[0], executed.astype(np.int64)
 
     def advance(
         self,

@@ -60,7 +60,7 @@ def act_as_chosen(
 
 def _choose(run: RunFolder, model: SequenceQLearning, species: Species, file: Path) -> None:
     settings = run.settings
-    demos = choice_episodes(run.demos, settings.seed)
+    demos = choice_episodes(run.learnable_demos, settings.seed)
     drivers = focal_drivers(species.individuals, settings.focal)
     scenario = make_scenario(species, demos=demos, split=None, drivers=drivers)
 

@@ -107,10 +107,10 @@ def fit(run: RunFolder) -> LocomotionFit:
     settings = run.settings
     method = "onset" if settings.fit_method == "onset" else "joint"
     if settings.thrusts == AUTO:
-        thrusts = choose_thrusts(run.demos, seed=settings.seed)
+        thrusts = choose_thrusts(run.learnable_demos, seed=settings.seed)
     else:
         thrusts = int(settings.thrusts)
-    result = fit_locomotion(run.demos, method, seed=settings.seed, thrusts=thrusts)  # type: ignore[arg-type]
+    result = fit_locomotion(run.learnable_demos, method, seed=settings.seed, thrusts=thrusts)  # type: ignore[arg-type]
     result.save(file)
     return result
 
@@ -121,7 +121,7 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
     Goes on from the last checkpoint, exactly.
     """
     torch.set_num_threads(1)
-    demos, settings = run.demos, run.settings
+    demos, settings = run.learnable_demos, run.settings
     env = run.environment(run.species(demos, fit(run)), demos)
     model = run.learner(algo, env)
     if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
@@ -154,7 +154,7 @@ def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
 
 def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Policy]:
     """The trained learner and what it is compared with, ready to act as in the paper's tests."""
-    settings, demos = run.settings, run.demos
+    settings, demos = run.settings, run.learnable_demos
     env = run.environment(run.species(demos, fit(run)), demos)
     policies: dict[str, Policy] = {}
     untrained = run.learner(settings.algo, env)
@@ -263,4 +263,4 @@ def report(run: RunFolder) -> Path:
 
 def species_of(run: RunFolder) -> Species:
     """The species of a run, with the fitted locomotion."""
-    return run.species(run.demos, fit(run))
+    return run.species(run.learnable_demos, fit(run))

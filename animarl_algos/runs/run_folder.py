@@ -29,6 +29,7 @@ from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit
@@ -151,6 +152,11 @@ class RunFolder:
     def demos(self) -> Demonstrations:
         """The demonstrations of the run, all splits."""
         return Demonstrations.load(self.path / "demonstrations.npz")
+
+    @property
+    def learnable_demos(self) -> Demonstrations:
+        """Those of the train and val splits: all that fitting, training and choosing are given."""
+        return learnable(self.demos)
 
     @property
     def fit(self) -> LocomotionFit:

@@ -52,6 +52,17 @@ def deal(demos: Demonstrations, settings: Splitting) -> Demonstrations:
     return replace(demos, split=split_recordings(demos.recording, settings))
 
 
+def learnable(demos: Demonstrations) -> Demonstrations:
+    """What may be learned from: the train and val episodes; all, if none is of these.
+
+    Whatever fits, trains, tunes or chooses is handed this, which holds no test episode.
+    """
+    kept = demos.split != "test"
+    if kept.all() or not kept.any():
+        return demos
+    return demos.select(episodes=np.flatnonzero(kept))
+
+
 def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArray[np.str_]:
     """The split of each episode, from the recording it belongs to."""
     by = settings.by

@@ -16,6 +16,7 @@ import numpy as np
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import HEADING, fit_turning
 from animarl_envs.focus import distances_to_target
@@ -42,7 +43,7 @@ def species_of(
     Parameters
     ----------
     demos
-        One or more pursuers and a target, or one searcher; all splits.
+        One or more pursuers and a target, or one searcher. Test episodes are not looked at.
     fit
         Locomotion of each individual; by default fitted, see :func:`fitted_locomotion`.
     base
@@ -66,6 +67,7 @@ def species_of(
     InputError
         If nobody is the target, or the roles do not fit the species.
     """
+    demos = learnable(demos)
     name = base or demos.species
     numbers = get_species(name) if name in SPECIES else _plain_species(demos)
     _check_roles(demos, numbers)
@@ -120,6 +122,7 @@ def contact_radius_of(demos: Demonstrations) -> float:
 
     See :func:`species_of`.
     """
+    demos = learnable(demos)
     cutting = _cutting(demos)
     ended_at = "closer_than" if cutting.get("mode") == "approach" else "contact"
     stated = (demos.provenance.get("contact_radius"), cutting.get(ended_at))

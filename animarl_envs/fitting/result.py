@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import bootstrap_joint
 from animarl_envs.fitting.magnitudes import fast_speed, joint_locomotion
@@ -195,6 +196,7 @@ def default_onset_threshold(demos: Demonstrations) -> float:
     """
     if demos.species in SPECIES:
         return SPECIES[demos.species].recording.onset_threshold
+    demos = learnable(demos)
     top = float(np.quantile(np.linalg.norm(demos.velocities(), axis=2), 0.99))
     if top == 0:
         raise InputError(f"{demos.name}: no individual ever moves: check the tracks")
