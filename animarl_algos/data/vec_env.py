@@ -137,7 +137,8 @@ class SlotVecEnv(VecEnv):
         """New episodes in all copies; observations ``(slots, n)``."""
         seed = self._seeds[0]
         if seed is not None:
-            self.world.seed(np.arange(self.num_copies, dtype=np.uint64) + np.uint64(seed))
+            streams = np.random.SeedSequence(seed).generate_state(self.num_copies, np.uint64)
+            self.world.seed(streams)
         self._reset_seeds()
         self._reset_options()
         self.world.reset()

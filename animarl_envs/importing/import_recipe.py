@@ -40,7 +40,8 @@ class ImportRecipe:
     decision_rate
         Of the demonstrations [Hz]; ``None``: the frame rate.
     keep_last_frame
-        Whether the last recorded frame of an episode is kept though it falls between decisions.
+        Whether decisions are counted back from the last recorded frame, which is kept; frames
+        before the first of them are dropped. By default they are counted from the first frame.
     species, condition, licence, synthetic
         What the demonstrations are.
     """

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from operator import index
+from typing import Any, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -15,6 +16,7 @@ from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds.base import World
 
+SpaceT = TypeVar("SpaceT", bound=spaces.Space[Any])
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
 
@@ -113,7 +115,7 @@ def chosen_demos(
     InputError
         If a demonstration does not exist.
     """
-    wanted = (options or {}).get("demo")
+    wanted = reset_options(options, "demo").get("demo")
     if wanted is None:
         return None
     count = len(scenario.demos) if scenario.demos is not None and scenario.paired else 0
@@ -128,8 +130,61 @@ def chosen_demos(
     return np.array(np.broadcast_to(array, (num_copies,)), dtype=np.int64)
 
 
-def copy_seeds(seed: int | None, num_copies: int) -> NDArray[np.uint64] | None:
+def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
+    """The options of ``reset``; what is not one is refused.
+
+    Raises
+    ------
+    InputError
+        If they are no dictionary, or hold an unknown name.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise InputError(
+            f"options of reset are {options!r}: give a dictionary, such as {{'demo': 0}}"
+        )
+    for name in options:
+        if name not in known:
+            raise InputError(f"reset has no option {name!r}: it knows {', '.join(known)}")
+    return options
+
+
+def stream_seed(seed: int) -> np.uint64:
+    """Of a world's random stream; of more than 64 bits all are used.
+
+    Raises
+    ------
+    InputError
+        If it is negative or no whole number.
+    """
+    try:
+        number = index(seed)
+    except TypeError:
+        raise InputError(f"seed is {seed!r}: give a whole number") from None
+    if number < 0:
+        raise InputError(f"seed is {number}: give zero or more")
+    if number < 2**64:
+        return np.uint64(number)
+    return np.uint64(np.random.SeedSequence(number).generate_state(1, np.uint64)[0])
+
+
+def copy_seeds(seed: int, num_copies: int) -> NDArray[np.uint64]:
     """Copy ``b`` gets ``seed + b``, so that it equals a single environment with that seed."""
-    if seed is None:
-        return None
-    return np.arange(num_copies, dtype=np.uint64) + np.uint64(seed)
+    return np.arange(num_copies, dtype=np.uint64) + stream_seed(seed)
+
+
+def space_of(spaces_of_all: Mapping[str, SpaceT], agent: str) -> SpaceT:
+    """The space of one individual.
+
+    Raises
+    ------
+    InputError
+        If there is nobody of that name.
+    """
+    try:
+        return spaces_of_all[agent]
+    except (KeyError, TypeError):
+        raise InputError(
+            f"there is no individual {agent!r}: choose one of {', '.join(spaces_of_all)}"
+        ) from None

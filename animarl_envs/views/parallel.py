@@ -15,7 +15,13 @@ from animarl_envs.drawing.picture import RENDER_MODES, Picture
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
-from animarl_envs.views.common import action_space, chosen_demos, observation_space
+from animarl_envs.views.common import (
+    action_space,
+    chosen_demos,
+    observation_space,
+    space_of,
+    stream_seed,
+)
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 
@@ -68,18 +74,18 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
 
     def observation_space(self, agent: str) -> spaces.Box:
         """The space of one individual, the same object each time."""
-        return self.observation_spaces[agent]
+        return space_of(self.observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Discrete:
         """The actions of all, the same object each time."""
-        return self.action_spaces[agent]
+        return space_of(self.action_spaces, agent)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
         """Start a new episode of all; ``options={"demo": i}`` chooses the demonstration."""
         if seed is not None:
-            self.world.seed([seed])
+            self.world.seed([stream_seed(seed)])
         elif not self._started:
             self.world.seed(np.random.SeedSequence().generate_state(1, np.uint64))
         self._started = True

@@ -18,6 +18,7 @@ from animarl_envs.views.common import (
     chosen_demos,
     focal_scenario,
     observation_space,
+    stream_seed,
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
@@ -99,7 +100,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         fresh = self._np_random is None
         super().reset(seed=seed)
         if seed is not None:
-            self.world.seed([seed])
+            self.world.seed([stream_seed(seed)])
         elif fresh:
             self.world.seed(self.np_random.integers(2**63, size=1))
         self.world.reset(demo=chosen_demos(options, self.scenario, 1))

@@ -22,6 +22,8 @@ from animarl_envs.views.common import (
     copy_seeds,
     focal_scenario,
     observation_space,
+    reset_options,
+    stream_seed,
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
@@ -101,28 +103,43 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start new episodes; ``options={"reset_mask": mask}`` in those copies only, and
         ``{"demo": i}`` from that demonstration (one number, or one per copy, -1 for any).
+
+        A list of seeds has one per copy; where it is ``None`` the copy's stream goes on.
         """
-        if isinstance(seed, list):
-            if len(seed) != self.num_envs or None in seed:
-                raise InputError(
-                    f"seed lists {len(seed)} seeds: give {self.num_envs} whole numbers"
-                )
-            super().reset(seed=seed[0])
-            self.world.seed(np.array(seed, dtype=np.uint64))
-        elif seed is not None or not self._started:
-            super().reset(seed=seed)
-            seeds = copy_seeds(seed, self.num_envs)
-            if seeds is None:
-                seeds = self.np_random.integers(2**63, size=self.num_envs).astype(np.uint64)
-            self.world.seed(seeds)
-        mask = np.array((options or {}).get("reset_mask", self._all), dtype=bool)
+        given = reset_options(options, "demo", "reset_mask")
+        self._seed(seed)
+        mask = np.array(given.get("reset_mask", self._all), dtype=bool)
         if mask.shape != (self.num_envs,):
             raise InputError(f"reset_mask has shape {mask.shape}: give ({self.num_envs},)")
-        self.world.reset(mask, demo=chosen_demos(options, self.scenario, self.num_envs))
+        wanted = {"demo": given.get("demo")}
+        self.world.reset(mask, demo=chosen_demos(wanted, self.scenario, self.num_envs))
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False
         return self._observation(), {**self._infos(), "scenario": json.loads(self._description)}
+
+    def _seed(self, seed: int | list[int | None] | None) -> None:
+        """Start the random streams: before the first episode, and whenever a seed is given."""
+        if seed is None and self._started:
+            return
+        if not isinstance(seed, list):
+            super().reset(seed=seed)  # Gymnasium's own generator
+            if seed is not None:
+                self.world.seed(copy_seeds(seed, self.num_envs))
+            else:
+                self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
+            return
+        if len(seed) != self.num_envs:
+            raise InputError(f"seed lists {len(seed)} seeds: give {self.num_envs}, one per copy")
+        first = next((s for s in seed if s is not None), None)
+        super().reset(seed=first)
+        kept = np.array([s is None for s in seed])
+        streams = self.world.random_state.copy()
+        if not self._started:
+            self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
+            streams = self.world.random_state.copy()
+        self.world.seed([0 if s is None else stream_seed(s) for s in seed])
+        self.world.random_state[kept] = streams[kept]
 
     def step(
         self, actions: NDArray[np.int64]

@@ -33,6 +33,8 @@ def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DT
     if not number or not 0 <= alpha < np.inf:
         raise InputError(f"alpha is {alpha!r}: it must be zero or positive")
     world = env.world
+    if any(isinstance(tracker, DTWTracker) for tracker in world.trackers):
+        raise InputError("the environment has a DTW reward already: wrap it once")
     demos = world.demos if world.scenario.paired else None
     scale = world.scenario.species.contact_radius
     tracker = DTWTracker(demos, world.num_copies, np.array(individuals), scale, penalty)

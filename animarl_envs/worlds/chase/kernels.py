@@ -81,8 +81,8 @@ class ChaseState(structref.StructRefProxy):  # type: ignore[misc]
     """What a step reads and writes, in one object: handing arrays to a kernel one by one would
     take longer than the step of a single copy.
 
-    ``actions``, ``others``, ``nearest`` and ``code`` are scratch. ``pushes`` ``(K, 2, A)`` are the
-    actions' vectors in multiples of the thrust, ahead and left. ``sharing`` is the condition
+    ``actions``, ``neighbours``, ``nearest`` and ``code`` are scratch. ``pushes`` ``(K, 2, A)`` are
+    the actions' vectors in multiples of the thrust, ahead and left. ``sharing`` is the condition
     where condition 1 shares the reward, else zeros. ``driven``: somebody ignores the caller.
     """
 
@@ -92,9 +92,9 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     _ChaseStateType,
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "acceleration", "towards", "others", "nearest", "code",
-        "components", "reward", "outcome", "terminated", "truncated", "step_count", "warming",
-        "observation", "senses",
+        "numbers", "position", "velocity", "acceleration", "towards", "neighbours", "nearest",
+        "code", "components", "reward", "outcome", "terminated", "truncated", "step_count",
+        "warming", "observation", "senses",
     ],
 )  # fmt: skip
 
@@ -102,13 +102,13 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @jit
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, acceleration, towards, others, nearest, code, components, reward, outcome, terminated,
-    truncated, step_count, warming, observation, senses,
+    velocity, acceleration, towards, neighbours, nearest, code, components, reward, outcome,
+    terminated, truncated, step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, acceleration, towards, others, nearest, code, components, reward, outcome,
+        velocity, acceleration, towards, neighbours, nearest, code, components, reward, outcome,
         terminated, truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
@@ -151,7 +151,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
     observe(
-        position, velocity, acceleration, towards, state.others, state.senses, state.observation
+        position, velocity, acceleration, towards, state.neighbours, state.senses, state.observation
     )
 
 

@@ -1,8 +1,8 @@
 """What the individuals of a chase observe, as loops over copies.
 
-Arrays as in :mod:`animarl_envs.worlds.chase.kernels`; ``others`` ``(K - 1, RELATIVE, B)`` holds
-what one individual sees of the others, in order. What is written, and where, is the table of
-:mod:`animarl_envs.worlds.chase.layout`: a group that is absent there is not computed.
+Arrays as in :mod:`animarl_envs.worlds.chase.kernels`; ``others`` holds what one individual sees of
+the others, in order (:mod:`animarl_envs.worlds.chase.neighbours`). What is written, and where, is
+the table of :mod:`animarl_envs.worlds.chase.layout`: a group that is absent there is not computed.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
+from animarl_envs.focus import FALLBACK
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.arctangent import angle_of
 from animarl_envs.worlds.chase import layout
+from animarl_envs.worlds.chase.neighbours import APART, DVX, DVY, DX, DY, look
 from animarl_envs.worlds.exponential import log_of, tanh_of
 
-DX, DY, DVX, DVY, APART = 0, 1, 2, 3, 4
-RELATIVE = 5
 ABSENT, REST, HARDEST = layout.ABSENT, layout.REST, layout.HARDEST
 SQUARE = SHAPE_CODES["square"]
 
@@ -49,61 +49,21 @@ def senses_of(species: ChaseSpecies) -> Senses:
 
 
 @jit
-def observe(position, velocity, acceleration, towards, others, senses, observation):  # type: ignore[no-untyped-def]
-    """Focus directions and observations; ``others`` is scratch, ``(K - 1, 5, B)``.
+def observe(position, velocity, acceleration, towards, neighbours, senses, observation):  # type: ignore[no-untyped-def]
+    """Focus directions and observations; ``neighbours`` is scratch.
 
-    ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust.
-
-    The others in order: target first, then pursuers by distance, ties by index. The first of them
-    is the focus. At distance zero the old direction towards it is kept.
+    ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust. The first
+    of the others is the focus; see :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    K = position.shape[0]
-    target = K - 1
     first, stride, near, shape, edge = senses
-    for i in range(K):
-        ranks = 0
-        if i != target:
-            _relate(i, target, ranks, position, velocity, others)
-            ranks = 1
-        sorted_from = ranks
-        for j in range(target):
-            if j != i:
-                _relate(i, j, ranks, position, velocity, others)
-                ranks += 1
-        for last in range(ranks - 1, sorted_from, -1):  # stable bubble sort, without branches
-            for rank in range(sorted_from, last):
-                _order(rank, others)
+    others = neighbours.others
+    for i in range(position.shape[0]):
+        seen = look(i, position, velocity, neighbours)
         _observe_own(
             i, position, velocity, acceleration, others, towards, first, stride[i], observation
         )
-        for rank in range(ranks):
-            _observe_other(i, rank, position, velocity, others, towards, first, near, observation)
+        _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
-
-
-@part
-def _relate(i, j, rank, position, velocity, others):  # type: ignore[no-untyped-def]
-    """Position, velocity and distance of ``j`` relative to ``i``, arena frame."""
-    for b in range(position.shape[2]):
-        dx = position[j, 0, b] - position[i, 0, b]
-        dy = position[j, 1, b] - position[i, 1, b]
-        others[rank, DX, b] = dx
-        others[rank, DY, b] = dy
-        others[rank, DVX, b] = velocity[j, 0, b] - velocity[i, 0, b]
-        others[rank, DVY, b] = velocity[j, 1, b] - velocity[i, 1, b]
-        others[rank, APART, b] = math.sqrt(dx * dx + dy * dy)
-
-
-@part
-def _order(rank, others):  # type: ignore[no-untyped-def]
-    """Exchange this other individual and the next where this one is the farther."""
-    for b in range(others.shape[2]):
-        swap = others[rank, APART, b] > others[rank + 1, APART, b]
-        for row in range(RELATIVE):
-            one = others[rank, row, b]
-            two = others[rank + 1, row, b]
-            others[rank, row, b] = two if swap else one
-            others[rank + 1, row, b] = one if swap else two
 
 
 @part
@@ -116,7 +76,7 @@ def _observe_own(  # type: ignore[no-untyped-def]
     for x in range(2):
         for b in range(B):
             apart = others[0, APART, b]
-            e = others[0, DX + x, b] / apart if apart > 0.0 else towards[i, x, b]
+            e = others[0, DX + x, b] / apart if apart > 0.0 else FALLBACK[x]
             towards[i, x, b] = e
             observation[i, place + x, b] = position[i, x, b]
             observation[i, focus + x, b] = e
@@ -170,67 +130,80 @@ def _tripled(t):  # type: ignore[no-untyped-def]
 
 
 @part
-def _observe_other(i, rank, position, velocity, others, towards, first, near, observation):  # type: ignore[no-untyped-def]
-    """One of the others, seen from individual ``i``."""
-    who = rank + 1
-    at, apart_at = first[who, layout.PLACE], first[who, layout.DISTANCE]
-    bearing_at, circle = first[who, layout.BEARING], first[who, layout.BEARING_CIRCLE]
-    B = others.shape[2]
-    for b in range(B):
-        observation[i, apart_at, b] = others[rank, APART, b]
-    if at != ABSENT:
-        for b in range(B):
-            ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
+def _observe_others(i, seen, position, velocity, others, towards, first, near, observation):  # type: ignore[no-untyped-def]
+    """The others, seen from individual ``i``; each part is a loop over all of them."""
+    _observe_places(i, seen, others, towards, first, observation)
+    _observe_drifts(i, seen, others, towards, first, observation)
+    if seen > 1 and first[2, layout.BEARING_CIRCLE] != ABSENT:
+        _observe_directions(i, seen, others, towards, first, observation)
+    if first[1, layout.NEARNESS] != ABSENT:
+        _observe_in_arena(i, seen, position, velocity, others, first, near, observation)
+
+
+@part
+def _observe_places(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
+    """How far each other is, and where; the focus lies straight ahead, by definition."""
+    for rank in range(seen):
+        who = rank + 1
+        apart_at, at = first[who, layout.DISTANCE], first[who, layout.PLACE]
+        bearing_at = first[who, layout.BEARING]
+        for b in range(others.shape[2]):
+            observation[i, apart_at, b] = others[rank, APART, b]
+        if at != ABSENT:
+            for b in range(others.shape[2]):
+                ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
+                observation[i, at, b] = ahead
+                observation[i, at + 1, b] = np.float32(0.0) if rank == 0 else left
+        if bearing_at != ABSENT:
+            for b in range(others.shape[2]):
+                ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
+                bearing = np.float32(0.0) if rank == 0 else angle_of(ahead, left)
+                observation[i, bearing_at, b] = bearing
+
+
+@part
+def _observe_drifts(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
+    """The velocity of each other, relative to the own."""
+    for rank in range(seen):
+        at = first[rank + 1, layout.DRIFT]
+        for b in range(others.shape[2]):
+            ahead, left = _egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
             observation[i, at, b] = ahead
-            # the focus lies straight ahead, by definition
-            observation[i, at + 1, b] = np.float32(0.0) if rank == 0 else left
-    if bearing_at != ABSENT:
-        for b in range(B):
-            ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
-            observation[i, bearing_at, b] = np.float32(0.0) if rank == 0 else angle_of(ahead, left)
-    at = first[who, layout.DRIFT]
-    for b in range(B):
-        ahead, left = _egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
-        observation[i, at, b] = ahead
-        observation[i, at + 1, b] = left
-    if circle != ABSENT:
-        _observe_directions(
-            i, rank, circle, first[rank + 1, layout.DIRECTION], others, towards, observation
-        )
-    if first[who, layout.NEARNESS] != ABSENT:
-        _observe_in_arena(i, rank, position, velocity, others, first, near, observation)
+            observation[i, at + 1, b] = left
 
 
 @part
-def _observe_directions(i, rank, circle, plane, others, towards, observation):  # type: ignore[no-untyped-def]
-    """Unit vectors towards another who is not the focus; of one at the same place, the focus'."""
-    for b in range(others.shape[2]):
-        apart = others[rank, APART, b]
-        ex = towards[i, 0, b]
-        ey = towards[i, 1, b]
-        ux = others[rank, DX, b] / apart if apart > 0.0 else ex
-        uy = others[rank, DY, b] / apart if apart > 0.0 else ey
-        observation[i, plane, b] = ux
-        observation[i, plane + 1, b] = uy
-        observation[i, circle, b] = ux * ex + uy * ey
-        observation[i, circle + 1, b] = uy * ex - ux * ey
+def _observe_directions(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
+    """Unit vectors towards others who are not the focus; of one at the same place, the focus'."""
+    for rank in range(1, seen):
+        circle, plane = first[rank + 1, layout.BEARING_CIRCLE], first[rank + 1, layout.DIRECTION]
+        for b in range(others.shape[2]):
+            apart = others[rank, APART, b]
+            ex = towards[i, 0, b]
+            ey = towards[i, 1, b]
+            ux = others[rank, DX, b] / apart if apart > 0.0 else ex
+            uy = others[rank, DY, b] / apart if apart > 0.0 else ey
+            observation[i, plane, b] = ux
+            observation[i, plane + 1, b] = uy
+            observation[i, circle, b] = ux * ex + uy * ey
+            observation[i, circle + 1, b] = uy * ex - ux * ey
 
 
 @part
-def _observe_in_arena(i, rank, position, velocity, others, first, near, observation):  # type: ignore[no-untyped-def]
-    """How near another is, and where it is and goes in the arena frame."""
-    who = rank + 1
-    inverse = first[who, layout.NEARNESS]
-    place, going = first[who, layout.OTHER_POSITION], first[who, layout.OTHER_VELOCITY]
-    offset = first[who, layout.OFFSET]
-    B = others.shape[2]
-    for b in range(B):
-        observation[i, inverse, b] = 1.0 / (others[rank, APART, b] + near)
-    for x in range(2):
-        for b in range(B):
-            observation[i, offset + x, b] = others[rank, DX + x, b]
-            observation[i, place + x, b] = position[i, x, b] + others[rank, DX + x, b]
-            observation[i, going + x, b] = velocity[i, x, b] + others[rank, DVX + x, b]
+def _observe_in_arena(i, seen, position, velocity, others, first, near, observation):  # type: ignore[no-untyped-def]
+    """How near each other is, and where it is and goes in the arena frame."""
+    for rank in range(seen):
+        who = rank + 1
+        inverse = first[who, layout.NEARNESS]
+        place, going = first[who, layout.OTHER_POSITION], first[who, layout.OTHER_VELOCITY]
+        offset = first[who, layout.OFFSET]
+        for b in range(others.shape[2]):
+            observation[i, inverse, b] = 1.0 / (others[rank, APART, b] + near)
+        for x in range(2):
+            for b in range(others.shape[2]):
+                observation[i, offset + x, b] = others[rank, DX + x, b]
+                observation[i, place + x, b] = position[i, x, b] + others[rank, DX + x, b]
+                observation[i, going + x, b] = velocity[i, x, b] + others[rank, DVX + x, b]
 
 
 @part

@@ -21,6 +21,7 @@ from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
+from animarl_envs.worlds.chase.neighbours import neighbours_of
 from animarl_envs.worlds.flat_demos import recorded_reach, recorded_speed
 
 
@@ -58,7 +59,7 @@ class ChaseWorld(World):
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
         self._senses = senses.senses_of(species)
-        self._others = np.zeros((K - 1, senses.RELATIVE, B))
+        self._neighbours = neighbours_of(K, B)
         damping = np.array([m.damping for m in species.locomotion])
         thrust = np.array([m.thrust for m in species.locomotion])
         pushes = np.stack([np.ascontiguousarray(m.action_vectors.T) for m in species.locomotion])
@@ -77,7 +78,7 @@ class ChaseWorld(World):
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
             sharing, damping, thrust, pushes, numbers, self._position, self._velocity,
-            self._acceleration, self._towards, self._others, np.zeros(B),
+            self._acceleration, self._towards, self._neighbours, np.zeros(B),
             np.zeros(B, dtype=np.int64), self._components, self._reward, self.outcome,
             self.terminated, self.truncated, self.step_count, self.warming, self._sensed,
             self._senses,
@@ -101,7 +102,7 @@ class ChaseWorld(World):
 
     def _observe(self) -> None:
         senses.observe(
-            self._position, self._velocity, self._acceleration, self._towards, self._others,
+            self._position, self._velocity, self._acceleration, self._towards, self._neighbours,
             self._senses, self._sensed,
         )  # fmt: skip
 
@@ -129,7 +130,7 @@ def observe(
     senses.observe(
         *copy_last,
         towards,
-        np.zeros((K - 1, senses.RELATIVE, frames)),
+        neighbours_of(K, frames),
         senses.senses_of(species),
         observation,
     )
