@@ -41,6 +41,9 @@ from animarl_envs.wrappers import (
 
 pytestmark = [
     pytest.mark.filterwarnings("error"),
+    pytest.mark.filterwarnings(
+        "ignore:reset has no option .options.:UserWarning"
+    ),  # PettingZoo asks
     pytest.mark.usefixtures("_garbage_collected"),
 ]
 

@@ -36,11 +36,20 @@ def test_seeds_of_any_size_start_streams_of_their_own(env: Any) -> None:
     assert not np.array_equal(same[0], first(env.reset(seed=HUGE + 1)))
 
 
-@pytest.mark.parametrize("env", make_all(), ids=["single", "vector", "parallel"])
+@pytest.mark.parametrize("env", make_all()[:2], ids=["single", "vector"])
 @pytest.mark.parametrize("options", [3, {"demos": 0}, ["demo"]])
 def test_options_that_do_not_exist_are_refused_by_name(env: Any, options: Any) -> None:
     with pytest.raises(InputError, match="demo"):
         env.reset(options=options)
+
+
+def test_the_parallel_view_warns_of_unknown_options() -> None:
+    """PettingZoo's own tests give one that nobody knows."""
+    env = animarl_envs.parallel_env("agent")
+    with pytest.warns(UserWarning, match="no option 'demos': it knows demo"):
+        env.reset(options={"demos": 0})
+    with pytest.raises(InputError, match="give a dictionary"):
+        env.reset(options=3)
 
 
 def test_a_copy_without_a_seed_goes_on_with_its_stream() -> None:

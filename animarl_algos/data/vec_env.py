@@ -24,7 +24,7 @@ from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario
 from animarl_envs.species import Species
-from animarl_envs.views.common import observation_space
+from animarl_envs.views.common import check_actions, observation_space
 from animarl_envs.worlds import make_world, mirror
 from animarl_envs.worlds.executed import ExecutedActions
 from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
@@ -146,7 +146,7 @@ class SlotVecEnv(VecEnv):
         return self._observation()
 
     def step_async(self, actions: NDArray[np.integer]) -> None:
-        self._pending = np.asarray(actions, dtype=np.int64)
+        self._pending = check_actions(actions, (self.num_envs,), self.world.num_actions)
 
     def step_wait(
         self,

@@ -31,6 +31,7 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
 from animarl_algos.runs.acting import act_as_chosen, acting_file, for_all
+from animarl_algos.runs.alone import alone, holding
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -62,7 +63,8 @@ def open_run(
         demos = load_demonstrations(settings.file, settings.source, settings.species)
     rehearse(settings, demos)
     run = RunFolder(out)
-    run.start(settings, demos, command)
+    with alone(run.path):
+        run.start(settings, demos, command)
     return run
 
 
@@ -99,6 +101,7 @@ def load_demonstrations(
     return demos
 
 
+@holding
 def fit(run: RunFolder) -> LocomotionFit:
     """Stage 1: damping and thrust of every individual."""
     file = run.path / "locomotion.json"
@@ -115,6 +118,7 @@ def fit(run: RunFolder) -> LocomotionFit:
     return result
 
 
+@holding
 def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
@@ -210,6 +214,7 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
     return rollouts
 
 
+@holding
 def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
     rollouts = roll_out(run, progress_bar=progress_bar)
@@ -228,6 +233,7 @@ def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
     return evaluation
 
 
+@holding
 def report(run: RunFolder) -> Path:
     """Stage 5: the page to show."""
     settings, demos, record = run.settings, run.demos, run.record

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from operator import index
@@ -105,17 +106,14 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
     return array.astype(np.int64, copy=False)
 
 
-def chosen_demos(
-    options: Mapping[str, Any] | None, scenario: Scenario, num_copies: int
-) -> NDArray[np.int64] | None:
-    """``demo`` of the options of ``reset``: one number for all copies, or one each (-1: any).
+def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> NDArray[np.int64] | None:
+    """The option ``demo`` of ``reset``: one number for all copies, or one each (-1: any).
 
     Raises
     ------
     InputError
         If a demonstration does not exist.
     """
-    wanted = reset_options(options, "demo").get("demo")
     if wanted is None:
         return None
     count = len(scenario.demos) if scenario.demos is not None and scenario.paired else 0
@@ -130,8 +128,8 @@ def chosen_demos(
     return np.array(np.broadcast_to(array, (num_copies,)), dtype=np.int64)
 
 
-def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
-    """The options of ``reset``; what is not one is refused.
+def reset_options(options: Any, *known: str, strict: bool = True) -> Mapping[str, Any]:
+    """The options of ``reset``; what is not one is refused, or warned of where not ``strict``.
 
     Raises
     ------
@@ -145,8 +143,12 @@ def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
             f"options of reset are {options!r}: give a dictionary, such as {{'demo': 0}}"
         )
     for name in options:
-        if name not in known:
-            raise InputError(f"reset has no option {name!r}: it knows {', '.join(known)}")
+        if name in known:
+            continue
+        unknown = f"reset has no option {name!r}: it knows {', '.join(known)}"
+        if strict:
+            raise InputError(unknown)
+        warnings.warn(unknown, stacklevel=3)
     return options
 
 

@@ -19,6 +19,7 @@ from animarl_envs.views.common import (
     action_space,
     chosen_demos,
     observation_space,
+    reset_options,
     space_of,
     stream_seed,
 )
@@ -89,7 +90,8 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         elif not self._started:
             self.world.seed(np.random.SeedSequence().generate_state(1, np.uint64))
         self._started = True
-        self.world.reset(demo=chosen_demos(options, self.scenario, 1))
+        given = reset_options(options, "demo", strict=False)  # PettingZoo's own test gives others
+        self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
         self.agents = list(self.possible_agents)
         if self.render_mode is not None:
             self._picture.start()

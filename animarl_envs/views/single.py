@@ -18,6 +18,7 @@ from animarl_envs.views.common import (
     chosen_demos,
     focal_scenario,
     observation_space,
+    reset_options,
     stream_seed,
 )
 from animarl_envs.views.scenario_data import scenario_as_data
@@ -97,13 +98,14 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a new episode; ``options={"demo": i}`` chooses the demonstration."""
+        given = reset_options(options, "demo")
         fresh = self._np_random is None
         super().reset(seed=seed)
         if seed is not None:
             self.world.seed([stream_seed(seed)])
         elif fresh:
             self.world.seed(self.np_random.integers(2**63, size=1))
-        self.world.reset(demo=chosen_demos(options, self.scenario, 1))
+        self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
         self._running = True
         if self.render_mode is not None:
             self._picture.start()

@@ -111,8 +111,8 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         mask = np.array(given.get("reset_mask", self._all), dtype=bool)
         if mask.shape != (self.num_envs,):
             raise InputError(f"reset_mask has shape {mask.shape}: give ({self.num_envs},)")
-        wanted = {"demo": given.get("demo")}
-        self.world.reset(mask, demo=chosen_demos(wanted, self.scenario, self.num_envs))
+        demo = chosen_demos(given.get("demo"), self.scenario, self.num_envs)
+        self.world.reset(mask, demo=demo)
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False

@@ -1,0 +1,49 @@
+"""One process at a time in a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
+
+from filelock import FileLock, Timeout
+
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.errors import InputError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Hold the folder; within a process it may be held again, and a dead process holds nothing.
+
+    Raises
+    ------
+    InputError
+        If another process holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / ".lock", timeout=0, is_singleton=True):
+            yield
+    except Timeout:
+        raise InputError(
+            f"{folder}: another process is at work in this run: wait for it, or name another folder"
+        ) from None
+
+
+def holding(
+    stage: Callable[Concatenate[RunFolder, P], R],
+) -> Callable[Concatenate[RunFolder, P], R]:
+    """A stage of a run that holds its folder while it works."""
+
+    @wraps(stage)
+    def held(run: RunFolder, *args: P.args, **kwargs: P.kwargs) -> R:
+        with alone(run.path):
+            return stage(run, *args, **kwargs)
+
+    return held
