@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -21,11 +21,16 @@ from animarl_algos.cli.thrusts import (
 )
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.fitting.noise import fit_with_noise
+from animarl_envs.fitting.result import Method
 from animarl_envs.species import get_species
 
+QUICK_STEPS = 800  # of a noise estimate, per individual
+MATTERS = 0.1  # relative difference of thrusts that is worth a warning
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
 
 
@@ -34,6 +39,7 @@ class MethodChoice(StrEnum):
 
     joint = "joint"
     onset = "onset"
+    noise = "noise"
     both = "both"
 
 
@@ -48,7 +54,8 @@ def fit_command(
         str | None, typer.Option(help="Take the onset threshold of this species.")
     ] = None,
     method: Annotated[
-        MethodChoice, typer.Option(help="joint (default), the paper's onset rule, or both.")
+        MethodChoice,
+        typer.Option(help="joint (default), onset (the paper's), both, or noise: noisy tracks."),
     ] = MethodChoice.joint,
     thrusts: Annotated[
         list[str] | None,
@@ -74,6 +81,8 @@ def fit_command(
 
       animarl fit demos.npz --thrusts 1,2,3,5
 
+      animarl fit demos.npz --method noise
+
       animarl fit episodes_share.npz --method both --split all --out fit.csv
     """
     if out is not None and out.suffix not in {".csv", ".json"}:
@@ -90,12 +99,12 @@ def fit_command(
         compare_thrusts(demos, parse_thrusts(thrusts), chosen, seed, console, out)
         return
     fits: list[LocomotionFit] = []
-    methods = ("joint", "onset") if method is MethodChoice.both else (method.value,)
+    methods = list(get_args(Method))[:2] if method is MethodChoice.both else [method.value]
     for name in methods:
         try:
             fit = fit_locomotion(
                 demos,
-                "onset" if name == "onset" else "joint",
+                name,  # type: ignore[arg-type]
                 onset_threshold=onset_threshold,
                 split=chosen,
                 bootstrap=bootstrap,
@@ -108,6 +117,8 @@ def fit_command(
             continue
         fits.append(fit)
         console.print(format_fit_table(fit, demos))
+        for sentence in noise_warnings(fit, demos):
+            console.print(sentence, style="yellow", highlight=False, soft_wrap=True)
     if out is not None:
         save_fits(fits, out)
         console.print(f"Saved {out}", highlight=False, soft_wrap=True)
@@ -163,7 +174,9 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
         title += f" (th_acc = {fit.onset_threshold:.3g})"
     table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
     table.add_column("individual", no_wrap=True)
-    last = ["terminal\nspeed"] if fit.method == "joint" else ["onsets"]
+    last = ["onsets"] if fit.method == "onset" else ["terminal\nspeed"]
+    if fit.method == "noise":
+        last.append("tracking\nnoise")
     for heading in (
         "d (95 % CI)", "u (95 % CI)", "velocity\nRMSE", "braking\ntime, s", "top\nspeed", *last
     ):  # fmt: skip
@@ -176,9 +189,29 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
             f"{one.velocity_rmse:.2g}",
             f"{one.braking_time:.3g}",
             f"{one.top_speed:.3g}",
-            f"{one.terminal_speed:.3g}" if fit.method == "joint" else str(one.onsets),
+            str(one.onsets) if fit.method == "onset" else f"{one.terminal_speed:.3g}",
+            *([] if one.tracking_noise is None else [f"{one.tracking_noise:.2g}"]),
         )
     return table
+
+
+def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
+    """Of a joint fit: who is tracked so noisily that it is not to be believed.
+
+    By a quick fit that knows of noise, on some training episodes.
+    """
+    if fit.method != "joint" or demos.synthetic:
+        return []
+    seen, warned = learnable(demos), []
+    for i, one in enumerate(fit.individuals):
+        noisy = fit_with_noise(seen, i, most_steps=QUICK_STEPS, intervals=False)
+        if abs(one.thrust - noisy.thrust) > MATTERS * noisy.thrust:
+            warned.append(
+                f"{one.name}: tracking noise of about {noisy.noise:.2g} arena units "
+                f"({noisy.share_of_step:.0%} of a median step), with which u is about "
+                f"{noisy.thrust:.3g} and d {noisy.damping:.2g}: see --method noise"
+            )
+    return warned
 
 
 def save_fits(fits: list[LocomotionFit], out: Path) -> None:
@@ -190,7 +223,7 @@ def save_fits(fits: list[LocomotionFit], out: Path) -> None:
         return
     columns = [
         "method", "individual", "d", "d_low", "d_high", "u", "u_low", "u_high", "velocity_rmse",
-        "top_speed", "terminal_speed", "braking_time", "steps", "onsets",
+        "top_speed", "terminal_speed", "braking_time", "steps", "onsets", "tracking_noise",
     ]  # fmt: skip
     with write_then_rename(out) as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
@@ -206,6 +239,7 @@ def _csv_row(method: str, one: IndividualFit) -> list[object]:
         method, one.name, one.damping, d_low, d_high, one.thrust, u_low, u_high, one.velocity_rmse,
         one.top_speed, one.terminal_speed, one.braking_time, one.steps,
         "" if one.onsets is None else one.onsets,
+        "" if one.tracking_noise is None else one.tracking_noise,
     ]  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -17,15 +17,15 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import bootstrap_joint
 from animarl_envs.fitting.magnitudes import fast_speed, joint_locomotion
+from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.onset import bootstrap_onset, fit_onset, onset_data, top_speed
+from animarl_envs.fitting.resampling import Interval, percentiles, resampling_weights
 from animarl_envs.fitting.transitions import transitions, velocity_rmse
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import SPECIES
 
-Method = Literal["joint", "onset"]
-Interval = tuple[float, float]
+Method = Literal["joint", "onset", "noise"]
 BOOTSTRAP = 1000
-CONFIDENCE = 0.95
 SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species counts as resting
 
 
@@ -33,8 +33,8 @@ SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species co
 class IndividualFit:
     """Fitted locomotion of one individual.
 
-    Intervals are 95 % percentile intervals over resampled episodes, ``None`` with one episode or
-    with several thrust magnitudes.
+    Intervals are 95 % percentile intervals over resampled episodes (method ``"noise"``: of its
+    likelihood), ``None`` with too few episodes or with several thrust magnitudes.
     ``onsets`` is the number of rest-to-motion transitions (onset fit only);
     ``resamples_without_onset`` were left out of the intervals.
     """
@@ -52,6 +52,7 @@ class IndividualFit:
     magnitudes: tuple[float, ...] = (1.0,)  # multiples of the thrust, the largest first
     onsets: int | None = None
     resamples_without_onset: int = 0
+    tracking_noise: float | None = None  # of a coordinate, method "noise" only [arena unit]
 
     @property
     def locomotion(self) -> Locomotion:
@@ -134,7 +135,8 @@ def fit_locomotion(
     demos
         Recorded episodes, with their splits.
     method
-        ``"joint"`` (see :mod:`animarl_envs.fitting.joint`) or ``"onset"``, the paper's rule.
+        ``"joint"`` (see :mod:`animarl_envs.fitting.joint`), ``"onset"``, the paper's rule, or
+        ``"noise"``, for noisy tracks (see :mod:`animarl_envs.fitting.noise`).
     thrusts
         Number of thrust magnitudes (see :mod:`animarl_envs.fitting.magnitudes`).
     onset_threshold
@@ -153,24 +155,26 @@ def fit_locomotion(
         If a split is empty, an individual never moves, or the onset fit finds no onset.
     """
     if method not in get_args(Method):
-        raise InputError(f"method {method!r} is unknown: choose joint or onset")
+        raise InputError(f"method {method!r} is unknown: choose joint, onset or noise")
     training = demos if split is None else demos.select(split=split)
     without_validation = split is None and not (demos.split == "val").any()
     validation = demos if without_validation else demos.select(split="val")
     if onset_threshold is not None and not 0 < onset_threshold < math.inf:
         raise InputError(f"onset_threshold is {onset_threshold}: it must be a positive number")
-    if method == "joint":
+    if method != "onset":
         onset_threshold = None
     elif onset_threshold is None:
         onset_threshold = default_onset_threshold(demos)
-    weights = _resampling_weights(training.num_episodes, bootstrap, seed)
-    if onset_threshold is None:
+    if method != "joint" and thrusts != 1:
+        raise InputError(
+            f"thrusts is {thrusts!r} but the {method} rule fits one thrust: use method joint"
+        )
+    weights = resampling_weights(training.num_episodes, bootstrap, seed)
+    if method == "noise":
+        fits = _noise_fits(training, validation)
+    elif onset_threshold is None:
         fits = _joint_fits(training, validation, thrusts, weights)
     else:
-        if thrusts != 1:
-            raise InputError(
-                f"thrusts is {thrusts!r} but the onset rule fits one thrust: use method joint"
-            )
         fits = _onset_fits(training, validation, onset_threshold, weights)
     return LocomotionFit(
         method=method,
@@ -203,18 +207,6 @@ def default_onset_threshold(demos: Demonstrations) -> float:
     return SLOW_SHARE * top / demos.dt
 
 
-def _resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.float64] | None:
-    """How often each resample draws each episode, ``(resamples, episodes)``."""
-    if resamples < 0:
-        raise InputError(f"bootstrap is {resamples}: it must be 0 or a number of resamples")
-    if resamples == 0 or episodes < 2:
-        return None
-    drawn = np.random.default_rng(seed).integers(episodes, size=(resamples, episodes))
-    flat = drawn + episodes * np.arange(resamples)[:, None]
-    counts = np.bincount(flat.ravel(), minlength=resamples * episodes)
-    return counts.reshape(resamples, episodes).astype(np.float64)
-
-
 def _joint_fits(
     training: Demonstrations,
     validation: Demonstrations,
@@ -227,7 +219,7 @@ def _joint_fits(
         if weights is not None and thrusts == 1:
             data = transitions(training, i)
             samples = bootstrap_joint(data, locomotion, weights, fast_speed(data))
-        fits.append(_summary(training, validation, i, locomotion, samples, None))
+        fits.append(_summary(training, validation, i, locomotion, *percentiles(samples)))
     return tuple(fits)
 
 
@@ -242,8 +234,22 @@ def _onset_fits(
         starts = onset_data(training, i, onset_threshold)
         locomotion = fit_onset(training, i, onset_threshold)
         samples = None if weights is None else bootstrap_onset(starts, weights)
+        usable = None if samples is None else samples[np.isfinite(samples).all(axis=1)]
+        one = _summary(training, validation, i, locomotion, *percentiles(usable))
+        lost = 0 if samples is None or usable is None else len(samples) - len(usable)
         onsets = len(starts.onset_speed)
-        fits.append(_summary(training, validation, i, locomotion, samples, onsets))
+        fits.append(replace(one, onsets=onsets, resamples_without_onset=lost))
+    return tuple(fits)
+
+
+def _noise_fits(training: Demonstrations, validation: Demonstrations) -> tuple[IndividualFit, ...]:
+    fits = []
+    for i in range(training.num_individuals):
+        found = fit_with_noise(training, i)
+        locomotion = Locomotion(found.damping, found.thrust)
+        intervals = found.damping_interval, found.thrust_interval
+        one = _summary(training, validation, i, locomotion, *intervals)
+        fits.append(replace(one, tracking_noise=found.noise))
     return tuple(fits)
 
 
@@ -252,32 +258,21 @@ def _summary(
     validation: Demonstrations,
     individual: int,
     locomotion: Locomotion,
-    samples: NDArray[np.float64] | None,
-    onsets: int | None,
+    damping_interval: Interval | None,
+    thrust_interval: Interval | None,
 ) -> IndividualFit:
-    intervals: list[Interval | None] = [None, None]
-    lost = 0
-    if samples is not None:
-        usable = samples[np.isfinite(samples).all(axis=1)]
-        lost = len(samples) - len(usable)
-        tail = (1 - CONFIDENCE) / 2
-        if len(usable):
-            low, high = np.quantile(usable, [tail, 1 - tail], axis=0)
-            intervals = [(float(a), float(b)) for a, b in zip(low, high, strict=True)]
     return IndividualFit(
         name=training.individuals[individual],
         damping=locomotion.damping,
         thrust=locomotion.thrust,
-        damping_interval=intervals[0],
-        thrust_interval=intervals[1],
+        damping_interval=damping_interval,
+        thrust_interval=thrust_interval,
         velocity_rmse=velocity_rmse(validation, individual, locomotion),
         steps=int((training.lengths - 1).sum()),
         top_speed=top_speed(training, individual),
         terminal_speed=locomotion.terminal_speed(training.dt),
         braking_time=braking_time(locomotion.damping, training.dt),
         magnitudes=locomotion.magnitudes,
-        onsets=onsets,
-        resamples_without_onset=lost,
     )
 
 

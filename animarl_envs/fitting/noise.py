@@ -1,0 +1,263 @@
+"""Damping, thrust and tracking noise together: maximum likelihood with hidden states and actions.
+
+Tracking noise of a tenth of a median step doubles the thrust of the joint fit, which must explain
+every jitter by an action. Here positions are read with noise, and what the animal did is summed
+over (:mod:`animarl_envs.fitting.switching_filter`). Actions are kept with a fitted probability; how
+often each is chosen is found by fixed point. Intervals are of Student's t with the sandwich
+variance over episodes, since the steps of an episode depend on each other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.stats import t as student
+
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.fitting.joint import fit_joint
+from animarl_envs.fitting.resampling import CONFIDENCE, Interval
+from animarl_envs.fitting.switching_filter import log_likelihood
+from animarl_envs.fitting.transitions import transitions
+from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
+
+Floats = NDArray[np.float64]
+
+MOST_STEPS = 4000  # looked at: more make the intervals narrower than the model is right
+FEWEST_EPISODES = 3  # for an interval
+FIRST_NOISE = (0.02, 0.1, 0.3)  # of a median step: where the search starts
+LEAST_NOISE = 2e-3  # of a median step; with less the joint fit is exact
+ROUNDS = 3  # of the shares of actions
+REPLICATES = 4  # simulated tracks that measure the bias
+
+
+@dataclass(frozen=True)
+class NoisyFit:
+    """Locomotion and tracking noise of one individual.
+
+    Intervals are ``None`` with fewer than three episodes and for exact tracks, whose noise is 0.
+    """
+
+    damping: float
+    thrust: float  # [arena unit / s^2]
+    noise: float  # standard deviation of each coordinate of a position [arena unit]
+    kept: float  # probability that an action is kept for another step
+    median_step: float  # recorded [arena unit]
+    damping_interval: Interval | None
+    thrust_interval: Interval | None
+    noise_interval: Interval | None
+
+    @property
+    def share_of_step(self) -> float:
+        """The noise in units of the median recorded step."""
+        return self.noise / self.median_step
+
+
+def fit_with_noise(
+    demos: Demonstrations, individual: int, *, most_steps: int = MOST_STEPS, intervals: bool = True
+) -> NoisyFit:
+    """Fit damping, one thrust and the tracking noise of an individual.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes; all are used, up to ``most_steps`` steps of them.
+    individual
+        Its index.
+    most_steps
+        Whole episodes are taken from the first on until so many steps are there.
+    intervals
+        Whether intervals are made and the bias of the merging is taken out; both need time.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three steps, or the individual never moves.
+    """
+    name = f"{demos.name}: {demos.individuals[individual]}"
+    few = demos.select(episodes=np.arange(_enough(demos.lengths - 1, most_steps)))
+    joint = fit_joint(transitions(few, individual), name)
+    data = _Data.of(few, individual)
+    best: tuple[float, Floats] | None = None
+    for share in FIRST_NOISE:
+        guess = _logits(
+            max(joint.damping, 0.02), joint.thrust * few.dt, share * data.median_step, 0.5
+        )
+        found = _search(data, guess, np.full(NUM_ACTIONS, 1 / NUM_ACTIONS), 60, wide=True)
+        if best is None or found[0] < best[0]:
+            best = found
+    assert best is not None
+    point, shares = best[1], np.full(NUM_ACTIONS, 1 / NUM_ACTIONS)
+    for _ in range(ROUNDS):
+        data.negative(point, shares)
+        shares = (data.taken + 1) / (data.taken.sum() + NUM_ACTIONS)  # none is impossible
+        point = _search(data, point, shares, 100, wide=False)[1]
+    if _natural(point)[2] < LEAST_NOISE * data.median_step:
+        kept = _natural(point)[3]
+        return NoisyFit(joint.damping, joint.thrust, 0.0, kept, data.median_step, None, None, None)
+    around = _intervals(data, point, shares) if intervals else None
+    if intervals:
+        bias = _bias(data, point, shares)
+        point, around = point - bias, None if around is None else around - bias[:, None]
+    damping, impulse, noise, kept = _natural(point)
+    return NoisyFit(
+        damping=damping,
+        thrust=impulse / few.dt,
+        noise=noise,
+        kept=kept,
+        median_step=data.median_step,
+        damping_interval=_interval(around, 0, 1.0),
+        thrust_interval=_interval(around, 1, 1 / few.dt),
+        noise_interval=_interval(around, 2, 1.0),
+    )
+
+
+@dataclass(frozen=True)
+class _Data:
+    """One individual's track, and the filter's scratch."""
+
+    positions: Floats
+    focus: Floats
+    first: NDArray[np.int64]
+    dt: float
+    median_step: float
+    hypotheses: tuple[Floats, Floats, Floats, Floats]
+    episodes: Floats
+    taken: Floats
+
+    @classmethod
+    def of(cls, demos: Demonstrations, individual: int) -> _Data:
+        positions = np.ascontiguousarray(demos.positions[:, individual])
+        steps = np.linalg.norm(demos.velocities()[:, individual], axis=1) * demos.dt
+        median = float(np.median(steps[steps > 0]))
+        A = NUM_ACTIONS
+        return cls(
+            positions=positions,
+            focus=np.ascontiguousarray(demos.focus()[:, individual]),
+            first=demos.offsets.astype(np.int64),
+            dt=demos.dt,
+            median_step=median,
+            hypotheses=(
+                np.zeros((2, A, 2, 2)),
+                np.zeros((2, A, 2, 3)),
+                np.zeros((4, A)),
+                np.zeros((A, 2, 9)),
+            ),
+            episodes=np.zeros(demos.num_episodes),
+            taken=np.zeros(A),
+        )
+
+    def negative(self, point: Floats, shares: Floats) -> float:
+        """Minus the log likelihood per frame; ``episodes`` and ``taken`` are filled."""
+        parameters = _natural(point)
+        least = LEAST_NOISE * self.median_step
+        parameters = (parameters[0], parameters[1], math.hypot(parameters[2], least), parameters[3])
+        total = log_likelihood(
+            self.positions, self.focus, self.first, ACTION_VECTORS, self.dt,
+            3.0 * self.median_step / self.dt, parameters, shares, self.hypotheses, self.episodes,
+            self.taken,
+        )  # fmt: skip
+        return float(-total / len(self.positions)) if math.isfinite(total) else math.inf
+
+
+def _enough(steps: NDArray[np.integer], most: int) -> int:
+    """How many episodes, from the first, hold up to ``most`` steps; at least one."""
+    return max(1, int(np.searchsorted(np.cumsum(steps), most, side="right")))
+
+
+def _search(
+    data: _Data, point: Floats, shares: Floats, calls: int, *, wide: bool
+) -> tuple[float, Floats]:
+    """Nelder and Mead's search from ``point``."""
+    size = 0.5 if wide else 0.1
+    corners = np.vstack([point, point + size * np.eye(len(point))])
+    found = minimize(
+        data.negative,
+        point,
+        args=(shares,),
+        method="Nelder-Mead",
+        options={"maxfev": calls, "xatol": 1e-3, "fatol": 1e-7, "initial_simplex": corners},
+    )
+    return float(found.fun), np.asarray(found.x)
+
+
+def _intervals(data: _Data, point: Floats, shares: Floats) -> Floats | None:
+    """``(4, 2)``, unbounded; the sandwich over episodes, and what the bias adds."""
+    count = len(data.episodes)
+    if count < FEWEST_EPISODES:
+        return None
+
+    def per_episode(at: Floats) -> Floats:
+        data.negative(at, shares)
+        return data.episodes.copy()
+
+    scores = _gradient(per_episode, point)  # (episodes, 4)
+    curvature = _gradient(lambda at: _gradient(per_episode, at).sum(0), point)
+    inverse = np.linalg.pinv(-(curvature + curvature.T) / 2)
+    scores = scores - scores.mean(0)
+    variance = inverse @ (scores.T @ scores * count / (count - 1)) @ inverse
+    spread = np.sqrt(np.maximum(np.diag(variance), 0) * (1 + 1 / REPLICATES))
+    half = student.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
+    return np.stack([point - half, point + half], axis=1)
+
+
+def _bias(data: _Data, point: Floats, shares: Floats) -> Floats:
+    """What merging hypotheses costs: the mean shift of fits to tracks simulated from the fit."""
+    rng = np.random.default_rng(0)
+    shifts = []
+    for _ in range(REPLICATES):
+        made = replace(data, positions=_simulated(data, point, shares, rng))
+        shifts.append(_search(made, point, shares, 80, wide=False)[1] - point)
+    return np.asarray(np.mean(shifts, axis=0))
+
+
+def _simulated(data: _Data, point: Floats, shares: Floats, rng: np.random.Generator) -> Floats:
+    """Tracks ``(frames, 2)`` that the model makes from the recorded starts and focus directions."""
+    damping, impulse, noise, kept = _natural(point)
+    path = data.positions.copy()
+    for begin, end in itertools.pairwise(data.first.tolist()):
+        velocity = (path[min(begin + 1, end - 1)] - path[begin]) / data.dt
+        action = rng.choice(NUM_ACTIONS, p=shares)
+        for t in range(begin, end - 1):
+            if rng.random() >= kept:
+                action = rng.choice(NUM_ACTIONS, p=shares)
+            (ahead, left), (x, y) = impulse * ACTION_VECTORS[action], data.focus[t]
+            velocity = (1 - damping) * velocity + [ahead * x - left * y, ahead * y + left * x]
+            path[t + 1] = path[t] + data.dt * velocity
+    return path + noise * rng.standard_normal(path.shape)
+
+
+def _gradient(function: Callable[[Floats], Floats], point: Floats, step: float = 0.01) -> Floats:
+    """Central differences, the last axis along the parameters."""
+    columns = []
+    for k in range(len(point)):
+        offset = step * np.eye(len(point))[k]
+        columns.append((function(point + offset) - function(point - offset)) / (2 * step))
+    return np.stack(columns, axis=-1)
+
+
+def _interval(intervals: Floats | None, row: int, unit: float) -> Interval | None:
+    """In natural units, times ``unit``."""
+    if intervals is None:
+        return None
+    low, high = (_natural(intervals[:, side])[row] * unit for side in range(2))
+    return low, high
+
+
+def _logits(damping: float, impulse: float, noise: float, kept: float) -> Floats:
+    """Parameters without bounds, for the search."""
+    shares = np.clip([damping, kept], 1e-4, 1 - 1e-4)
+    odds = np.log(shares / (1 - shares))
+    return np.array([odds[0], math.log(impulse), math.log(noise), odds[1]])
+
+
+def _natural(point: Floats) -> tuple[float, float, float, float]:
+    """Damping, impulse, noise and the probability of keeping an action."""
+    damping, kept = 1 / (1 + np.exp(-np.clip(point[[0, 3]], -30, 30)))
+    impulse, noise = np.exp(np.clip(point[[1, 2]], -60, 60))
+    return float(damping), float(impulse), float(noise), float(kept)

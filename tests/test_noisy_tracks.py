@@ -1,0 +1,65 @@
+"""Damping and thrust of noisy tracks, against walks whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from thrust_walks import walk
+from typer.testing import CliRunner
+
+from animarl_algos.cli.main import app
+from animarl_envs.fitting import fit_joint, fit_locomotion, transitions
+from animarl_envs.fitting.noise import fit_with_noise
+from animarl_envs.locomotion import Locomotion
+
+
+def noisy(damping: float, share: float, seed: int = 1, episodes: int = 40):  # type: ignore[no-untyped-def]
+    """Walks with thrust 3 whose noise is such a share of the median step, and the noise."""
+    truth = (Locomotion(damping, 3.0),) * 3
+    exact, _ = walk(truth, seed, episodes=episodes)
+    step = float(np.median(np.linalg.norm(exact.velocities()[:, 0], axis=1))) * exact.dt
+    return walk(truth, seed, episodes=episodes, noise=share * step)[0], share * step
+
+
+@pytest.mark.parametrize(("damping", "share"), [(0.2, 0.14), (0.014, 0.09)])
+def test_noise_that_misleads_the_joint_fit_is_told_from_motion(
+    damping: float, share: float
+) -> None:
+    demos, noise = noisy(damping, share)
+    joint, found = fit_joint(transitions(demos, 0)), fit_with_noise(demos, 0)
+    assert joint.thrust > 1.4 * 3.0  # what a fit that knows of no noise makes of it
+    assert found.thrust == pytest.approx(3.0, rel=0.05)
+    assert found.damping == pytest.approx(damping, rel=0.08)
+    assert found.noise == pytest.approx(noise, rel=0.1)
+    for interval, true in (
+        (found.thrust_interval, 3.0),
+        (found.damping_interval, damping),
+        (found.noise_interval, noise),
+    ):
+        assert interval is not None and interval[0] < true < interval[1]
+
+
+def test_exact_tracks_have_no_noise_and_the_joint_fit() -> None:
+    demos, _ = noisy(0.2, 0.0, episodes=10)
+    found = fit_with_noise(demos, 0)
+    assert found.noise == 0.0 and found.thrust_interval is None
+    assert (found.damping, found.thrust) == pytest.approx((0.2, 3.0), rel=1e-6)
+
+
+def test_the_fit_of_all_individuals_says_the_noise() -> None:
+    demos, noise = noisy(0.2, 0.1, episodes=12)
+    fit = fit_locomotion(demos, "noise", split=None)
+    assert fit.method == "noise"
+    assert [one.tracking_noise for one in fit.individuals] == pytest.approx([noise] * 3, rel=0.2)
+
+
+def test_animarl_fit_warns_of_noise_that_matters(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    from dataclasses import replace
+
+    for share, warned in ((0.14, True), (0.0, False)):
+        demos, _ = noisy(0.2, share)
+        real = replace(demos, provenance={**demos.provenance, "synthetic": False})
+        file = real.save(tmp_path / f"{share}.npz")
+        done = CliRunner().invoke(app, ["fit", str(file), "--bootstrap", "0"])
+        assert done.exit_code == 0, done.output
+        assert ("see --method noise" in done.output) == warned
