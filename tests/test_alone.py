@@ -42,4 +42,5 @@ def test_stages_of_one_process_may_call_each_other(tmp_path: Path) -> None:
     def outer(run: RunFolder) -> int:
         return inner(run) + 1
 
-    assert outer(RunFolder(tmp_path / "new")) == 2
+    assert outer(RunFolder(tmp_path)) == outer(RunFolder(tmp_path / "nowhere")) == 2
+    assert not (tmp_path / "nowhere").exists()

@@ -17,6 +17,7 @@ from recordings import CHASER, PREY, dogs, search
 
 import animarl_envs
 from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import magnitudes
 from animarl_envs.fitting.custom_species import contact_radius_of, species_of
@@ -29,6 +30,7 @@ from animarl_envs.worlds.chase.world import ChaseWorld
 
 pytestmark = [
     pytest.mark.filterwarnings("error"),
+    pytest.mark.filterwarnings("ignore:reset has no option .options.:UserWarning"),  # PettingZoo's
     pytest.mark.usefixtures("_garbage_collected"),
 ]
 
@@ -144,7 +146,7 @@ def test_a_named_species_gives_its_numbers() -> None:
 
 
 def test_the_contact_radius_is_as_stated_or_as_seen() -> None:
-    demos = dogs(2)
+    demos = replace(dogs(2), split=np.repeat(["train", "val"], EPISODES)[:EPISODES])
     distance = np.linalg.norm(demos.positions[:, :-1] - demos.positions[:, -1:], axis=2)
     assert contact_radius_of(demos) == pytest.approx(min(distance.min(), 0.2))
     approach = {"mode": "approach", "farther_than": 1.0, "closer_than": 0.25}
@@ -158,12 +160,13 @@ def test_the_contact_radius_is_as_stated_or_as_seen() -> None:
 
 
 def test_without_stated_contact_no_recording_is_cut_short() -> None:
-    demos = dogs(3)
+    demos = learnable(dogs(3))
+    episodes = demos.num_episodes
     drivers = dict.fromkeys(demos.individuals, "replay")
-    world = ChaseWorld(make_scenario("custom", demos=demos, split=None, drivers=drivers), EPISODES)
-    world.reset(demo=np.arange(EPISODES))
+    world = ChaseWorld(make_scenario("custom", demos=demos, split=None, drivers=drivers), episodes)
+    world.reset(demo=np.arange(episodes))
     for t in range(1, STEPS + 1):
-        world.step(np.zeros((EPISODES, 4), dtype=int))
+        world.step(np.zeros((episodes, 4), dtype=int))
         running = demos.lengths - 1 >= t
         assert not world.terminated[running].any()
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.fitting import fit_locomotion
+from animarl_envs.fitting import fit_locomotion, transitions
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader
 from animarl_envs.locomotion import Locomotion
@@ -70,3 +70,17 @@ def test_import_of_the_sleap_clip_agrees_with_its_plain_array(data_dir: Path) ->
     with np.load(folder / "clip_2node_tracks.npz") as plain:
         np.testing.assert_array_equal(tracks.positions, plain["xy"].astype(np.float64))
         assert list(tracks.individuals) == plain["tracks"].tolist()
+
+
+@pytest.mark.realdata
+def test_a_shorter_last_interval_makes_no_slower_animal(moths: Demonstrations) -> None:
+    """The last frame of a search is kept although it falls between decisions."""
+    interval, last = moths.intervals(), moths.offsets[1:] - 1
+    assert (interval[last] < moths.dt).mean() > 0.5
+    assert np.allclose(np.delete(interval, last), moths.dt)
+    moved = np.linalg.norm(moths.positions[last, 0] - moths.positions[last - 1, 0], axis=1)
+    speed = np.linalg.norm(moths.velocities()[last, 0], axis=1)
+    np.testing.assert_allclose(speed, moved / interval[last])
+    assert speed[0] == np.linalg.norm(moths.episode(0).velocities[-1])
+    fewer = (interval[last] < 0.999 * moths.dt).sum()
+    assert len(transitions(moths, 0)) == (moths.lengths - 1).sum() - fewer

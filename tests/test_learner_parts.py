@@ -85,6 +85,9 @@ class ListRecorder:
         self.given.append(given)
         return self
 
+    def executed(self, actions: Any) -> Any:
+        return actions
+
 
 def test_a_step_is_recorded_with_the_state_before_it_and_forgotten_where_it_ended() -> None:
     model = DQN("GruPolicy", toys.Pair(2), **SETTINGS)

@@ -23,7 +23,8 @@ def test_slots_are_the_individuals_of_the_parallel_view() -> None:
     venv.seed(7)
     observations = venv.reset()
     views = [animarl_envs.parallel_env("agent") for _ in range(copies)]
-    expected = [view.reset(seed=7 + b)[0] for b, view in enumerate(views)]
+    streams = np.random.SeedSequence(7).generate_state(copies, np.uint64)
+    expected = [view.reset(seed=int(streams[b]))[0] for b, view in enumerate(views)]
     rng = np.random.default_rng(0)
     ends = 0
     for _ in range(150):

@@ -26,7 +26,6 @@ def alone(folder: Path) -> Iterator[None]:
     InputError
         If another process holds it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     try:
         with FileLock(folder / ".lock", timeout=0, is_singleton=True):
             yield
@@ -39,10 +38,12 @@ def alone(folder: Path) -> Iterator[None]:
 def holding(
     stage: Callable[Concatenate[RunFolder, P], R],
 ) -> Callable[Concatenate[RunFolder, P], R]:
-    """A stage of a run that holds its folder while it works."""
+    """A stage of a run that holds its folder while it works; there must be one."""
 
     @wraps(stage)
     def held(run: RunFolder, *args: P.args, **kwargs: P.kwargs) -> R:
+        if not run.path.is_dir():
+            return stage(run, *args, **kwargs)  # which says so
         with alone(run.path):
             return stage(run, *args, **kwargs)
 

@@ -63,6 +63,7 @@ def open_run(
         demos = load_demonstrations(settings.file, settings.source, settings.species)
     rehearse(settings, demos)
     run = RunFolder(out)
+    run.path.mkdir(parents=True, exist_ok=True)
     with alone(run.path):
         run.start(settings, demos, command)
     return run

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos import storage
 from animarl_envs.demos.episode import (
+    INTERVAL,
     PURSUER_OUT,
     SPLITS,
     TARGET_OUT,
@@ -186,7 +187,8 @@ class Demonstrations:
         return Episode(
             index=index,
             positions=positions,
-            velocities=velocities(positions, self.initial_velocity[index], self.dt),
+            velocities=velocities(positions, self.initial_velocity[index], self.dt)
+            * (self.dt / self.intervals()[frames])[:, None, None],
             signals={key: value[frames] for key, value in self.signals.items()},
             condition=int(self.condition[index]),
             outcome=int(self.outcome[index]),
@@ -198,9 +200,16 @@ class Demonstrations:
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(i) for i in range(self.num_episodes))
 
+    def intervals(self) -> NDArray[np.float64]:
+        """Time that led to each frame ``(frames,)`` [s]: dt, or less at a last frame kept so."""
+        kept = self.signals.get(INTERVAL)
+        return np.full(len(self.positions), self.dt) if kept is None else kept.astype(np.float64)
+
     def velocities(self) -> NDArray[np.float64]:
         """Velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
         out = velocities(self.positions, self.initial_velocity[0], self.dt)
+        if INTERVAL in self.signals:
+            out *= (self.dt / self.intervals())[:, None, None]
         out[self.offsets[:-1]] = self.initial_velocity
         return out
 

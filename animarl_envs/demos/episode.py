@@ -14,6 +14,9 @@ SPLITS = ("train", "val", "test")
 FILLED = "filled"
 """Signal ``(frames, individuals)``: the position was not tracked but filled in."""
 
+INTERVAL = "interval"
+"""Signal ``(frames,)``: the time that led to a frame [s], where a last step may be shorter."""
+
 # Outcome codes, one per episode. k > 0: contact by individual k - 1.
 TIME_OUT = 0
 TARGET_OUT = -1  # the target left the boundary

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from animarl_envs.demos.episode import SPLITS, UNFINISHED
+from animarl_envs.demos.episode import INTERVAL, SPLITS, UNFINISHED
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
@@ -136,6 +136,13 @@ def _check_codes(demos: Demonstrations) -> None:
                 f"signal {key!r} has {len(value)} frames, positions have "
                 f"{len(demos.positions)}: give one value per frame",
             )
+    interval = demos.signals.get(INTERVAL)
+    if interval is not None and not (
+        interval.shape == demos.positions.shape[:1]
+        and interval.dtype.kind == "f"
+        and ((interval > 0) & (interval < demos.dt * 1.001)).all()
+    ):
+        _refuse(demos, f"signal {INTERVAL!r}: give a time per frame, more than 0 s, at most dt")
     for key in ("source", "licence", "synthetic"):
         if key not in demos.provenance:
             _refuse(demos, f"the provenance lacks {key!r}: say where the data comes from")

@@ -35,14 +35,19 @@ class Transitions:
 
 
 def transitions(demos: Demonstrations, individual: int) -> Transitions:
-    """The transitions of ``individual`` (an index), episodes end to end."""
-    steps = step_frames(demos)
+    """The transitions of ``individual`` (an index), episodes end to end.
+
+    Last steps that are shorter than the others are left out.
+    """
+    steps, episode = step_frames(demos), np.repeat(np.arange(demos.num_episodes), demos.lengths - 1)
+    whole = demos.intervals()[steps + 1] > 0.999 * demos.dt
+    steps, episode = steps[whole], episode[whole]
     velocity = demos.velocities()[:, individual]
     return Transitions(
         velocity=velocity[steps],
         next_velocity=velocity[steps + 1],
         focus=demos.focus()[steps, individual],
-        episode=np.repeat(np.arange(demos.num_episodes), demos.lengths - 1),
+        episode=episode,
         num_episodes=demos.num_episodes,
         dt=demos.dt,
     )

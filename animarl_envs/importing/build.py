@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import INTERVAL
 from animarl_envs.demos.splits import split_recordings
 from animarl_envs.errors import InputError
 from animarl_envs.importing.cleaning import clean, resample, resample_index
@@ -217,6 +218,8 @@ def _episode(
             taken = np.maximum.reduceat(value[frames][: index[-1] + 1], index[:-1] + 1)
         own = taken.ndim > 1 and taken.shape[1] == several
         signals[key] = taken[:, order] if own else taken
+    if recipe.keep_last_frame:
+        signals[INTERVAL] = np.diff(index) / tracks.frame_rate
     condition = cut.condition if cut.condition is not None else tracks.condition
     first = (samples[1] - samples[0]) * rate if len(samples) > 1 else np.zeros((several, 2))
     return {

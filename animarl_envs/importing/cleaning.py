@@ -205,8 +205,11 @@ def runs(mask: NDArray[np.bool_] | np.bool_) -> list[tuple[int, int]]:
 
 
 def resample_index(frames: int, every: int, keep_last: bool) -> NDArray[np.int64]:
-    """Every ``every``-th frame from the first, or up to the last: no interval is shorter."""
-    return np.arange((frames - 1) % every if keep_last else 0, frames, every)
+    """Every ``every``-th frame from the first; the last recorded one as well if asked."""
+    index = np.arange(0, frames, every)
+    if keep_last and index[-1] != frames - 1:
+        index = np.append(index, frames - 1)
+    return index
 
 
 def resample(

@@ -40,8 +40,8 @@ class ImportRecipe:
     decision_rate
         Of the demonstrations [Hz]; ``None``: the frame rate.
     keep_last_frame
-        Whether decisions are counted back from the last recorded frame, which is kept; frames
-        before the first of them are dropped. By default they are counted from the first frame.
+        Whether the last recorded frame of an episode is kept though it falls between decisions;
+        velocities then know the shorter interval, and fits leave that step out.
     species, condition, licence, synthetic
         What the demonstrations are.
     """
