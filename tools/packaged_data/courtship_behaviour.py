@@ -40,8 +40,8 @@ class Behaviour:
     focus and the direction in which males and the female set out, either side alike.
     """
 
-    peak: float  # speed at which one move in two has been ended [arena unit / s]
-    spread: float  # of that speed, as a share
+    peak: float  # speed at which one step in two ends a move [arena unit / s]
+    spread: float  # share of that speed over which this sets in
     pause: tuple[float, float]  # mean rest of males and of the female [s]
     veer: float  # how often who moves turns its thrust by 30 deg, to either side [1 / s]
     courting: tuple[float, ...]
@@ -182,8 +182,9 @@ def roll_out(
         path[t + 1] = world.position
         ended = world.terminated & (outcome == TIME_OUT)
         lasted[ended], outcome[ended] = t + 1, world.outcome[ended]
+        over = bool((outcome != TIME_OUT).all())
         if progress is not None:
-            progress((t + 1) / limit)
-        if (outcome != TIME_OUT).all():
+            progress(1.0 if over else (t + 1) / limit)
+        if over:
             break
     return Rollouts(path, velocity, actions, lasted, outcome)
