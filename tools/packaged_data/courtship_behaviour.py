@@ -43,7 +43,6 @@ class Behaviour:
     peak: float  # speed at which one step in two ends a move [arena unit / s]
     spread: float  # share of that speed over which this sets in
     pause: tuple[float, float]  # mean rest of males and of the female [s]
-    veer: float  # how often who moves turns its thrust by 30 deg, to either side [1 / s]
     courting: tuple[float, ...]
     female: tuple[float, ...]
     alarm: float  # the female sets out away from a male nearer than this [arena unit]
@@ -86,14 +85,11 @@ class CourtshipPolicy:
         along = (velocity * acceleration).sum(axis=2)
         thrusting = np.linalg.norm(acceleration, axis=2) > 0.5
         onwards = np.where(thrusting[..., None], acceleration, velocity / (self._thrust * dt))
-        draw, direction, side = self.rng.random((3, *speed.shape))
+        draw, direction = self.rng.random((2, *speed.shape))
         peaks = np.exp(-(speed / behaviour.peak - 1.0) / behaviour.spread)
         stops = (draw < 1.0 / (1.0 + peaks)) | self._meets_wall(velocity)
-        veer = np.where(
-            side < behaviour.veer * dt, np.where(side < 0.5 * behaviour.veer * dt, 1, -1), 0
-        )
-        going = (self._nearest_action(onwards) + veer) % NUM_DIRECTIONS
-        going = np.where(stops | (thrusting & (along < 0.0)), brake, going)
+        onwards = self._nearest_action(onwards)
+        going = np.where(stops | (thrusting & (along < 0.0)), brake, onwards)
         pause = np.full(speed.shape[1], behaviour.pause[0])
         pause[-1] = behaviour.pause[1]
         setting_out = np.where(draw < dt / pause, self._direction(direction), COAST)

@@ -71,7 +71,6 @@ BEHAVIOURS = {
         peak=0.2,
         spread=0.2,
         pause=(1.5, 1.5),
-        veer=1.0,
         courting=(0.6, 0.15, 0.05, 0.0, 0.0, 0.0, 0.0),
         female=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
         alarm=0.6,
@@ -81,7 +80,6 @@ BEHAVIOURS = {
         peak=0.05,
         spread=0.08,
         pause=(1.9, 2.3),
-        veer=0.2,
         courting=(0.6, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0),
         female=(0.6, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0),  # she comes, or nobody would arrive in time
         alarm=0.0,
@@ -90,6 +88,6 @@ BEHAVIOURS = {
 }
 
 STARTS = {
-    "fly": Starts(gap=(0.32, 0.45), first_nearer=0.97, moving=0.7, far=(1.5, 1.8), head_on=False),
-    "newt": Starts(gap=(1.44, 1.5), first_nearer=0.6, moving=0.0, far=(1.5, 1.8), head_on=True),
+    "fly": Starts(gap=(0.32, 0.48), first_nearer=0.97, moving=0.7, far=(1.5, 1.8), head_on=False),
+    "newt": Starts(gap=(1.47, 1.53), first_nearer=0.6, moving=0.0, far=(1.5, 1.8), head_on=True),
 }
