@@ -167,8 +167,8 @@ def roll_out(
     state["towards"] = observe(species, position, velocity)[1]
     world.set_state(state)
     policy = CourtshipPolicy(world, behaviour, rng)
-    path = np.empty((limit + 1, *position.shape), dtype=np.float32)
-    actions = np.empty((limit, *position.shape[:2]), dtype=np.int8)
+    path = np.zeros((limit + 1, *position.shape), dtype=np.float32)
+    actions = np.zeros((limit, *position.shape[:2]), dtype=np.int8)
     lasted = np.full(count, limit)
     outcome = np.full(count, TIME_OUT, dtype=np.int8)
     path[0] = position
