@@ -76,7 +76,6 @@ def tracks(axis: Any, demos: Demonstrations, index: int) -> None:
 
 def distributions(axes: Any, demos: Demonstrations, recorded: list[NDArray[np.float64]]) -> None:
     """Speeds as shares of the 99th percentile; how many pauses and moves last longer than t."""
-    stretch = BEHAVIOURS[demos.species]
     sets = {"recorded": recorded, "synthetic": [one.positions for one in demos]}
     labels = {"recorded": RECORDED_ANIMALS[demos.species], "synthetic": "packaged, synthetic"}
     for who, paths in sets.items():
@@ -85,16 +84,6 @@ def distributions(axes: Any, demos: Demonstrations, recorded: list[NDArray[np.fl
         axes[0].hist(np.minimum(speeds, 1.3), SPEED_BINS, density=True, histtype="step", **style)
         lasting(axes[1], pauses, **style)
         lasting(axes[2], moves, **style)
-        if who == "recorded":
-            stretched = style | {"ls": ":", "lw": 1.0}
-            times = {"pauses": stretch.pause_stretch, "moves": stretch.move_stretch}
-            for axis, values, factor in (
-                (axes[1], pauses, times["pauses"]),
-                (axes[2], moves, times["moves"]),
-            ):
-                if factor != 1.0:
-                    more = stretched | {"label": f"the same, {factor:g} times as long"}
-                    lasting(axis, factor * values, **more)
     axes[0].set(xlabel="speed / 99th percentile", ylabel="density", title="Speed")
     axes[1].set(xlabel="s", ylabel="share that lasts longer", title="Pauses", xscale="log")
     axes[2].set(xlabel="s", title="Moves", xscale="log")

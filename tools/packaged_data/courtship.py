@@ -1,10 +1,11 @@
 """The packaged Fly and Newt demonstrations: synthetic intermittent courtship.
 
 Nothing here was recorded from animals. Two males and a female stop and go in the chase world of
-their species, with its published locomotion (:mod:`~tools.packaged_data.courtship_behaviour`); the
-shape of pauses, moves and speeds was fitted to recordings of other animals
-(:mod:`~tools.packaged_data.courtship_shapes`); episodes are chosen so that their number, durations
-and outcomes are those of the paper (:mod:`~tools.packaged_data.courtship_episodes`).
+their species, with its published locomotion, by a policy that knows only what they see
+(:mod:`~tools.packaged_data.courtship_behaviour`), until contact or the time limit. Number,
+extremes, total and outcomes of the episodes are those of the paper
+(:mod:`~tools.packaged_data.courtship_episodes`); how they pause and move is shown beside recordings
+of other animals (:mod:`~tools.packaged_data.courtship_shapes`).
 
     python -m tools.packaged_data.courtship make fly --seed 1 --out fly.npz
     python -m tools.packaged_data.courtship table fly [--data DATA_DIR]
@@ -27,86 +28,65 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies, get_species
-from animarl_envs.species.options import with_options
-from tools.packaged_data.courtship_behaviour import simulate
-from tools.packaged_data.courtship_episodes import (
-    SETTLED,
-    Window,
-    choose_windows,
-    durations,
-    outcomes,
-)
-from tools.packaged_data.courtship_published import BEHAVIOURS, PUBLISHED
+from tools.packaged_data.courtship_episodes import Episode, make_episodes
+from tools.packaged_data.courtship_published import BEHAVIOURS, PUBLISHED, STARTS, Published
 from tools.packaged_data.courtship_shapes import fit
 from tools.packaged_data.courtship_statistics import table
 
-SESSION_STEPS = SETTLED + 12_000  # twenty minutes, after one in which everybody gets going
-SESSIONS_PER_EPISODE, MORE_SESSIONS = 2, 30
 GRID = 2.0**-17  # positions are rounded to it [arena unit], so that a file stays below 2 MB
 
 
 def make(
     name: str,
     seed: int,
-    episodes: int | None = None,
-    session_steps: int = SESSION_STEPS,
+    published: Published | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Demonstrations:
     """Synthetic demonstrations of ``"fly"`` or ``"newt"``; the same seed gives the same bytes.
 
     Parameters
     ----------
-    episodes
-        How many; as published by default. Fewer are thinned evenly by duration.
-    session_steps
-        Length of a session; enough for the full number by default.
+    published
+        Number, extremes, total and outcomes of the episodes; by default those of the paper.
     progress
         Is told the share of the simulation that is done.
 
     Raises
     ------
     InputError
-        If the species or the number is not possible.
+        If the species has no courtship, or chance does not give such episodes.
     """
     if name not in PUBLISHED:
         raise InputError(f"species {name!r} has no courtship: choose {' or '.join(PUBLISHED)}")
-    # sessions are cut where nobody is beyond the edge, so they are simulated without walls
-    published, species = PUBLISHED[name], with_options(get_species(name), rebound=False)
-    count = published.episodes if episodes is None else episodes
-    if not 3 <= count <= published.episodes:
-        raise InputError(f"episodes is {count}: choose 3 to {published.episodes}")
+    asked, species = published or PUBLISHED[name], get_species(name)
     assert isinstance(species, ChaseSpecies)
     rng = np.random.default_rng(seed)
-    steps = durations(published, species.dt)
-    steps = steps[np.linspace(0, len(steps) - 1, count).round().astype(int)]
-    codes = outcomes(published, steps, species.time_limit, rng)
-    number = SESSIONS_PER_EPISODE * count + MORE_SESSIONS
-    sessions = simulate(species, BEHAVIOURS[name], number, session_steps, rng, progress=progress)
-    windows = choose_windows(species, BEHAVIOURS[name], sessions, steps, codes, rng)
-    windows = [windows[i] for i in rng.permutation(count)]
-    return _demonstrations(species, windows, seed)
+    episodes = make_episodes(species, BEHAVIOURS[name], STARTS[name], asked, rng, progress)
+    episodes = [episodes[i] for i in rng.permutation(len(episodes))]
+    return _demonstrations(species, episodes, asked, seed)
 
 
-def _demonstrations(species: ChaseSpecies, windows: Sequence[Window], seed: int) -> Demonstrations:
-    published = PUBLISHED[species.name]
+def _demonstrations(
+    species: ChaseSpecies, episodes: Sequence[Episode], published: Published, seed: int
+) -> Demonstrations:
     paths, actions, first = [], [], []
-    for w in windows:
-        path = w.sessions.position[w.start : w.stop + 1, w.session]
+    for each in episodes:
+        path = each.pool.position[: each.steps + 1, each.index]
         acted = np.full(path.shape[:2], -1, dtype=np.int8)
-        acted[:-1] = w.sessions.actions[w.start : w.stop, w.session]
+        acted[:-1] = each.pool.actions[: each.steps, each.index]
         paths.append(np.round(path.astype(np.float64) / GRID) * GRID)
         actions.append(acted)
-        first.append(w.sessions.velocity[w.start, w.session])
+        first.append(each.pool.velocity[each.index])
     shares = tuple(n / published.episodes for n in published.splits)
     return Demonstrations.of_species(
         species,
         paths,
         signals={"actions": actions},
         initial_velocity=np.array(first),
-        condition=np.zeros(len(windows), dtype=np.int8),
-        outcome=np.array([w.outcome for w in windows], dtype=np.int8),
-        split=assign_splits([f"{e:04d}" for e in range(len(windows))], seed, shares),  # type: ignore[arg-type]
-        recording=np.array([w.label for w in windows]),
+        condition=np.zeros(len(episodes), dtype=np.int8),
+        outcome=np.array([each.outcome for each in episodes], dtype=np.int8),
+        split=assign_splits([f"{e:04d}" for e in range(len(episodes))], seed, shares),  # type: ignore[arg-type]
+        recording=np.array([each.label for each in episodes]),
         provenance={
             "source": "synthetic courtship, not recorded from animals, made by python -m "
             f"tools.packaged_data.courtship make {species.name} --seed {seed}",
@@ -115,6 +95,7 @@ def _demonstrations(species: ChaseSpecies, windows: Sequence[Window], seed: int)
             "seed": seed,
             "version": animarl_envs.__version__,
             "behaviour": asdict(BEHAVIOURS[species.name]),
+            "starts": asdict(STARTS[species.name]),
             "statistics": "number, durations and outcomes chosen to match the paper's; "
             "see docs/data/packaged_courtship.md",
         },
@@ -138,14 +119,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         one.add_argument("species", choices=sorted(PUBLISHED))
     parsers["make"].add_argument("--out", type=Path, help="file to write; SPECIES.npz by default")
     parsers["make"].add_argument("--seed", type=int, default=1, help="root of all randomness")
-    parsers["make"].add_argument("--episodes", type=int, help="as published by default")
     parsers["table"].add_argument("--file", type=Path, help="the packaged one by default")
     parsers["table"].add_argument("--data", type=Path, help="folder of the recordings")
     parsers["fit"].add_argument("--data", type=Path, required=True, help="folder of the recordings")
     given = parser.parse_args(arguments)
     try:
         if given.command == "make":
-            _make(given.species, given.seed, given.episodes, given.out)
+            _make(given.species, given.seed, given.out)
         elif given.command == "table":
             file = given.file
             demos = load_packaged(given.species) if file is None else Demonstrations.load(file)
@@ -158,8 +138,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _make(species: str, seed: int, episodes: int | None, out: Path | None) -> None:
-    demos = make(species, seed, episodes, progress=_bar if sys.stderr.isatty() else None)
+def _make(species: str, seed: int, out: Path | None) -> None:
+    demos = make(species, seed, progress=_bar if sys.stderr.isatty() else None)
     path = demos.save(out or Path(f"{species}.npz"), dtype=np.float32)
     print(demos)
     print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB)")

@@ -1,12 +1,15 @@
-"""Intermittent courtship: how two males and a female decide, and sessions of them in their world.
+"""Intermittent courtship: how two males and a female decide, and rollouts of them in their world.
 
-Each individual alternates between *moving* and *pausing* (a semi-Markov process: durations are
-drawn from the quantiles of a :class:`~tools.packaged_data.courtship_shapes.Shape`). A pause counts
-from when the animal has come to rest. While moving it wants a velocity: a courting male that of the
-bearing to the female with a slowly changing error, everybody else a wandering one, the female turns
-away from a near male. Nobody wants to be faster towards the wall than it can brake. The action is
-the one of the 13 whose next velocity comes nearest to the wanted one; pausing means wanting none.
-After touching the female a male loses interest for a while.
+A policy, in the sense of the learners: what it does depends on what an individual sees at that step
+(places, velocities, its own last acceleration) and on chance, never on a plan or on how the episode
+will end. So a learner can be as good as it is.
+
+Each individual rests, moves or brakes. At rest it sets out at a constant rate, in one of the 12
+directions: a male towards the female, more or less; the female as her weights say, and away from a
+male that is too near. It keeps its thrust, and the faster it is the sooner it stops; then it brakes
+until it is at rest. Nobody sets out for the wall or goes on where it could not brake before it.
+Which of the three it does shows in velocity and last acceleration: who thrusts against its velocity
+brakes, who is too slow to brake rests.
 """
 
 from __future__ import annotations
@@ -17,189 +20,167 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import COAST
+from animarl_envs.locomotion import COAST, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.world import ChaseWorld, observe
-from tools.packaged_data.courtship_shapes import MOVING_SHARE, Shape, quantile
 
-BRAKING = 0.5  # share of the thrust that wanted velocities near the wall count on
+BRAKING = 0.8  # share of the thrust that is counted on to stop before a wall
+TURNS = NUM_DIRECTIONS // 2 + 1
+"""Directions to one side: straight at the focus, 30, 60, ... 180 deg away from it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Behaviour:
-    """What the recordings do not tell, chosen by hand for the published statistics."""
+    """Chosen by hand for the published statistics.
 
-    shape: Shape
-    top: float  # that speeds are shares of [arena unit / s]
-    pause_stretch: float  # pauses last so many times longer than the recorded ones
-    move_stretch: float
-    approach_error: float  # standard deviation of the bearing's error [rad]
-    error_time: float  # over which it changes [s]
-    alarm: float  # the female turns away from a male nearer than this [arena unit]
-    disinterest: float  # mean time for which a male does not court after contact [s]
+    ``courting`` and ``female`` weigh the angles (0, 30, ... 180 deg) between the bearing of the
+    focus and the direction in which males and the female set out, either side alike.
+    """
+
+    peak: float  # speed at which one step in two ends a move [arena unit / s]
+    spread: float  # share of that speed over which this sets in
+    pause: tuple[float, float]  # mean rest of males and of the female [s]
+    courting: tuple[float, ...]
+    female: tuple[float, ...]
+    alarm: float  # the female sets out away from a male nearer than this [arena unit]
     wall_margin: float  # room that is left to the wall [arena unit]
 
     def __post_init__(self) -> None:
-        for name in ("top", "pause_stretch", "move_stretch", "error_time", "disinterest"):
-            if not 0 < getattr(self, name) < float("inf"):
-                raise InputError(f"{name} is {getattr(self, name)}: it must be a positive number")
+        for name in ("peak", "spread", "pause"):
+            if not np.all(np.isfinite(value := getattr(self, name))) or np.min(value) <= 0:
+                raise InputError(f"{name} is {value}: it must be positive")
+        for name in ("courting", "female"):
+            if len(value := getattr(self, name)) != TURNS or min(value) < 0 or sum(value) <= 0:
+                raise InputError(f"{name} is {value}: give {TURNS} weights that are not negative")
 
 
 @dataclass(eq=False)
 class CourtshipPolicy:
-    """Decides for all individuals of ``world``, in all its copies. Call :meth:`act` once a step."""
+    """Decides for all individuals of ``world``, in all its copies, by what they see."""
 
     world: ChaseWorld
     behaviour: Behaviour
     rng: np.random.Generator
 
     def __post_init__(self) -> None:
-        B, K = self.world.num_copies, self.world.num_individuals
-        self.moving = self.rng.random((B, K)) < 0.5
-        self.left = np.zeros((B, K))  # of the present state [s]
-        self.speed = np.zeros((B, K))  # wanted while moving [arena unit / s]
-        self.heading = self.rng.uniform(-np.pi, np.pi, (B, K))  # of wandering [rad]
-        self.error = np.zeros((B, K))  # of the bearing [rad]
-        self.bored = np.zeros((B, K - 1))  # until a male courts again [s]
-        locomotion = self.world.scenario.species.locomotion
-        self._damping = np.array([m.damping for m in locomotion])
-        self._thrust = np.array([m.thrust for m in locomotion])
+        species = self.world.scenario.species
+        self._damping = np.array([[m.damping] for m in species.locomotion])
+        self._thrust = np.array([[m.thrust] for m in species.locomotion])
+        angles = np.abs(np.arange(-TURNS + 2, TURNS))  # of the actions 0 to 11, in steps of 30 deg
+        angles = np.roll(angles, -TURNS + 2)
+        self._weights = np.array(
+            [self.behaviour.courting] * (species.num_individuals - 1) + [self.behaviour.female]
+        )[:, angles]
+        self._away = np.roll(np.eye(TURNS)[0][angles], NUM_DIRECTIONS // 2)
 
     def act(self) -> NDArray[np.int64]:
         """Actions ``(B, K)`` for the present state of the world."""
-        self._change_state()
-        return self._nearest_action(self._wanted_velocity())
+        velocity, acceleration = self.world.velocity, self.world.acceleration
+        dt, behaviour = self.world.scenario.species.dt, self.behaviour
+        speed = np.linalg.norm(velocity, axis=2)
+        brake = self._nearest_action(-(1.0 - self._damping) * velocity / (self._thrust * dt))
+        along = (velocity * acceleration).sum(axis=2)
+        thrusting = np.linalg.norm(acceleration, axis=2) > 0.5
+        onwards = np.where(thrusting[..., None], acceleration, velocity / (self._thrust * dt))
+        draw, direction = self.rng.random((2, *speed.shape))
+        peaks = np.exp(-(speed / behaviour.peak - 1.0) / behaviour.spread)
+        stops = (draw < 1.0 / (1.0 + peaks)) | self._meets_wall(velocity)
+        onwards = self._nearest_action(onwards)
+        going = np.where(stops | (thrusting & (along < 0.0)), brake, onwards)
+        pause = np.full(speed.shape[1], behaviour.pause[0])
+        pause[-1] = behaviour.pause[1]
+        setting_out = np.where(draw < dt / pause, self._direction(direction), COAST)
+        return np.where(brake == COAST, setting_out, going)
 
-    def _change_state(self) -> None:
-        behaviour, dt = self.behaviour, self.world.scenario.species.dt
-        shape = behaviour.shape
-        draw, turn, noise = (
-            self.rng.random(self.left.shape),
-            *self.rng.standard_normal((2, *self.left.shape)),
-        )
-        slow = np.linalg.norm(self.world.velocity, axis=2) < MOVING_SHARE * behaviour.top
-        self.left -= np.where(self.moving | slow, dt, 0.0)
-        over = self.left <= 0
-        self.moving ^= over
-        lasts = np.where(
-            self.moving,
-            behaviour.move_stretch * quantile(shape.move, draw),
-            behaviour.pause_stretch * quantile(shape.pause, draw),
-        )
-        self.left = np.where(over, lasts, self.left)
-        speed = behaviour.top * quantile(shape.speed, self.rng.random(self.left.shape))
-        self.speed = np.where(over & self.moving, speed, self.speed)
-        self.heading += np.where(self.moving, shape.turning * np.sqrt(dt) * turn, 0.0)
-        keep = dt / behaviour.error_time
-        self.error += -keep * self.error + behaviour.approach_error * np.sqrt(2 * keep) * noise
-        apart = self.world.position[:, :-1] - self.world.position[:, -1:]
-        touching = np.linalg.norm(apart, axis=2) < self.world.scenario.species.contact_radius
-        rest = self.rng.exponential(behaviour.disinterest, self.bored.shape)
-        self.bored = np.where(touching & (self.bored <= 0), rest, self.bored - dt)
-
-    def _wanted_velocity(self) -> NDArray[np.float64]:
-        """``(B, K, 2)``, arena frame."""
-        towards, position = self.world.towards, self.world.position
-        direction = np.stack([np.cos(self.heading), np.sin(self.heading)], axis=-1)
-        c, s = np.cos(self.error), np.sin(self.error)
-        aim = np.stack(
-            [c * towards[..., 0] - s * towards[..., 1], s * towards[..., 0] + c * towards[..., 1]],
-            axis=-1,
-        )
-        courts = self.bored <= 0
-        direction[:, :-1] = np.where(courts[..., None], aim[:, :-1], direction[:, :-1])
+    def _direction(self, draw: NDArray[np.float64]) -> NDArray[np.int64]:
+        """In which of the 12 directions each sets out, away from the wall; else none."""
+        world, position = self.world, self.world.position
+        weights = np.broadcast_to(self._weights, (*draw.shape, NUM_DIRECTIONS)).copy()
         nearest = np.linalg.norm(position[:, :-1] - position[:, -1:], axis=2).min(axis=1)
-        fear = np.clip(1.0 - nearest / self.behaviour.alarm, 0.0, 1.0)[:, None]
-        direction[:, -1] = (1.0 - fear) * direction[:, -1] - 2.0 * fear * towards[:, -1]
-        direction /= np.maximum(np.linalg.norm(direction, axis=2, keepdims=True), 1e-9)
-        wanted = np.where(self.moving, self.speed, 0.0)[..., None] * direction
-        return self._short_of_the_wall(wanted)
+        weights[nearest < self.behaviour.alarm, -1] = self._away
+        angle = np.deg2rad(-30.0) * np.arange(NUM_DIRECTIONS)
+        towards = world.towards[..., None, :]
+        ahead, left = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        across = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
+        reach = (self.behaviour.peak**2 / self._thrust)[..., None]  # of a move of usual speed
+        place = position[..., None, :] + reach * (ahead * towards + left * across)
+        weights *= self._inside(place)
+        summed = weights.cumsum(axis=2)
+        total = summed[..., -1]
+        chosen = (summed <= (draw * total)[..., None]).sum(axis=2)
+        return np.where(total > 0.0, chosen, COAST)
 
-    def _short_of_the_wall(self, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Outward speeds limited to what can be braked; who is stopped so turns inwards."""
-        arena, position = self.world.scenario.species.arena, self.world.position
-        limit = arena.size - self.behaviour.wall_margin
-        if arena.shape == "disc":
-            radius = np.linalg.norm(position, axis=2, keepdims=True)
-            axes = [(position / np.maximum(radius, 1e-9), radius[..., 0])]
-        else:
-            axes = [
-                (np.sign(position) * unit, np.abs(position[..., x]))
-                for x, unit in enumerate(np.eye(2))
-            ]
-        for outward, distance in axes:
-            room = limit - distance
-            most = np.sign(room) * np.sqrt(2 * BRAKING * self._thrust * np.abs(room))
-            speed = (wanted * outward).sum(axis=2)
-            excess = np.maximum(speed - most, 0.0)
-            wanted = wanted - excess[..., None] * outward
-            inwards = np.arctan2(-outward[..., 1], -outward[..., 0])
-            turn = (inwards - self.heading + np.pi) % (2 * np.pi) - np.pi
-            self.heading += np.where(excess > 0.5 * self.speed, 0.1 * turn, 0.0)
-        return wanted
+    def _meets_wall(self, velocity: NDArray[np.float64]) -> NDArray[np.bool_]:
+        speed = np.linalg.norm(velocity, axis=2, keepdims=True)
+        stopped = self.world.position + velocity * speed / (2.0 * BRAKING * self._thrust)
+        return ~self._inside(stopped)
+
+    def _inside(self, place: NDArray[np.float64]) -> NDArray[np.bool_]:
+        arena = self.world.scenario.species.arena
+        apart = np.linalg.norm(place, axis=-1) if arena.shape == "disc" else np.abs(place).max(-1)
+        return np.asarray(apart < arena.size - self.behaviour.wall_margin)
 
     def _nearest_action(self, wanted: NDArray[np.float64]) -> NDArray[np.int64]:
-        """In the egocentric frame: the nearest of the 12 directions, or none below one half."""
-        world, dt = self.world, self.world.scenario.species.dt
-        gap = (wanted - (1.0 - self._damping)[:, None] * world.velocity) / (
-            self._thrust[:, None] * dt
-        )
-        towards = world.towards
-        ahead = (gap * towards).sum(axis=2)
-        left = gap[..., 1] * towards[..., 0] - gap[..., 0] * towards[..., 1]
+        """For accelerations ``(B, K, 2)`` [thrust]: the nearest direction, none below one half."""
+        towards = self.world.towards
+        ahead = (wanted * towards).sum(axis=2)
+        left = wanted[..., 1] * towards[..., 0] - wanted[..., 0] * towards[..., 1]
         angle = np.arctan2(left, ahead)
         action = np.round(-angle / np.deg2rad(30.0)).astype(np.int64)
         along = np.hypot(ahead, left) * np.cos(angle + np.deg2rad(30.0) * action)
-        return np.where(along > 0.5, action % COAST, COAST)
+        return np.where(along > 0.5, action % NUM_DIRECTIONS, COAST)
 
 
 @dataclass(frozen=True, eq=False)
-class Sessions:
-    """Continuous recordings of the generator: B sessions of T steps, from one seed."""
+class Rollouts:
+    """B rollouts of the policy, of at most T steps each."""
 
     position: NDArray[np.float32]  # (T + 1, B, K, 2), arena frame [arena unit]
-    velocity: NDArray[np.float32]  # (T + 1, B, K, 2), [arena unit / s]
+    velocity: NDArray[np.float64]  # (B, K, 2), at the start [arena unit / s]
     actions: NDArray[np.int8]  # (T, B, K)
+    steps: NDArray[np.int64]  # (B,), until contact or the time limit
+    outcome: NDArray[np.int8]  # (B,)
 
 
-def simulate(
+def roll_out(
     species: ChaseSpecies,
     behaviour: Behaviour,
-    sessions: int,
-    steps: int,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
     rng: np.random.Generator,
-    start: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    steps: int | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Sessions:
-    """Let ``sessions`` trios court for ``steps`` steps.
+) -> Rollouts:
+    """Let trios court from given states ``(B, K, 2)`` until contact or for so many steps.
 
-    ``start`` gives positions and velocities ``(B, K, 2)``; everybody then moves on at once the way
-    it was going. Without it they start at rest near the centre.
+    By default until the time limit.
     """
-    scenario = make_scenario(species, demos=None, time_limit=steps + 1)
-    world = ChaseWorld(scenario, sessions)
-    world.seed(rng.integers(2**63, size=sessions))
+    count, limit = len(position), steps or species.time_limit
+    world = ChaseWorld(make_scenario(species, demos=None), count)
+    world.seed(rng.integers(2**63, size=count))
     world.reset()
+    state = world.get_state()
+    state["position"], state["velocity"] = position, velocity
+    state["towards"] = observe(species, position, velocity)[1]
+    world.set_state(state)
     policy = CourtshipPolicy(world, behaviour, rng)
-    if start is not None:
-        state = world.get_state()
-        state["position"], state["velocity"] = start
-        state["towards"] = observe(species, *start)[1]
-        world.set_state(state)
-        policy.moving[:] = True
-        policy.left[:] = steps * species.dt
-        policy.speed[:] = np.linalg.norm(start[1], axis=2)
-        policy.heading[:] = np.arctan2(start[1][..., 1], start[1][..., 0])
-    position = np.empty((steps + 1, *world.position.shape), dtype=np.float32)
-    velocity = np.empty_like(position)
-    actions = np.empty((steps, *world.position.shape[:2]), dtype=np.int8)
-    position[0], velocity[0] = world.position, world.velocity
-    for t in range(steps):
+    path = np.zeros((limit + 1, *position.shape), dtype=np.float32)
+    actions = np.zeros((limit, *position.shape[:2]), dtype=np.int8)
+    lasted = np.full(count, limit)
+    outcome = np.full(count, TIME_OUT, dtype=np.int8)
+    path[0] = position
+    for t in range(limit):
         actions[t] = policy.act()
         world.step(actions[t])
-        position[t + 1], velocity[t + 1] = world.position, world.velocity
+        path[t + 1] = world.position
+        ended = world.terminated & (outcome == TIME_OUT)
+        lasted[ended], outcome[ended] = t + 1, world.outcome[ended]
+        over = bool((outcome != TIME_OUT).all())
         if progress is not None:
-            progress((t + 1) / steps)
-    return Sessions(position, velocity, actions)
+            progress(1.0 if over else (t + 1) / limit)
+        if over:
+            break
+    return Rollouts(path, velocity, actions, lasted, outcome)

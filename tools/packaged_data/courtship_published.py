@@ -23,17 +23,27 @@ class Published:
     total: float  # [s]
     touch_rates: tuple[float, float]  # by male_0, by male_1
     splits: tuple[int, int, int]  # train, val, test
-    before_the_cut: float  # longest approach before only its last part was kept [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """Where episodes start; chosen by hand for the published durations and touch rates."""
+
+    gap: tuple[float, float]  # males start so far from the female [arena unit]
+    first_nearer: float  # share of the starts in which male_0 is the nearer
+    moving: float  # share of individuals on the way towards their focus, the others are at rest
+    far: tuple[float, float]  # the gap before the longest episode, where no usual one is as long
+    head_on: bool  # before the shortest, as it is too short for the published locomotion
 
 
 PUBLISHED = {
     "fly": Published(
         episodes=107, shortest=0.4, longest=47.8, total=425.6, touch_rates=(0.720, 0.280),
-        splits=(84, 13, 10), before_the_cut=47.8,
+        splits=(84, 13, 10),
     ),
     "newt": Published(
         episodes=280, shortest=2.5, longest=50.0, total=12141.6, touch_rates=(0.507, 0.442),
-        splits=(240, 20, 20), before_the_cut=300.0,
+        splits=(240, 20, 20),
     ),
 }  # fmt: skip
 
@@ -58,25 +68,26 @@ SHAPES = {
 
 BEHAVIOURS = {
     "fly": Behaviour(
-        shape=SHAPES["fly"],
-        top=SHAPES["fly"].top,
-        pause_stretch=2.0,  # the paper's flies rest more than the recorded groups
-        move_stretch=1.0,
-        approach_error=0.5,
-        error_time=1.0,
-        alarm=0.5,
-        disinterest=10.0,
+        peak=0.2,
+        spread=0.2,
+        pause=(1.5, 1.5),
+        courting=(0.6, 0.15, 0.05, 0.0, 0.0, 0.0, 0.0),
+        female=(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0),
+        alarm=0.6,
         wall_margin=0.05,
     ),
     "newt": Behaviour(
-        shape=SHAPES["newt"],
-        top=0.2,  # so wanted speeds are some of the terminal speed, about 0.12
-        pause_stretch=10.0,  # newts "often stop entirely", termites hardly ever
-        move_stretch=1.5,
-        approach_error=0.5,
-        error_time=3.0,
-        alarm=0.4,
-        disinterest=120.0,  # until both males are far enough away for an approach to start
+        peak=0.05,
+        spread=0.08,
+        pause=(1.9, 2.3),
+        courting=(0.6, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0),
+        female=(0.6, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0),  # she comes, or nobody would arrive in time
+        alarm=0.0,
         wall_margin=0.05,
     ),
+}
+
+STARTS = {
+    "fly": Starts(gap=(0.32, 0.48), first_nearer=0.97, moving=0.7, far=(1.5, 1.8), head_on=False),
+    "newt": Starts(gap=(1.47, 1.53), first_nearer=0.6, moving=0.0, far=(1.5, 1.8), head_on=True),
 }

@@ -57,11 +57,6 @@ class Shape:
             raise InputError(f"top is {self.top} and turning {self.turning}: they are not negative")
 
 
-def quantile(values: Sequence[float], share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The value at each ``share`` in [0, 1], straight between logarithms of the quantiles."""
-    return np.asarray(np.exp(np.interp(share, LEVELS, np.log(values))))
-
-
 def measure(tracks: Sequence[NDArray[np.float64]], dt: float, source: str) -> Shape:
     """The shape of stop-and-go of tracks, each ``(frames, individuals, 2)`` [arena unit].
 
