@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 COOLER = (1.0, 0.85, 0.7, 0.5, 0.35)
 """Shares of the fitted temperatures that are tried: a clone that is unsure samples too widely."""
-APART = tuple((thrust, way) for way in (0.7, 0.5, 0.35) for thrust in (1.0, 0.6, 0.3))
+APART = tuple((thrust, way) for way in (0.7, 0.5, 0.35) for thrust in (0.7, 0.3))
 """Shares for how hard and for which way, of the fitted temperatures."""
 NEAR = 0.3
 """Mismatch up to which nothing further is tried: rollouts take time."""
