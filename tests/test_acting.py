@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.networks.acting_rule import Acting, Kind
+from animarl_algos.networks.acting_rule import Acting, Kind, drawn_apart
 from animarl_envs.errors import InputError
 
 RULES = (
     Acting(),
     Acting.boltzmann(0.7),
     Acting.boltzmann([0.7, 0.25, 3.0]),
+    Acting.boltzmann([0.7, 0.25, 3.0], thrust=0.6, direction=0.35),
     Acting.epsilon_greedy(0.1),
 )
 
@@ -30,12 +31,16 @@ def test_what_is_written_on_the_command_line() -> None:
     assert Acting.parse("boltzmann:0.7").temperature == (0.7,)
     assert Acting.parse("boltzmann:0.7,0.4").temperature == (0.7, 0.4)
     assert Acting.parse("epsilon:0.1").epsilon == 0.1
+    both = Acting.boltzmann([0.7, 0.4], thrust=0.6, direction=0.5)
+    assert Acting.parse("boltzmann:0.7,0.4/0.6/0.5") == both
 
 
 def test_models_of_before_hold_two_numbers() -> None:
     assert Acting.from_json({"epsilon": 0.3, "temperature": None}) == Acting.epsilon_greedy(0.3)
     sampled = Acting.from_json({"epsilon": 0.3, "temperature": [0.5, 0.6]})
     assert (sampled.kind, sampled.temperature) == (Kind.BOLTZMANN, (0.5, 0.6))
+    later = {"kind": "boltzmann", "temperature": [0.5], "epsilon": 0.0}
+    assert Acting.from_json(later) == Acting.boltzmann(0.5)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +55,11 @@ def test_models_of_before_hold_two_numbers() -> None:
         (lambda: Acting.parse("greedy:1"), "write greedy, boltzmann"),
         (lambda: Acting.parse("epsilon:a"), "write greedy, boltzmann"),
         (lambda: Acting.from_json({"kind": "greedy"}), r"not \['kind'\]"),
-        (lambda: Acting.boltzmann([1.0, 2.0]).check_individuals(3), "2 numbers for 3"),
+        (lambda: Acting.parse("boltzmann:1/0.5"), "write greedy, boltzmann"),
+        (lambda: Acting.parse("epsilon:0.1/0.5/0.5"), "write greedy, boltzmann"),
+        (lambda: Acting.boltzmann(1.0, direction=0.0), "direction is 0.0"),
+        (lambda: Acting.boltzmann([1.0, 2.0]).checked(3, 13), "2 numbers for 3"),
+        (lambda: Acting.boltzmann(1.0, thrust=0.5).checked(1, 12), "not 12 actions"),
     ],
 )
 def test_what_is_no_rule_is_refused(make: Any, message: str) -> None:
@@ -76,6 +85,45 @@ def test_each_individual_is_sampled_at_its_own_temperature() -> None:
         np.testing.assert_allclose(counts, expected, atol=5 * np.sqrt(0.25 / 20_000))
 
 
+def odds(thrust: float, direction: float, logits: Any) -> Any:
+    """What the rule's formula says, written out action by action."""
+    p = np.exp(logits) / np.exp(logits).sum()
+    together = [p[12 * m : 12 * m + 12].sum() for m in range(len(p) // 12)] + [p[-1]]
+    hard = np.array(together) ** (1 / thrust)
+    hard /= hard.sum()
+    found = np.empty_like(p)
+    for m in range(len(p) // 12):
+        way = (p[12 * m : 12 * m + 12] / together[m]) ** (1 / direction)
+        found[12 * m : 12 * m + 12] = hard[m] * way / way.sum()
+    found[-1] = hard[-1]
+    return found
+
+
+@pytest.mark.parametrize("thrusts", [1, 2])
+def test_how_hard_and_which_way_have_temperatures_of_their_own(thrusts: int) -> None:
+    logits = np.random.default_rng(thrusts).normal(size=12 * thrusts + 1)
+    for thrust, direction in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3), (0.6, 0.35)):
+        sampled = np.exp(drawn_apart(logits[None], thrust, direction)[0])
+        np.testing.assert_allclose(sampled, odds(thrust, direction, logits), rtol=1e-12)
+    assert np.isfinite(drawn_apart(1e4 * logits[None], 0.1, 0.1)).all()
+
+
+def test_surer_ways_leave_how_often_it_is_pushed() -> None:
+    """One temperature for all actions does not: the single one that is no thrust gains by it."""
+    logits = np.append(np.linspace(0.0, 1.0, 12), 1.0)
+    draw = (np.arange(100_000) + 0.5) / 100_000
+    values = np.tile(logits, (len(draw), 1))
+
+    def rest(rule: Acting) -> float:
+        return float((rule.choose(values, draw, 1) == 12).mean())
+
+    share = float(np.exp(logits[-1]) / np.exp(logits).sum())
+    assert rest(Acting.boltzmann(1.0, direction=0.3)) == pytest.approx(share, abs=1e-4)
+    assert rest(Acting.boltzmann(1.0)) == pytest.approx(share, abs=1e-4)
+    assert rest(Acting.boltzmann(0.3)) > 1.5 * share
+    assert rest(Acting.boltzmann(1.0, thrust=0.3)) < share / 5  # the rarer of the two
+
+
 def test_a_policy_holds_a_rule_and_schedules_of_epsilon_go_through_it() -> None:
     from test_policies import make
 
@@ -89,3 +137,5 @@ def test_a_policy_holds_a_rule_and_schedules_of_epsilon_go_through_it() -> None:
     assert policy.temperature is None and policy.epsilon == 0.0
     with pytest.raises(InputError, match="2 numbers for 3 individuals"):
         policy.acting = Acting.boltzmann([1.0, 2.0])
+    policy.acting = Acting.boltzmann(1.0, direction=0.5)
+    assert policy.temperature == 1.0

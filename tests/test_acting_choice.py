@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from animarl_algos.evaluation.acting_choice import (
+    APART,
     COOLER,
+    NEAR,
     candidate_rules,
     choice_episodes,
     choose_acting,
     compared,
+    further_rules,
 )
 from animarl_algos.evaluation.collect import Policy, RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -87,6 +90,33 @@ def test_candidates_are_greedy_and_cooler_shares_of_the_fitted_temperatures() ->
     rules = candidate_rules([2.0, 1.0])
     assert rules[0] == Acting() and len(rules) == 1 + len(COOLER)
     assert rules[1].temperature == (2.0, 1.0)
+
+
+def test_how_hard_and_which_way_are_cooled_apart() -> None:
+    rules = further_rules([2.0, 1.0])
+    assert {rule.temperature for rule in rules} == {(2.0, 1.0)}
+    assert [(rule.thrust, rule.direction) for rule in rules] == list(APART)
+    assert all(rule.apart for rule in rules)
+
+
+@pytest.mark.parametrize("near", [True, False])
+def test_further_rules_are_tried_where_none_of_the_first_comes_near(near: bool) -> None:
+    demos = choice_episodes(load_packaged("agent"), seed=0)
+    scenario = make_scenario("agent", demos=demos, split=None)
+    first, later = Acting(), Acting.boltzmann(1.0, direction=0.5)
+    asked = []
+
+    def policy_for(rule: Acting) -> Policy:
+        asked.append(rule)
+        good = near == (rule == first)
+        return Repeats(demos, scenario.species.locomotion) if good else RandomPolicy(0)
+
+    found = choose_acting(
+        policy_for, partial(make_world, scenario), demos, [first], [later], seed=0
+    )
+    assert asked == ([first] if near else [first, later])
+    assert found.acting == asked[-1] and len(found.candidates) == len(asked)
+    assert (found.candidates[0].mismatch <= NEAR) == near
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from animarl_algos.learner.online import train_as_due
 from animarl_algos.learner.pace import AS_MANY_AS_STEPS, Pace
 from animarl_algos.learner.saving import pace_from, pace_numbers
 from animarl_algos.learner.updating import Updater
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.dqn import DQN
 
 EPISODES = TrainFreq(2, TrainFrequencyUnit.EPISODE)
@@ -127,7 +129,7 @@ def test_acting_at_random_uses_every_action_and_leaves_the_rule_in_force() -> No
         )
         chosen |= set(step.actions.tolist())
     assert chosen == {0, 1, 2}
-    assert (model.policy.epsilon, model.policy.temperature) == (0.1, 1e-6)
+    assert model.policy.acting == replace(Acting.boltzmann(1e-6), epsilon=0.1)
 
 
 # -- updating -------------------------------------------------------------------------------------

@@ -1,7 +1,8 @@
 """How a trained policy should act: chosen by what its rollouts do, beside what was recorded.
 
 Candidates are the greedy rule and Boltzmann sampling at shares of the temperatures that fit the
-demonstrated actions best. Each is rolled out from the starts of training and validation episodes
+demonstrated actions best; where none of them comes near, also at one share for how hard and another
+for which way. Each is rolled out from the starts of training and validation episodes
 and compared with these episodes by outcome, duration, path length and speed: neither by the DTW
 distance, which hardly tells good simulators from bad ones, nor on any test episode.
 """
@@ -27,6 +28,10 @@ Floats = NDArray[np.float64]
 
 COOLER = (1.0, 0.85, 0.7, 0.5, 0.35)
 """Shares of the fitted temperatures that are tried: a clone that is unsure samples too widely."""
+APART = tuple((thrust, way) for way in (0.7, 0.5, 0.35) for thrust in (0.7, 0.3))
+"""Shares for how hard and for which way, of the fitted temperatures."""
+NEAR = 0.3
+"""Mismatch up to which nothing further is tried: rollouts take time."""
 MOST_STARTS, ROLLOUTS = 200, 200
 SPEEDS = 400  # quantiles by which two distributions of speed are compared
 
@@ -71,6 +76,12 @@ def candidate_rules(temperatures: ArrayLike) -> list[Acting]:
     return [Acting(), *(Acting.boltzmann(fitted * share) for share in COOLER)]
 
 
+def further_rules(temperatures: ArrayLike) -> list[Acting]:
+    """Sampling at one share of the ``temperatures`` for how hard, at another for which way."""
+    fitted = np.atleast_1d(np.asarray(temperatures, dtype=np.float64))
+    return [Acting.boltzmann(fitted, thrust=hard, direction=way) for hard, way in APART]
+
+
 def choice_episodes(demos: Demonstrations, seed: int) -> Demonstrations:
     """The episodes to choose by: those of validation, and of training up to ``MOST_STARTS``.
 
@@ -96,6 +107,7 @@ def choose_acting(
     make_world: Callable[[int], World],
     demos: Demonstrations,
     rules: Sequence[Acting],
+    further: Sequence[Acting] = (),
     *,
     seed: int,
     cue: Cue | None = None,
@@ -112,6 +124,8 @@ def choose_acting(
         Training and validation episodes, see :func:`choice_episodes`.
     rules
         To choose among; of equals the first is taken.
+    further
+        To try as well where the mismatch of all ``rules`` is above ``NEAR``.
     seed
         Of the worlds.
     cue
@@ -119,15 +133,17 @@ def choose_acting(
     """
     recorded = Rollouts.from_demonstrations(demos)
     repetitions = max(1, round(ROLLOUTS / demos.num_episodes))
-    candidates = []
-    for rule in rules:
+    candidates: list[Candidate] = []
+    for number, rule in enumerate((*rules, *further)):
+        if number == len(rules) and min(each.mismatch for each in candidates) <= NEAR:
+            break
         simulated = collect_rollouts(
             make_world, policy_for(rule), method="candidate", seed=seed, repetitions=repetitions,
             cue=cue,
         )  # fmt: skip
         candidates.append(compared(str(rule), simulated, recorded))
     best = min(range(len(candidates)), key=lambda i: candidates[i].mismatch)
-    return ActingChoice(rules[best], tuple(candidates))
+    return ActingChoice((*rules, *further)[best], tuple(candidates))
 
 
 def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.recorder import Recorder
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 
@@ -74,12 +75,13 @@ class Collector:
         self, observation: NDArray[Any], memory: Memory, epsilon: float, at_random: bool
     ) -> tuple[NDArray[np.int64], Memory]:
         """Actions of all slots and the memories after them, by the acting rule or uniformly."""
-        policy, temperature = self._policy, self._policy.temperature
+        policy = self._policy
         policy.epsilon = epsilon
+        rule = policy.acting
         if at_random:
-            policy.epsilon, policy.temperature = 1.0, None
+            policy.acting = Acting.epsilon_greedy(1.0)
         try:
             actions, (hidden, previous) = policy.predict(observation, memory)
         finally:
-            policy.epsilon, policy.temperature = epsilon, temperature
+            policy.acting = rule
         return actions, (hidden, previous)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.ranges import POSITIVE, PROBABILITY
 from animarl_envs.errors import InputError
+from animarl_envs.locomotion import NUM_DIRECTIONS
 
 
 class Kind(StrEnum):
@@ -35,6 +36,11 @@ class Acting:
         ``"greedy"``, ``"boltzmann"`` or ``"epsilon"``.
     temperature
         Of Boltzmann sampling, one number or one per individual; the scale of the action values.
+    thrust, direction
+        Of Boltzmann sampling of thrusts (see :mod:`animarl_envs.locomotion`): shares of the
+        temperature at which it is drawn how hard, and then which way; see :func:`drawn_apart`. One
+        cannot stand for both: a temperature of all actions that is lowered until the ways are sure
+        also favours the hardness whose ways are sure, which is not to push at all.
     epsilon
         Share of uniformly random actions.
 
@@ -47,6 +53,8 @@ class Acting:
     kind: Kind = Kind.GREEDY
     temperature: tuple[float, ...] = (1.0,)
     epsilon: float = 0.0
+    thrust: float = 1.0
+    direction: float = 1.0
 
     def __post_init__(self) -> None:
         if self.kind not in list(Kind):
@@ -54,6 +62,9 @@ class Acting:
         object.__setattr__(self, "kind", Kind(self.kind))
         PROBABILITY.check("epsilon", self.epsilon)
         object.__setattr__(self, "epsilon", float(self.epsilon))
+        for name in ("thrust", "direction"):
+            POSITIVE.check(name, getattr(self, name))
+            object.__setattr__(self, name, float(getattr(self, name)))
         each = np.atleast_1d(np.asarray(self.temperature, dtype=object)).ravel()
         if not len(each):
             raise InputError("temperature holds no number: give one, or one per individual")
@@ -62,9 +73,11 @@ class Acting:
         object.__setattr__(self, "temperature", tuple(float(value) for value in each))
 
     @classmethod
-    def boltzmann(cls, temperature: ArrayLike) -> Acting:
+    def boltzmann(
+        cls, temperature: ArrayLike, *, thrust: float = 1.0, direction: float = 1.0
+    ) -> Acting:
         """Sampling at a temperature, or at one per individual."""
-        return cls(Kind.BOLTZMANN, temperature=temperature)  # type: ignore[arg-type]
+        return cls(Kind.BOLTZMANN, temperature, thrust=thrust, direction=direction)  # type: ignore[arg-type]
 
     @classmethod
     def epsilon_greedy(cls, epsilon: float) -> Acting:
@@ -75,16 +88,24 @@ class Acting:
     def parse(cls, text: str) -> Acting:
         """``greedy``, ``boltzmann:0.7``, ``boltzmann:0.7,0.4,1.1`` or ``epsilon:0.1``.
 
+        ``boltzmann:0.7/0.5/0.3`` gives ``thrust`` and ``direction`` too.
+
         Raises
         ------
         InputError
             If it is none of these.
         """
         name, colon, given = text.partition(":")
+        given, *more = given.split("/")
         try:
             numbers = [float(part) for part in given.split(",")] if colon else []
+            shares = [float(part) for part in more]
         except ValueError:
             raise _unreadable(text) from None
+        if name == Kind.BOLTZMANN and numbers and len(shares) == 2:
+            return cls.boltzmann(numbers, thrust=shares[0], direction=shares[1])
+        if shares:
+            raise _unreadable(text)
         if name == Kind.GREEDY and not colon:
             return cls()
         if name == Kind.BOLTZMANN and numbers:
@@ -96,7 +117,8 @@ class Acting:
     def __str__(self) -> str:
         """As :meth:`parse` reads it."""
         if self.kind is Kind.BOLTZMANN:
-            return f"{self.kind}:" + ",".join(f"{t:g}" for t in self.temperature)
+            shares = f"/{self.thrust:g}/{self.direction:g}" if self.apart else ""
+            return f"{self.kind}:" + ",".join(f"{t:g}" for t in self.temperature) + shares
         return f"{self.kind}:{self.epsilon:g}" if self.kind is Kind.EPSILON else str(self.kind)
 
     def to_json(self) -> dict[str, Any]:
@@ -105,6 +127,8 @@ class Acting:
             "kind": str(self.kind),
             "temperature": list(self.temperature),
             "epsilon": self.epsilon,
+            "thrust": self.thrust,
+            "direction": self.direction,
         }
 
     @classmethod
@@ -123,25 +147,36 @@ class Acting:
                 "epsilon": row["epsilon"],
                 "temperature": row["temperature"] or 1.0,
             }
-        if set(row) != {"kind", "temperature", "epsilon"}:
+        later = {"thrust", "direction"}
+        if set(row) | later != {"kind", "temperature", "epsilon"} | later:
             raise InputError(
-                f"an acting rule has kind, temperature and epsilon, not {sorted(row)}: "
-                "write it anew with to_json"
+                "an acting rule has kind, temperature, epsilon, thrust and direction, not "
+                f"{sorted(row)}: write it anew with to_json"
             )
         return cls(**row)
 
-    def check_individuals(self, count: int) -> Acting:
-        """The rule itself, if it has a temperature for each of ``count`` individuals.
+    @property
+    def apart(self) -> bool:
+        """Whether it is drawn how hard and which way each by its own temperature."""
+        return (self.thrust, self.direction) != (1.0, 1.0)
+
+    def checked(self, individuals: int, actions: int) -> Acting:
+        """The rule itself, if so many individuals with so many actions can act by it.
 
         Raises
         ------
         InputError
-            If it has another number of them.
+            If it has another number of temperatures, or asks for thrusts of other actions.
         """
-        if len(self.temperature) not in (1, count):
+        if len(self.temperature) not in (1, individuals):
             raise InputError(
-                f"temperature has {len(self.temperature)} numbers for {count} individuals: give "
-                "one, or one for each"
+                f"temperature has {len(self.temperature)} numbers for {individuals} individuals: "
+                "give one, or one for each"
+            )
+        if self.apart and (actions < 2 or (actions - 1) % NUM_DIRECTIONS):
+            raise InputError(
+                f"acting {self} needs thrusts in {NUM_DIRECTIONS} directions and none, not "
+                f"{actions} actions: leave thrust and direction out"
             )
         return self
 
@@ -166,7 +201,10 @@ class Acting:
         if self.kind is Kind.BOLTZMANN:
             temperature = np.broadcast_to(np.asarray(self.temperature), individuals)
             slots = np.tile(temperature, len(q_values) // individuals)
-            return boltzmann(q_values / slots[:, None], draw)
+            scaled = q_values / slots[:, None]
+            if self.apart:
+                scaled = drawn_apart(scaled, self.thrust, self.direction)
+            return boltzmann(scaled, draw)
         greedy: NDArray[np.int64] = q_values.argmax(1)
         if self.kind is Kind.GREEDY or self.epsilon <= 0:
             return greedy
@@ -179,8 +217,33 @@ class Acting:
 def _unreadable(text: str) -> InputError:
     return InputError(
         f"acting is {text!r}: write greedy, boltzmann:TEMPERATURE (or one per individual, with "
-        "commas) or epsilon:SHARE"
+        "commas; /THRUST/DIRECTION after it) or epsilon:SHARE"
     )
+
+
+def drawn_apart(scaled: NDArray[Any], thrust: float, direction: float) -> NDArray[np.float64]:
+    """Log-probabilities of thrusts if it is drawn first how hard, then which way.
+
+    How hard is one of M + 1: each magnitude with the probability of all its directions together,
+    or no thrust. With p from softmax(scaled), an action has
+
+        p(how hard)^(1 / thrust) / Z * p(which way | how hard)^(1 / direction) / Z'
+
+    Parameters
+    ----------
+    scaled
+        ``(S, 12 M + 1)``, logits.
+    thrust, direction
+        Temperatures of the two draws; both 1 give softmax(scaled).
+    """
+    whole = scaled.astype(np.float64)
+    way = whole[:, :-1].reshape(len(whole), -1, NUM_DIRECTIONS)
+    hard = np.concatenate([np.logaddexp.reduce(way, axis=2), whole[:, -1:]], axis=1) / thrust
+    hard -= np.logaddexp.reduce(hard, axis=1, keepdims=True)
+    way = way / direction
+    way -= np.logaddexp.reduce(way, axis=2, keepdims=True)
+    pushed = (hard[:, :-1, None] + way).reshape(len(whole), -1)
+    return np.concatenate([pushed, hard[:, -1:]], axis=1)
 
 
 def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:

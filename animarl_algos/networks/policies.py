@@ -127,7 +127,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             acting = Acting.epsilon_greedy(epsilon)
             if temperature is not None:
                 acting = replace(Acting.boltzmann(temperature), epsilon=epsilon)
-        acting.check_individuals(len(individuals))
+        acting.checked(len(individuals), int(action_space.n))
         super().__init__(
             observation_space,
             action_space,
@@ -191,7 +191,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
     @acting.setter
     def acting(self, rule: Acting) -> None:
-        self._acting = rule.check_individuals(len(self.individuals))
+        self._acting = rule.checked(len(self.individuals), self.num_actions)
 
     @property
     def epsilon(self) -> float:

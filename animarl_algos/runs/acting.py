@@ -7,7 +7,12 @@ from functools import partial
 from pathlib import Path
 
 from animarl_algos.data.focal import FocalPolicy, focal_drivers
-from animarl_algos.evaluation.acting_choice import candidate_rules, choice_episodes, choose_acting
+from animarl_algos.evaluation.acting_choice import (
+    candidate_rules,
+    choice_episodes,
+    choose_acting,
+    further_rules,
+)
 from animarl_algos.evaluation.collect import Policy
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.networks.acting_rule import Acting
@@ -69,11 +74,13 @@ def _choose(run: RunFolder, model: SequenceQLearning, species: Species, file: Pa
         model.policy.seed(settings.seed)
         return for_all(model, scenario.names, settings.focal)
 
+    fitted = model.fit_temperature(model.demonstration_data().val)
     choice = choose_acting(
         acting_by,
         partial(make_world, scenario),
         demos,
-        candidate_rules(model.fit_temperature(model.demonstration_data().val)),
+        candidate_rules(fitted),
+        further_rules(fitted),
         seed=settings.seed,
         cue="actual" if model.layout.condition_flag else None,
     )
