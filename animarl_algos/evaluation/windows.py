@@ -66,7 +66,7 @@ class Windows:
         names, recording = np.unique(demos.recording, return_inverse=True)
         if len(names) < FEWEST_GROUPS:
             return self
-        return replace(self, group=recording[self.group])
+        return replace(self, group=recording[self.group].astype(np.int64))
 
 
 def window_features(
