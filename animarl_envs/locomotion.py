@@ -93,11 +93,6 @@ class Locomotion:
         return len(self.magnitudes)
 
     @property
-    def least_thrust(self) -> float:
-        """The smallest acceleration beside none [arena unit / s^2]."""
-        return self.thrust * self.magnitudes[-1]
-
-    @property
     def num_actions(self) -> int:
         return NUM_DIRECTIONS * self.thrusts + 1
 

@@ -123,24 +123,6 @@ def test_kernels_agree_with_the_scalar_reference(pursuers: int, kind: str) -> No
                 assert made.observation[b, i] == pytest.approx(expected, abs=2e-6)
 
 
-def test_the_own_speed_is_seen_at_the_scale_of_the_least_thrust() -> None:
-    several = {
-        name: {"magnitudes": (2.0, 1.0, 0.1)} for name in ("predator_0", "predator_1", "prey")
-    }
-    start = [[-0.4, 0.0], [0.4, 0.0], [0.0, 0.3]]
-    made = world(start=start, locomotion=several)
-    made.step(np.array([[24, 36, 36]]))  # the least thrust, straight at the prey; the others coast
-    seen = dict(zip([c.name for c in made.observation_components], made.observation[0, 0]))
-    stride = 0.1 * AGENT.locomotion[0].thrust * 0.1  # where it goes from rest
-    assert np.linalg.norm(made.velocity[0, 0]) == pytest.approx(stride)
-    own = made.velocity[0, 0] @ made.towards[0, 0]
-    assert own == pytest.approx(stride, rel=0.05)
-    assert seen["tanh of own velocity / (u dt) ahead"] == pytest.approx(
-        math.tanh(own / stride), abs=1e-6
-    )
-    assert seen["log of (own speed / (u dt) + 0.3)"] == pytest.approx(math.log(1.3), abs=1e-5)
-
-
 # -- recorded episodes ----------------------------------------------------------------------------
 
 

@@ -4,9 +4,7 @@ The kernel of :mod:`animarl_envs.worlds.chase.senses` writes the groups of this 
 :func:`first_rows` says; observation spaces, documentation and mirror images are read from it too.
 
 ``observation="full"`` holds what simulators were found to need; ``"paper"`` the components of the
-paper, of which three are constant or copies, as the frame points at the focus. Where there are
-several thrust magnitudes, the scales of the own speed are those of the least: an animal at rest
-differs from one that creeps by less than a larger thrust.
+paper, of which three are constant or copies, as the frame points at the focus.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from animarl_envs.worlds.base import ObservationComponent
 ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
 LENGTH, SPEED = "arena unit", "arena unit / s"
 FULL, PAPER = "full", "paper"
-REST = 0.3  # added to the speed [least u dt] before its logarithm is taken
+REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
 
@@ -162,7 +160,7 @@ def ranges(
     round_field = arena.shape == "disc" and species.observation == FULL  # saved spaces keep theirs
     radius = reach if round_field else math.sqrt(2.0) * reach
     apart = 2.0 * radius
-    strides = [m.least_thrust * species.dt for m in species.locomotion]
+    strides = [m.thrust * species.dt for m in species.locomotion]
     relative = top / min(strides)
     fine, coarse = math.tanh(relative), math.tanh(relative / 3.0)
     near = NEAR * arena.size

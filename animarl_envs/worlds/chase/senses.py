@@ -30,7 +30,7 @@ class Senses(NamedTuple):
     """Numbers of the senses, as the kernels need them."""
 
     first: NDArray[np.int64]  # of layout.first_rows
-    stride: NDArray[np.float64]  # u dt of each individual's least thrust [arena unit / s]
+    stride: NDArray[np.float64]  # u dt of each individual [arena unit / s]
     near: float  # added to distances before they are inverted [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
@@ -41,7 +41,7 @@ def senses_of(species: ChaseSpecies) -> Senses:
     arena = species.arena
     return Senses(
         layout.first_rows(species),
-        np.array([m.least_thrust * species.dt for m in species.locomotion]),
+        np.array([m.thrust * species.dt for m in species.locomotion]),
         layout.NEAR * arena.size,
         SHAPE_CODES[arena.shape],
         arena.edge,
