@@ -42,6 +42,7 @@ from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import make_scenario
@@ -50,7 +51,7 @@ from animarl_envs.worlds import make_world
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
-FOLDS = 6  # of the cross-validation over the silkmoths' runs
+FOLDS = 6  # of the cross-validation over recordings, where there are few
 ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
 
 
@@ -120,7 +121,8 @@ class DataSet:
     """A set of demonstrations: how it is imported, how it is split, and what must hold.
 
     ``importing`` are the arguments of ``animarl import``, paths below the data folder; without them
-    the set is the packaged one of that name. ``folds``: cross-validated over recordings.
+    the set is the packaged one of that name. ``folds``: cross-validated over recordings, or over
+    episodes where there are fewer than three recordings.
     """
 
     name: str
@@ -152,16 +154,16 @@ SETS = (
     DataSet(
         "termites", (*WALLED, Bar("duration", "null")),
         "termite_tandem/tracks_30fps_int16.npz --option kind=Cf --arena-width 145 "
-        "--farther-than 0.36786 --closer-than 0.12262",
+        "--farther-than 0.36786 --closer-than 0.12262 --drop-jumps", FOLDS,
     ),
     DataSet(
         "fly-groups", WALLED,
-        "fly_groups12/tracks_24fps_int16.npz --individuals fly_1,fly_2,fly_3 --piece 60",
+        "fly_groups12/tracks_24fps_int16.npz --individuals fly_1,fly_2,fly_3 --piece 60", FOLDS,
     ),
     DataSet(
         "courtship", WALLED,
         "fly_courtship_sleapclip/clip.2node.slp --fps 25 --target female --keypoint thorax "
-        "--decision-rate 12.5",
+        "--decision-rate 12.5", FOLDS,
     ),
 )  # fmt: skip
 
@@ -174,13 +176,19 @@ class Followed:
 
 
 def folded(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
-    """The demonstrations as they are split, or once per fold with recordings dealt to it."""
+    """The demonstrations as they are split, or once per fold with recordings dealt to it.
+
+    Each is validation once and test once; episodes of a recording stay together.
+    """
     if folds == 1:
         yield demos
         return
-    names = np.random.default_rng(0).permutation(np.unique(demos.recording))
+    dealt = demos.recording
+    if len(np.unique(dealt)) < FEWEST_RECORDINGS:
+        dealt = np.arange(len(demos)).astype(str)
+    names = np.random.default_rng(0).permutation(np.unique(dealt))
     fold = {name: i % folds for i, name in enumerate(names.tolist())}
-    own = np.array([fold[name] for name in demos.recording.tolist()])
+    own = np.array([fold[name] for name in dealt.tolist()])
     for number in range(folds):
         split = np.where(own == number, "val", "train")
         split[own == (number + 1) % folds] = "test"

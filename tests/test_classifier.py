@@ -122,6 +122,33 @@ def test_both_sides_are_cut_alike_and_short_episodes_count() -> None:
     assert len(np.unique(parts.group)) == len(parts)
 
 
+def test_who_moves_less_than_a_resting_animal_is_at_rest() -> None:
+    recorded = Rollouts.from_demonstrations(recorded_pairs())
+    rng = np.random.default_rng(0)
+    place = np.repeat(rng.uniform(-0.5, 0.5, (len(recorded), 2, 2)), recorded.lengths, axis=0)
+    noise = rng.uniform(-1e-3, 1e-3, place.shape)
+    rest, restless = (replace(recorded, positions=p) for p in (place, place + noise))
+    limit = np.array([1e-2, 1e-2])
+    first, second = (window_features(r, ARENA, still=limit) for r in (rest, restless))
+    motion = np.isin(first.kinds, ("speed", "acceleration", "turning", "bearings"))
+    assert np.array_equal(first.values[:, motion], second.values[:, motion], equal_nan=True)
+    assert (window_features(restless, ARENA).values[:, 0] > 0).all()
+    every, moving = (
+        window_features(recorded, ARENA, still=s).values[:, 0] for s in (None, limit)
+    )  # mean speeds: nothing but steps below the limit is left out
+    assert (every >= moving).all() and (every - moving < limit[0] / recorded.dt).all()
+    assert (every == moving).any()
+
+
+def test_episodes_of_a_recording_are_kept_together_where_there_are_enough() -> None:
+    demos = recorded_pairs()
+    windows = window_features(Rollouts.from_demonstrations(demos), ARENA)
+    of_six = replace(demos, recording=np.array([f"r{i % 6}" for i in range(len(demos))]))
+    assert np.array_equal(windows.by_recording(of_six).group, windows.group % 6)
+    of_four = replace(demos, recording=np.array([f"r{i % 4}" for i in range(len(demos))]))
+    assert np.array_equal(windows.by_recording(of_four).group, windows.group)
+
+
 def test_features_do_not_depend_on_the_names_of_demonstrations_or_on_rotation() -> None:
     demos = recorded_pairs()
     recorded = Rollouts.from_demonstrations(demos)

@@ -44,6 +44,8 @@ def tracking_floor(
         window_features(each, seen.arena, block=block, still=still, smoothing=smoothing)
         for each in (recorded, replace(recorded, positions=followed))
     )
+    if block is None:
+        own, other = own.by_recording(seen), other.by_recording(seen)
     return tell_apart(own, other, np.random.default_rng(seed), deals=1).auc
 
 

@@ -69,8 +69,9 @@ class Classified:
 
         still = resting_step(prepared.recorded)
 
-        def windows(rollouts: Rollouts) -> Windows:
-            return window_features(rollouts, demos.arena, block=block, still=still)
+        def windows(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
+            made = window_features(rollouts, demos.arena, block=block, still=still)
+            return made.by_recording(of) if block is None else made
 
         own = windows(prepared.recorded)
         rng, null_rng = streams
@@ -91,7 +92,9 @@ class Classified:
         if references is None:
             among = among_themselves(own, null_rng)
         else:
-            others = windows(prepared.filtered(Rollouts.from_demonstrations(references)))
+            others = windows(
+                prepared.filtered(Rollouts.from_demonstrations(references)), references
+            )
             apart = replace(others, group=others.group + own.group.max() + 1)
             among = tell_apart(own, apart, null_rng, deals=1).auc
         return cls(simulated, among, tracked, ceiling, block)

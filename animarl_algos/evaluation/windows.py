@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 WINDOW = 2.0  # [s]
 FEWEST_STEPS = 4  # of a window, where decisions are slow
 MOST_PARTS = 10_000  # of one demonstration
+FEWEST_GROUPS = 5  # recordings, for their demonstrations to be kept together
 NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
 HALF_POWER = 0.443  # cutoff of a moving average times its length
 SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
@@ -56,6 +57,17 @@ class Windows:
         chosen = np.isin(self.group, groups)
         return replace(self, values=self.values[chosen], group=self.group[chosen])
 
+    def by_recording(self, demos: Demonstrations) -> Windows:
+        """All of one recording in one group, if there are ``FEWEST_GROUPS``; else unchanged.
+
+        Episodes cut from one recording are of the same animals: who knows some of them knows the
+        others. The present groups are ``demos``.
+        """
+        names, recording = np.unique(demos.recording, return_inverse=True)
+        if len(names) < FEWEST_GROUPS:
+            return self
+        return replace(self, group=recording[self.group].astype(np.int64))
+
 
 def window_features(
     rollouts: Rollouts,
@@ -87,8 +99,8 @@ def window_features(
         Where demonstrations are too few: so many successive windows of one make a group of their
         own, the same stretch of time in the recording and in its rollouts.
     still
-        ``(individuals,)`` distance within one step [arena unit], see :func:`resting_step`; who
-        moves less has no direction. By default zero.
+        ``(individuals,)`` distance [arena unit], see :func:`resting_step`; who moves less is at
+        rest: no speed, no direction. By default zero.
 
     Raises
     ------
@@ -174,11 +186,11 @@ def comparison_smoothing(demos: Demonstrations) -> int:
 
 
 def resting_step(recorded: Rollouts) -> Floats:
-    """Distance within a step below which an individual has no direction ``(individuals,)``.
+    """Distance within a step below which an individual is at rest ``(individuals,)``.
 
-    It rests where it is slower than 5 % of its 99th percentile [arena unit]. The direction of one
-    at rest is that of rounding and of tracking noise on the one side, of the smallest thrust on the
-    other, which would tell any simulation from any recording.
+    It rests where it is slower than 5 % of its 99th percentile [arena unit]. Speed and direction of
+    one at rest are those of rounding and of tracking noise on the one side, of the smallest thrust
+    on the other, which would tell any simulation from any recording.
     """
     fast = np.quantile(recorded.speeds(), 0.99, axis=0)
     return np.asarray(RESTING_SHARE * fast * recorded.dt)
@@ -222,26 +234,32 @@ def _series(paths: Floats, dt: float, arena: Arena, still: Floats) -> list[tuple
     for k in range(num):
         own = paths[:, :, k]
         for stride in sorted({1, quarter, steps}):
-            moved = own[:, stride:] - own[:, :-stride]
+            moved = _moved(own, stride, still[k])
             series.append((SPEED, np.linalg.norm(moved, axis=-1) / (stride * dt)))
-        moved = np.diff(own, axis=1)
+        moved = _moved(own, 1, still[k])
         bend = np.linalg.norm(np.diff(moved, axis=1), axis=-1)
         series.append((ACCELERATION, bend / dt**2))
         for stride in sorted({1, quarter}):
-            moved = own[:, stride:] - own[:, :-stride]
-            series.append((TURNING, _angle(moved[:, :-stride], moved[:, stride:], still[k])))
+            turned = _moved(own, stride, still[k])
+            series.append((TURNING, _angle(turned[:, :-stride], turned[:, stride:])))
         series.append((PLACE, _to_edge(own, arena)))
-        moved = np.diff(own, axis=1)
         centre = -own[:, :-1]
         if num == 1:
-            series.append((BEARING, _angle(moved, centre, still[k])))
+            series.append((BEARING, _angle(moved, centre)))
         for other in range(num):
             between = paths[:, :, other] - own
             if other != k:
-                series.append((BEARING, _angle(moved, between[:, :-1], still[k])))
+                series.append((BEARING, _angle(moved, between[:, :-1])))
             if other > k:
                 series.append((DISTANCE, np.linalg.norm(between, axis=-1)))
     return series
+
+
+def _moved(points: Floats, stride: int, still: float) -> Floats:
+    """How far each point lies from the one ``stride`` frames before; zero up to ``still``."""
+    moved = points[:, stride:] - points[:, :-stride]
+    distance = np.linalg.norm(moved, axis=-1, keepdims=True)
+    return np.where(distance <= still, 0.0 * moved, moved)  # where there is no point, NaN stays
 
 
 def _to_edge(points: Floats, arena: Arena) -> Floats:
@@ -252,14 +270,14 @@ def _to_edge(points: Floats, arena: Arena) -> Floats:
     return np.asarray(radius if arena.shape == "open" else arena.size - radius)
 
 
-def _angle(first: Floats, second: Floats, least: float) -> Floats:
-    """Unsigned angle between vectors [rad]; NaN where one is zero or not longer than ``least``."""
+def _angle(first: Floats, second: Floats) -> Floats:
+    """Unsigned angle between vectors [rad]; NaN where one is zero."""
     cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
     dot = (first * second).sum(axis=-1)
     shorter = np.minimum(
         np.hypot(*np.moveaxis(first, -1, 0)), np.hypot(*np.moveaxis(second, -1, 0))
     )
-    return np.where(shorter <= least, np.nan, np.abs(np.arctan2(cross, dot)))
+    return np.where(shorter <= 0, np.nan, np.abs(np.arctan2(cross, dot)))
 
 
 def _summary(series: Floats) -> Floats:

@@ -26,7 +26,7 @@ from animarl_envs.species.base import ChaseSpecies, Recording, Species
 from animarl_envs.species.options import with_options
 from animarl_envs.species.turning import Turning
 
-LARGEST_CONTACT, SMALLEST_CONTACT = 0.1, 0.001  # shares of the arena's size
+SMALLEST_CONTACT = 0.001  # share of the arena's size
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 
 _FITS: dict[str, tuple[Locomotion, ...]] = {}
@@ -53,8 +53,8 @@ def species_of(
         - time limit: the longest episode, or what the import kept at most, if that is longer;
         - contact radius: as stated (``contact_radius`` in the provenance, or the distance at which
           the import ended episodes), else the distance at which recorded contacts ended (their
-          0.9 quantile), else the smallest distance recorded, so that the world ends no episode
-          where the recording went on (at most a tenth of the arena's size);
+          0.9 quantile), else a thousandth of the arena's size: where no recorded episode ended by
+          contact, none should that is simulated, however near bodies without extent may come;
         - conditions: those that occur, as names only: no reward differs between them;
         - the edge of a disc or a square is a wall (``rebound``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
@@ -129,14 +129,13 @@ def contact_radius_of(demos: Demonstrations) -> float:
     for value in stated:
         if isinstance(value, int | float) and 0 < value < math.inf:
             return float(value)
-    distance = distances_to_target(demos.positions, demos.roles)
-    ends = demos.offsets[1:] - 1
     touched = np.flatnonzero(demos.outcome > 0)
-    if len(touched):
-        found = distance[ends[touched], demos.outcome[touched] - 1]
-        return max(float(np.quantile(found, CONTACT_QUANTILE)), SMALLEST_CONTACT * demos.arena.size)
-    low, high = SMALLEST_CONTACT * demos.arena.size, LARGEST_CONTACT * demos.arena.size
-    return float(np.clip(distance.min(), low, high))
+    least = SMALLEST_CONTACT * demos.arena.size
+    if not len(touched):
+        return least
+    distance = distances_to_target(demos.positions, demos.roles)
+    found = distance[demos.offsets[1:][touched] - 1, demos.outcome[touched] - 1]
+    return max(float(np.quantile(found, CONTACT_QUANTILE)), least)
 
 
 def _plain_species(demos: Demonstrations) -> Species:
