@@ -108,7 +108,7 @@ class Verdict:
             self.table.to_csv(part, index=False)
         plain = {k: v for k, v in vars(self).items() if k != "table"}
         for key in ("auc", "among", "floor", "ceiling"):
-            ends = vars(plain[key]).values()
+            ends = (plain[key].estimate, plain[key].low, plain[key].high)
             plain[key] = [end if math.isfinite(end) else None for end in ends]
         with write_then_rename(folder / "verdict.json") as part:
             part.write_text(json.dumps(plain | {"importance": dict(self.importance)}, indent=2))

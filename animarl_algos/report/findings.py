@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,10 +27,10 @@ def metrics(inputs: ReportInputs) -> Iterator[Block]:
     evaluation = inputs.evaluation
     yield Text(
         "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
-        "interval; the dashed line is the recorded mean. Intervals are percentile bootstrap "
-        f"intervals from {evaluation.resamples:,} paired resamples of demonstrations and of "
-        "training seeds; repetitions from one start are never counted as independent. Captures "
-        "are episodes in which the target was reached."
+        "interval; the dashed line is the recorded mean. Intervals add the margin of "
+        f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that of "
+        "training seeds (Student's t); repetitions from one start are never counted as "
+        "independent. Captures are episodes in which the target was reached."
     )
     measured = set(evaluation.comparison["metric"])
     for metric in (m for m in METRICS if m.caption and m.key in measured):
@@ -80,7 +81,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
         )
         if metric.per_step is not None:
             columns.append("Per step")
-            note += " Per step: the distance over the frames of the longer of the two paths."
+            note += " Per step: the mean distance of aligned positions."
     return Table(
         f"{metric.label} by method",
         columns,
@@ -110,8 +111,8 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
     yield Gallery(
         images,
         "Kernel-density distance between simulated and recorded values (0: equal, 2: disjoint), "
-        "all episodes, with its 95 % interval. Grey: what recordings against recordings give at "
-        "the same sample sizes, central 95 % and mean. A value inside the grey cannot be told "
+        "all episodes, with its 95 % interval. Grey: what a perfect simulator gives at the "
+        "same sample sizes, central 95 % and mean. A value inside the grey cannot be told "
         "from chance; the distance is biased upwards, and so is its interval.",
     )
     groups = []
@@ -147,8 +148,26 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
         groups,
         "Both distances [95 % interval], each beside its null reference [central 95 %] from "
         f"{evaluation.distance_resamples:,} resamples. The kernel-density distance lies between 0 "
-        "and 2; the Wasserstein distance has the metric's unit. Its null samples are independent, "
-        "where rollouts from one start are not.",
+        "and 2; the Wasserstein distance has the metric's unit. Null: what both come to if the "
+        "recorded episode of every start is exchanged with one of its rollouts, which a perfect "
+        f"simulator would not notice.{_floors(evaluation.comparison)}",
+    )
+
+
+def _floors(comparison: Any) -> str:
+    """Where the smallest bandwidth acts, and so makes the kernel-density distance."""
+    acts = comparison[comparison["kde_floor"].notna()]
+    if acts.empty:
+        return ""
+    units = {metric.key: metric for metric in METRICS}
+    places = [
+        f"{method_label(str(row['method']))}, {units[row['metric']].label.lower()}, "
+        f"{COUNTING[row['counting']]} ({number(row['kde_floor'], 2)} {units[row['metric']].unit})"
+        for _, row in acts.iterrows()
+    ]
+    return (
+        " Values hardly vary, so that the smallest bandwidth decides on the kernel-density "
+        f"distance, of: {'; '.join(places)}."
     )
 
 
@@ -157,33 +176,35 @@ def contrasts(inputs: ReportInputs) -> Iterator[Block]:
     if contrasts.empty:
         return
     groups = []
-    for key, rows in contrasts.groupby("metric", sort=False):
+    for (key, measure), rows in contrasts.groupby(["metric", "measure"], sort=False):
         metric = next(m for m in METRICS if m.key == key)
         gate = rows.iloc[0]
-        passed = "passed" if gate["gate_passed"] else "not passed"
-        title = (
-            f"{metric.label}: gate {passed} (F = {number(gate['gate_f'])}, permutation "
-            f"p = {number(gate['gate_p'], 2)} over {gate['gate_unit']})"
-        )
+        title = f"{metric.label}: gate {gate['gate']} ({measure}"
+        if math.isfinite(gate["gate_p"]):
+            title += (
+                f"; F = {number(gate['gate_f'])}, p = {number(gate['gate_p'], 2)}, exchanging "
+                f"{gate['gate_unit']}"
+            )
         lines = [
             Row(
                 [
                     f"{method_label(row['first'])} {wording.MINUS} {method_label(row['second'])}",
-                    with_interval(interval(row, "difference")),
+                    with_interval(interval(row, "difference")) if row["gate_passed"] else NOTHING,
                 ],
                 faint=not row["gate_passed"],
             )
             for _, row in rows.iterrows()
         ]
+        title += ")"
         groups.append(Group(title, lines))
     yield Table(
         "Planned contrasts",
         ["Contrast", "Difference of the gaps to the recordings"],
         groups,
-        "The contrasts planned in advance, all episodes. Compared is the absolute gap between a "
-        "rollout's start-wise mean and the recording (for DTW the distance itself); below zero, "
-        "the first method is closer. Contrasts behind a gate that was not passed are pale and "
-        "should not be read.",
+        "The contrasts planned in advance, all episodes, of the starts that all methods have. "
+        "Compared is the energy score per start and, as in the paper, the absolute gap between "
+        "its mean and the recording (for DTW the distance itself); below zero, the first method is "
+        "closer. A contrast is shown only behind a gate that was passed.",
     )
 
 

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 MINUS = "\u2212"
 NOTHING = "\u2013"
-FEW_SEEDS = 5
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -145,8 +144,8 @@ def _likeness(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
             place = "below" if kde.estimate < null.low else place
             sentence += (
                 f"; kernel-density distance {number(kde.estimate, 2)} on a scale from 0 to 2, "
-                f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that recordings "
-                "against recordings give at this sample size"
+                f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that a perfect "
+                "simulator gives at this sample size"
             )
         yield f"{sentence}."
 
@@ -199,9 +198,9 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
             "One training seed: the intervals speak of demonstrations, for the networks trained "
             "here, not of what another training would give."
         )
-    elif 1 < seeds < FEW_SEEDS:
+    elif seeds == 2:
         sentences.append(
-            f"Only {seeds} training seeds: where seeds differ much, the intervals are too short."
+            "Only two training seeds: where they differ, intervals are a little short."
         )
     return sentences
 
