@@ -324,11 +324,11 @@ def test_unequal_seeds_and_missing_starts_pass_the_gate_all_the_same() -> None:
     lacking = (metrics["method"] == "DQDIL") & (metrics["demo"] < 3)
     table = contrast_table(metrics[~lacking], 20, rng, resamples=300)
     assert (table["demos"] == 17).all()
-    for measure in ("energy score", "absolute gap"):
-        clear = row(table, metric="duration", measure=measure, first="DQDIL", second="DQAAS")
+    for by in ("energy score", "absolute gap"):
+        clear = row(table, metric="duration", measure=by, first="DQDIL", second="DQAAS")
         assert clear["gate"] == "passed" and clear["difference_high"] < 0
         assert "4 + 3 + 5 seeds" in row(
-            table, metric="duration", measure=measure, first="DQDIL-PT", second="DQDIL"
+            table, metric="duration", measure=by, first="DQDIL-PT", second="DQDIL"
         )["gate_unit"].replace("3 + 4 + 5", "4 + 3 + 5")
 
 

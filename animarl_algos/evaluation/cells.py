@@ -58,8 +58,11 @@ class Cells:
         The mean is a ratio of sums; this is its linear part, exact where counts are equal. A cell
         in which nothing counts adds nothing.
         """
-        left = self.sums - self.mean * self.counts
-        return np.asarray(left * (left.size / self.counts.sum()))
+        total = self.counts.sum()
+        if total == 0:
+            return np.zeros(self.sums.shape)
+        left = self.sums - self.sums.sum() / total * self.counts
+        return np.asarray(left * (left.size / total))
 
     def of(self, demos: NDArray[np.bool_]) -> Cells:
         """Those of some demonstrations, without seeds that have none of them."""

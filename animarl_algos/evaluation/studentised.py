@@ -12,7 +12,7 @@ degrees of freedom covers 0.92 with three seeds, where this covers 0.95.
 - Seeds: Student's t on what the seeds' means vary beyond their share of the demonstrations.
   Rollouts are within cells of seed and demonstration and never count as independent.
 
-Coverage is measured by ``benchmarks/coverage.py`` and told in ``docs/statistics.md``.
+Coverage is measured by ``benchmarks/stated_coverage.py`` and told in ``docs/statistics.md``.
 """
 
 from __future__ import annotations

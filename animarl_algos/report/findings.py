@@ -57,6 +57,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
                 str(int(row["rollouts"])),
                 str(int(row["demos"])),
                 with_interval(interval(row, "mean"), percent),
+                str(row["covers"]),
             ]
             if with_recorded:
                 cells.append(with_interval(interval(row, "to_recorded"), percent))
@@ -70,11 +71,13 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
             lines.append(Row(cells, strong=row["method"] == inputs.learner))
         groups.append(Group("" if metric.share else COUNTING[counting].capitalize(), lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
+    columns += ["Interval of"]
     columns += ["Minus recorded"] if with_recorded else []
     columns += [f"Minus {BASELINE}"] if baseline is not None else []
     note = ""
     if not metric.of_recordings:
-        columns += ["Within starts", f"Minus {method_label(inputs.learner)}"]
+        columns += ["Duration\n(s)", "Reached\n(%)", "Within starts"]
+        columns += [f"Minus {method_label(inputs.learner)}"]
         note = (
             " Within starts: the mean with what all methods share of a start taken out "
             "(Cousineau 2005, Morey 2008), to compare methods where episodes differ much in length."
@@ -91,9 +94,12 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
 
 
 def _further_cells(inputs: ReportInputs, row: Any, metric: Metric) -> list[str]:
-    """Of a distance to the recordings: within starts, minus the learner, per step."""
+    """Of a distance to the recordings: duration and outcome, without which an episode that ends
+    at once passes for a close one, then within starts, minus the learner, per step."""
     evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
     cells = [
+        number(row["duration"]),
+        number(100.0 * row["reached"]),
         with_interval(interval(row, "within")),
         with_interval(pair_difference(evaluation.pairs, name, inputs.learner, metric, counting)),
     ]
