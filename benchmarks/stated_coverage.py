@@ -31,8 +31,8 @@ SEEDS, DEMOS = (1, 3, 5, 10), (10, 20, 50)
 ROLLOUTS, RESAMPLES, AT_ONCE = 3, 2000, 500
 # Standard deviations: of seeds, demonstrations, their cells and rollouts; of normal values, and of
 # the logarithm of lognormal ones.
-SPREAD = {"normal": (0.5, 1.0, 0.5, 1.0), "lognormal": (0.3, 0.7, 0.3, 0.5)}
-OWN = {"normal": 0.5, "lognormal": 0.3}  # of a demonstration for one method or cue alone
+SPREAD = {"normal": (0.5, 1.0, 0.5, 1.0), "lognormal": (0.3, 0.6, 0.3, 0.5)}
+OWN = {"normal": 0.5, "lognormal": 0.25}  # of a demonstration for one method or cue alone
 EFFECT = 0.2
 
 
@@ -194,7 +194,7 @@ def gate(experiments: int) -> None:
     for sizes in ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10)):
         passed, decided = 0, False
         for _ in range(experiments):
-            found = permutation_anova([rng.normal(size=n) for n in sizes], rng, 999)
+            found = permutation_anova([rng.normal(size=n) for n in sizes], rng, 499)
             decided = found.can_decide(0.05)
             passed += decided and found.p <= 0.05
         words = percent(passed, experiments) if decided else "cannot be decided"
@@ -256,7 +256,7 @@ SECTIONS: dict[str, tuple[Callable[[int], None], int]] = {
     "intervals": (intervals, 4000),
     "energy": (energy, 1000),
     "null": (null, 400),
-    "gate": (gate, 1000),
+    "gate": (gate, 4000),
     "classifier": (classifier, 200),
     "speed": (speed, 1),
 }

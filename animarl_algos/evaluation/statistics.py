@@ -122,7 +122,7 @@ def bootstrap_mean(
     if share:
         mean = np.asarray(present.mean)
         by_demos = share_margins(mean, deviations.mean(axis=0) + mean)
-        by_seeds = seed_square([deviations])
+        by_seeds = seed_square([[deviations]])
         below, above = (np.sqrt(np.square(side) + by_seeds) for side in by_demos)
         return _around(present.mean, below, above, least=0.0, most=1.0)
     return _around(present.mean, *margins([Part(deviations)], _draws(rng, resamples)))

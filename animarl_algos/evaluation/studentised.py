@@ -90,8 +90,8 @@ def margins(
     for means in by_demos.values():
         below, above = demo_margins(np.sum(means, axis=0), draws, confidence)
         squares += np.square([below, above])
-    for tables in by_seeds.values():
-        squares += seed_square([np.sum(same, axis=0) for same in tables.values()], confidence)
+    networks = [[np.sum(same, axis=0) for same in one.values()] for one in by_seeds.values()]
+    squares += seed_square(networks, confidence)
     below, above = np.sqrt(squares)
     return below, above
 
@@ -112,29 +112,36 @@ def demo_margins(
     return np.maximum(high, 0.0) * error, np.maximum(-low, 0.0) * error
 
 
-def seed_square(tables: Sequence[Floats], confidence: float = CONFIDENCE) -> Floats:
-    """Square of the margin that networks add, ``(...,)``; zero for one seed, which shows none.
+def seed_square(networks: Sequence[Sequence[Floats]], confidence: float = CONFIDENCE) -> Floats:
+    """Square of the margin that networks add, ``(...,)``; zero for single seeds, which show none.
 
-    ``tables`` ``(..., seeds, demos)`` are of the same networks, each on demonstrations of its own.
+    Of each set of networks, its tables ``(..., seeds, demos)``, each on demonstrations of its own.
+    Variances of several sets are added, with Welch's degrees of freedom.
     """
-    seeds = tables[0].shape[-2]
-    if seeds < 2:
-        return np.zeros(tables[0].shape[:-2])
-    rows = np.sum([table.mean(axis=-1) for table in tables], axis=0)
-    between, chance = rows.var(axis=-1, ddof=1) / seeds, np.zeros(rows.shape[:-1])
-    for table in tables:
-        demos = table.shape[-1]
-        if demos < 2:
+    between, within, per_freedom = np.zeros((3, *networks[0][0].shape[:-2]))
+    for tables in networks:
+        seeds = tables[0].shape[-2]
+        if seeds < 2:
             continue
-        cell = (
-            table
-            - table.mean(axis=-1, keepdims=True)
-            - table.mean(axis=-2, keepdims=True)
-            + table.mean(axis=(-2, -1), keepdims=True)
-        )
-        within = np.square(cell).sum(axis=(-2, -1)) / ((seeds - 1) * (demos - 1))
-        chance = chance + within / (seeds * demos)
-    return np.asarray(_t(seeds - 1, confidence) ** 2 * np.maximum(between - chance, 0.0))
+        rows = np.sum([table.mean(axis=-1) for table in tables], axis=0)
+        variance = rows.var(axis=-1, ddof=1) / seeds
+        between = between + variance
+        per_freedom = per_freedom + np.square(variance) / (seeds - 1)
+        within = within + sum(_cell_variance(table) for table in tables)
+    varies = per_freedom > 0
+    freedom = np.where(varies, np.square(between) / np.where(varies, per_freedom, 1.0), 1.0)
+    return np.asarray(_t(freedom, confidence) ** 2 * np.maximum(between - within, 0.0))
+
+
+def _cell_variance(table: Floats) -> Floats:
+    """What cells of seed and demonstration add to the variance of their mean."""
+    seeds, demos = table.shape[-2:]
+    if demos < 2:
+        return np.zeros(table.shape[:-2])
+    rows, columns = table.mean(axis=-1, keepdims=True), table.mean(axis=-2, keepdims=True)
+    left = table - rows - columns + rows.mean(axis=-2, keepdims=True)
+    freedom = (seeds - 1) * (demos - 1)
+    return np.asarray(np.square(left).sum(axis=(-2, -1)) / freedom / (seeds * demos))
 
 
 def share_margins(
@@ -173,7 +180,7 @@ def _studentised_quantiles(values: Floats, weights: Floats, confidence: float) -
     return np.asarray(ends).reshape(2, *values.shape[:-1])
 
 
-def _t(freedom: int, confidence: float) -> float:
+def _t(freedom: float | Floats, confidence: float) -> Floats:
     from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, 0.5 + confidence / 2))
+    return np.asarray(stdtrit(freedom, 0.5 + confidence / 2))
