@@ -81,17 +81,12 @@ def _closed_end(x, y):  # type: ignore[no-untyped-def]
 
 def dtw_distance(x: NDArray[np.floating], y: NDArray[np.floating]) -> float:
     """Closed-end DTW distance of two paths ``(T, 2)`` and ``(m, 2)``, Euclidean, unnormalised."""
-    _check_paths(x, y)
-    return float(
-        _closed_end(
-            np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-        )
-    )
+    return float(_closed_end(*_paths(x, y)))
 
 
 @jit
 def _aligned(x, y):  # type: ignore[no-untyped-def]
-    """Closed-end distance and the number of pairs on its warping path, the shortest such path."""
+    """Closed-end distance and the pairs on its warping path, diagonal where steps tie."""
     total = np.empty(len(y))
     pairs = np.empty(len(y), dtype=np.int64)
     for t in range(len(x)):
@@ -119,16 +114,15 @@ def dtw_alignment(x: NDArray[np.floating], y: NDArray[np.floating]) -> tuple[flo
     The distance grows with their number, so that a short path is close to anything; distance over
     pairs is the mean distance of aligned positions.
     """
-    _check_paths(x, y)
-    distance, pairs = _aligned(
-        np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-    )
+    distance, pairs = _aligned(*_paths(x, y))
     return float(distance), int(pairs)
 
 
-def _check_paths(x: NDArray[np.floating], y: NDArray[np.floating]) -> None:
+def _paths(*paths: NDArray[np.floating]) -> list[NDArray[np.float64]]:
+    x, y = paths
     if x.ndim != 2 or y.ndim != 2 or x.shape[1] != 2 or y.shape[1] != 2 or not (len(x) and len(y)):
         raise InputError(f"paths have shapes {x.shape} and {y.shape}: give (frames, 2) of each")
+    return [np.ascontiguousarray(path, dtype=np.float64) for path in paths]
 
 
 @jit

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 MINUS = "\u2212"
 NOTHING = "\u2013"
+FEW_SEEDS = 5
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -198,9 +199,10 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
             "One training seed: the intervals speak of demonstrations, for the networks trained "
             "here, not of what another training would give."
         )
-    elif seeds == 2:
+    elif 1 < seeds < FEW_SEEDS:
         sentences.append(
-            "Only two training seeds: where they differ, intervals are a little short."
+            f"Only {seeds} training seeds: what another training would give is known but roughly, "
+            "and the intervals are wide for it."
         )
     return sentences
 
