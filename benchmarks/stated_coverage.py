@@ -1,6 +1,6 @@
 """Whether the statistics of an evaluation hold what they say, in simulated experiments.
 
-    python benchmarks/stated_coverage.py [--experiments 4000] [--only intervals energy ...]
+    python benchmarks/stated_coverage.py [--experiments 2000] [--only intervals energy ...]
 
 Prints the tables of ``docs/statistics.md``: coverage of nominal 95 % intervals, how often the
 energy score prefers a perfect simulator to a collapsed one, false alarms of the null references, of
@@ -253,7 +253,7 @@ def show(title: str, heading: Sequence[str], rows: Sequence[Sequence[str]]) -> N
 
 
 SECTIONS: dict[str, tuple[Callable[[int], None], int]] = {
-    "intervals": (intervals, 4000),
+    "intervals": (intervals, 2000),
     "energy": (energy, 1000),
     "null": (null, 400),
     "gate": (gate, 4000),

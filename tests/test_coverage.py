@@ -44,7 +44,7 @@ def test_coverage_of_means_where_seeds_vary(seeds: int, network: float, demos: i
 
 @pytest.mark.parametrize("demos", [10, 50])
 def test_coverage_of_skewed_means_of_one_network(demos: int) -> None:
-    """Student's t covers 0.87 and 0.92 here."""
+    """The studentised bootstrap follows the long tail, which Student's t does not."""
     rng, draws = np.random.default_rng(demos), Draws(1, 400)
     truth = np.exp(0.5 * (0.7**2 + 0.3**2 + 0.5**2))
     inside = 0

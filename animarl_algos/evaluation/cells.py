@@ -46,6 +46,11 @@ class Cells:
         return self.counts > 0
 
     @property
+    def starts(self) -> NDArray[np.bool_]:
+        """``(demos,)``, where something counts for any seed."""
+        return np.asarray(self.present.any(axis=0))
+
+    @property
     def even(self) -> Cells:
         """The same with every demonstration weighing one, and within it every seed the same."""
         share = self.present / np.maximum(self.present.sum(axis=0), 1)

@@ -45,7 +45,7 @@ PAIR_COLUMNS = [
     "energy", "energy_low", "energy_high", "reason",
 ]  # fmt: skip
 COUNTING = {"all": "all episodes", "captures": "captures only"}
-OF_RECORDINGS = "recordings like these"
+OF_RECORDINGS = "demonstrations like these"
 SAME_STARTS, SHARED_STARTS = "paired, same starts", "paired, shared starts only"
 
 
@@ -140,14 +140,14 @@ def comparison_table(
             if name == RECORDED and not metric.of_recordings:
                 continue
             data, simulation = gathered[name], name != RECORDED
-            shared = data.present.any(axis=0) & reference.present.any(axis=0)
+            shared = data.starts & reference.starts
             compared = simulation and metric.of_recordings
             row: dict[str, Any] = {
                 "method": name,
                 "metric": metric.key,
                 "counting": counting,
                 "rollouts": int(data.counts.sum()),
-                "demos": int(data.present.any(axis=0).sum()),
+                "demos": int(data.starts.sum()),
                 "seeds": len(data.counts),
                 "covers": covers(data) if simulation else OF_RECORDINGS,
                 "to_recorded_demos": int(shared.sum()) if compared else 0,
@@ -233,7 +233,7 @@ def energy_interval(scores: Cells, draws: Draws, *, less: Cells | None = None) -
 
 
 def _pair_row(first: Cells, second: Cells, draws: Draws) -> dict[str, Any]:
-    starts = [data.present.any(axis=0) for data in (first, second)]
+    starts = [data.starts for data in (first, second)]
     row: dict[str, Any] = {
         "demos": int((starts[0] & starts[1]).sum()),
         "pairing": SAME_STARTS if (starts[0] == starts[1]).all() else SHARED_STARTS,

@@ -125,7 +125,7 @@ class Exchanges:
             mean = float(null.mean()) if len(null) else math.nan
             intervals.append(percentile_interval(mean, drawn[1:]))
             shares.append(_tested(np.concatenate([drawn[:1], null])).p)
-        return NullDistances(*intervals, *shares)
+        return NullDistances(intervals[0], intervals[1], shares[0], shares[1])
 
     def chi_squared(self, category: ArrayLike) -> Tested:
         """Pearson's statistic of categories by recorded and simulated, however small the counts."""

@@ -113,7 +113,7 @@ def bootstrap_mean(
         The values are 0 or 1: the interval stays between them, and has a width even if all
         episodes end alike.
     """
-    present = data.of(data.present.any(axis=0))
+    present = data.of(data.starts)
     if not present.counts.size:
         return Interval.without_ends(math.nan, NO_VALUE)
     if present.sums.shape[1] < 2:
@@ -167,7 +167,7 @@ def bootstrap_difference(
     else:
         rows = first.present.any(axis=1) & second.present.any(axis=1) if same_seeds else slice(None)
         chosen = [Cells(data.sums[rows], data.counts[rows]) for data in (first, second)]
-        pair = [data.of(data.present.any(axis=0)) for data in chosen]
+        pair = [data.of(data.starts) for data in chosen]
     if min(data.counts.sum() for data in pair) == 0:
         return Interval.without_ends(math.nan, NO_VALUE if empty else NOTHING_SHARED)
     estimate = pair[0].mean - pair[1].mean
@@ -222,7 +222,7 @@ def covers(*methods: Cells) -> str:
 
 def shared_starts(methods: Sequence[Cells]) -> list[Cells]:
     """The methods on the starts that all of them have, every start weighing the same."""
-    chosen = np.logical_and.reduce([data.present.any(axis=0) for data in methods])
+    chosen = np.logical_and.reduce([data.starts for data in methods])
     return [data.of(chosen).even for data in methods]
 
 
