@@ -4,8 +4,9 @@ Every training seed was asked every demonstration, so an estimate errs for two r
 demonstrations there happened to be, and which networks training happened to give. Their margins are
 worked out apart and added as squares, below and above the estimate (the method of variance
 estimates recovery: Zou and Donner 2008, Stat. Med. 27, 1693; for crossed effects Graybill and Wang
-1980, J. Am. Stat. Assoc. 75, 869). A single t interval on the sum of variances, with Satterthwaite's
-degrees of freedom, is too short with three seeds that vary about as much as the demonstrations.
+1980, J. Am. Stat. Assoc. 75, 869). A single t interval on the sum of variances, with
+Satterthwaite's degrees of freedom, is too short with three seeds that vary about as much as the
+demonstrations.
 
 - Demonstrations: the studentised bootstrap (bootstrap-t: Efron and Tibshirani 1993, chapter 12) of
   the mean over demonstrations, which follows skewed values; Student's t where there are too few.
