@@ -81,13 +81,48 @@ def _closed_end(x, y):  # type: ignore[no-untyped-def]
 
 def dtw_distance(x: NDArray[np.floating], y: NDArray[np.floating]) -> float:
     """Closed-end DTW distance of two paths ``(T, 2)`` and ``(m, 2)``, Euclidean, unnormalised."""
+    return float(_closed_end(*_paths(x, y)))
+
+
+@jit
+def _aligned(x, y):  # type: ignore[no-untyped-def]
+    """Closed-end distance and the pairs on its warping path, diagonal where steps tie."""
+    total = np.empty(len(y))
+    pairs = np.empty(len(y), dtype=np.int64)
+    for t in range(len(x)):
+        diagonal, steps = math.inf, 0  # of W(t-1, j-1)
+        for j in range(len(y)):
+            dx, dy = x[t, 0] - y[j, 0], x[t, 1] - y[j, 1]
+            above = math.inf if t == 0 else total[j]
+            before = 0 if t == 0 else pairs[j]
+            best, count = diagonal, steps
+            if above < best:
+                best, count = above, before
+            if j > 0 and total[j - 1] < best:
+                best, count = total[j - 1], pairs[j - 1]
+            if t == 0 and j == 0:
+                best, count = 0.0, 0
+            diagonal, steps = above, before
+            total[j] = math.sqrt(dx * dx + dy * dy) + best
+            pairs[j] = count + 1
+    return total[-1], pairs[-1]
+
+
+def dtw_alignment(x: NDArray[np.floating], y: NDArray[np.floating]) -> tuple[float, int]:
+    """:func:`dtw_distance` and how many pairs of frames its warping path aligns.
+
+    The distance grows with their number, so that a short path is close to anything; distance over
+    pairs is the mean distance of aligned positions.
+    """
+    distance, pairs = _aligned(*_paths(x, y))
+    return float(distance), int(pairs)
+
+
+def _paths(*paths: NDArray[np.floating]) -> list[NDArray[np.float64]]:
+    x, y = paths
     if x.ndim != 2 or y.ndim != 2 or x.shape[1] != 2 or y.shape[1] != 2 or not (len(x) and len(y)):
         raise InputError(f"paths have shapes {x.shape} and {y.shape}: give (frames, 2) of each")
-    return float(
-        _closed_end(
-            np.ascontiguousarray(x, dtype=np.float64), np.ascontiguousarray(y, dtype=np.float64)
-        )
-    )
+    return [np.ascontiguousarray(path, dtype=np.float64) for path in paths]
 
 
 @jit

@@ -10,6 +10,7 @@ from scipy import stats
 from animarl_algos.evaluation.distances import (
     bootstrap_distances,
     kde_distance,
+    kde_floor,
     kde_rule,
     kde_weighted,
     null_distances,
@@ -137,16 +138,21 @@ def test_weighted_wasserstein_equals_scipy() -> None:
     )
 
 
-def test_one_seed_and_one_demonstration_leave_nothing_to_resample() -> None:
-    """Every resample is then the sample itself, in both distances."""
+def test_one_demonstration_leaves_nothing_to_resample() -> None:
     rng = np.random.default_rng(19)
     simulated = rng.normal(size=30)
     both = bootstrap_distances(simulated, [2.0], np.full(30, 7), np.zeros(30, dtype=int), rng, 20)
     assert both.wasserstein.estimate == pytest.approx(np.abs(simulated - 2.0).mean())
-    assert (both.wasserstein.low, both.wasserstein.high) == pytest.approx(
-        [both.wasserstein.estimate] * 2
-    )
-    assert (both.kde.low, both.kde.high) == pytest.approx([both.kde.estimate] * 2, abs=0.02)
+    for found in (both.wasserstein, both.kde):
+        assert np.isfinite(found.estimate) and np.isnan(found.low)
+        assert found.reason.startswith("one demonstration")
+
+
+def test_the_bandwidth_floor_is_told_where_it_acts() -> None:
+    rng = np.random.default_rng(20)
+    assert np.isnan(kde_floor(rng.normal(size=30), rng.normal(size=30)))
+    assert kde_floor(np.full(30, 14.8), [4.8, 9.0, 14.8]) == pytest.approx(0.1)
+    assert np.isnan(kde_floor([], [1.0])) and np.isnan(kde_floor([1.0, 1.0], [1.0]))
 
 
 def test_what_does_not_count_leaves_the_distances_alone() -> None:

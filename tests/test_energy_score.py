@@ -7,7 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.energy_score import energy_score, energy_scores, pooled_score
+from animarl_algos.evaluation.energy_score import (
+    energy_cells,
+    energy_score,
+    energy_scores,
+    pooled_score,
+)
 from animarl_envs.errors import InputError
 
 
@@ -15,6 +20,21 @@ def test_a_score_worked_out_by_hand() -> None:
     # mean error (1 + 3 + 0) / 3; pairs |1-(-3)|, |1-0|, |-3-0| once each: 8 / (3 * 2)
     assert energy_score([1.0, -3.0, 0.0], 0.0) == pytest.approx(4 / 3 - 8 / 6)
     assert energy_score([[3.0, 4.0], [0.0, 0.0]], [0.0, 0.0]) == pytest.approx(2.5 - 2.5)
+
+
+def test_cells_hold_the_score_of_each_seed_and_start() -> None:
+    rng = np.random.default_rng(4)
+    values, recorded = rng.normal(size=60), np.array([0.5, np.nan, -1.0, 2.0])
+    values[3] = np.nan
+    seed, demo = rng.integers(5, 7, 60), rng.integers(0, 4, 60)
+    found = energy_cells(values, seed, demo, recorded)
+    assert found.counts[:, 1].tolist() == [0.0, 0.0]
+    for row, one in enumerate((5, 6)):
+        for start in (0, 2, 3):
+            chosen = (seed == one) & (demo == start) & np.isfinite(values)
+            expected = energy_score(values[chosen], recorded[start])
+            assert found.sums[row, start] == pytest.approx(expected)
+    assert energy_cells([1.0, 2.0], [0, 1], [0, 0], [1.0]).counts.sum() == 0
 
 
 def test_one_rollout_shows_no_spread() -> None:

@@ -32,13 +32,19 @@ def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
         Evaluation.load(tmp_path / "evaluation")
 
 
-def test_evaluation_is_repeatable() -> None:
+def test_evaluation_is_repeatable(tmp_path: Path) -> None:
     inputs = report_inputs()
-    again = evaluate(
-        inputs.rollouts, inputs.demos, seed=0, planned_flip=(0, 1), resamples=100,
-        distance_resamples=50,
+    again, twice = (
+        evaluate(
+            inputs.rollouts, inputs.demos, seed=0, planned_flip=(0, 1), resamples=100,
+            distance_resamples=50,
+        )
+        for _ in range(2)
     )  # fmt: skip
     pd.testing.assert_frame_equal(again.comparison, inputs.evaluation.comparison)
+    folders = [e.save(tmp_path / n) for n, e in (("a", again), ("b", twice))]
+    written = [{p.name: p.read_bytes() for p in folder.iterdir()} for folder in folders]
+    assert written[0] == written[1] and "comparison.csv" in written[0]
     with pytest.raises(InputError, match="no rollouts"):
         evaluate({}, inputs.demos, seed=0)
 

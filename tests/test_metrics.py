@@ -11,6 +11,7 @@ from animarl_algos.evaluation.comparison import comparison_table, pair_table
 from animarl_algos.evaluation.contrasts import contrast_table
 from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.metrics import (
+    dtw_alignments,
     dtw_distances,
     measure,
     measure_recordings,
@@ -106,7 +107,11 @@ def test_dtw_known_answers(demos: Demonstrations) -> None:
     assert distances[2, [0, 2]] == pytest.approx(11 * 0.25)  # crosswise to the path, or at rest
     table = measure(made, demos)
     assert table["dtw"][2] == pytest.approx(distances[2, :2].mean())
-    assert table["dtw_per_step"][2] == pytest.approx(distances[2, :2].mean() / 11)
+    # The second pursuer moves along the shift: its path is aligned in 17 pairs, not 11.
+    pairs = dtw_alignments(made, demos)[1]
+    assert pairs[2].tolist() == [11, 17, 11]
+    per_step = (distances[2, 0] / 11 + distances[2, 1] / 17) / 2
+    assert table["dtw_per_step"][2] == pytest.approx(per_step)
 
 
 def test_dtw_equals_a_textbook_recursion(demos: Demonstrations) -> None:
@@ -265,15 +270,141 @@ def test_contrasts_compare_gaps_and_stand_behind_a_gate() -> None:
         + [near(name, seed, gap) for name, gap in methods for seed in range(4)]
     )
     table = contrast_table(metrics, 25, rng, resamples=400)
-    assert len(table) == 9 and set(table["gate_unit"]) == {"seeds"}
+    table = table[table["measure"] != "energy score"]  # of which one rollout a start shows nothing
+    assert len(table) == 9
+    assert set(table["gate_unit"]) == {
+        "which method a training seed belongs to (4 + 4 + 4 seeds, a sample of the 34,650 ways)"
+    }
     clear = row(table, metric="duration", first="DQDIL", second="dqaas")
     assert clear["gate_passed"] and clear["difference_high"] < -0.8
     none = row(table, metric="duration", first="DQDIL-PT", second="DQDIL")
     assert none["difference_low"] < 0.0 < none["difference_high"]
-    one_seed = contrast_table(metrics[metrics["seed"] <= 0], 25, rng, resamples=100)
-    assert set(one_seed["gate_unit"]) == {"demonstrations"}
     alone = metrics[metrics["method"].isin(["recorded", "DQDIL"])]
     assert contrast_table(alone, 25, rng).empty
+
+
+def runs(
+    gaps: dict[str, float], seeds: dict[str, int], *, repetitions: int = 1, spread: float = 0.3
+) -> pd.DataFrame:
+    """Recordings and methods as far from them as ``gaps`` says, whose seeds differ."""
+    rng = np.random.default_rng(5)
+    recorded, caught = rng.normal(5.0, 1.0, 20), np.ones(20, dtype=bool)
+    parts = [metrics_rows("recorded", -1, recorded, caught)]
+    for method, gap in gaps.items():
+        for seed in range(seeds[method]):
+            own = gap + rng.normal(0.0, spread)
+            for _ in range(repetitions):
+                away = rng.choice([-1.0, 1.0], 20) * (own + rng.normal(0, 0.2, 20))
+                parts.append(metrics_rows(method, seed, recorded + away, caught))
+    return pd.concat(parts)
+
+
+METHODS = {"DQAAS": 1.0, "DQDIL": 1.0, "DQDIL-PT": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("methods", "seeds"),
+    [(METHODS, 1), (METHODS, 2), ({"DQDIL": 9.0, "DQDIL-PT": 1.0}, 3)],
+)
+def test_a_gate_of_few_seeds_decides_nothing(methods: dict[str, float], seeds: int) -> None:
+    """Two methods of three seeds have 20 arrangements: the smallest p is 2 in 20."""
+    rng = np.random.default_rng(0)
+    metrics = runs(methods, dict.fromkeys(methods, seeds))
+    table = contrast_table(metrics, 20, rng, resamples=200)
+    table = table[table["measure"] != "energy score"]
+    assert set(table["gate"]) == {"cannot be decided with so few seeds"}
+    assert not table["gate_passed"].any() and table["difference_low"].isna().all()
+    assert table["reason"].str.contains("cannot be decided with so few seeds").all()
+
+
+def test_unequal_seeds_and_missing_starts_pass_the_gate_all_the_same() -> None:
+    rng = np.random.default_rng(0)
+    gaps = {"DQAAS": 4.0, "DQDIL": 1.0, "DQDIL-PT": 1.0}
+    metrics = runs(gaps, {"DQAAS": 4, "DQDIL": 3, "DQDIL-PT": 5}, repetitions=2)
+    lacking = (metrics["method"] == "DQDIL") & (metrics["demo"] < 3)
+    table = contrast_table(metrics[~lacking], 20, rng, resamples=300)
+    assert (table["demos"] == 17).all()
+    for by in ("energy score", "absolute gap"):
+        clear = row(table, metric="duration", measure=by, first="DQDIL", second="DQAAS")
+        assert clear["gate"] == "passed" and clear["difference_high"] < 0
+        assert "4 + 3 + 5 seeds" in row(
+            table, metric="duration", measure=by, first="DQDIL-PT", second="DQDIL"
+        )["gate_unit"].replace("3 + 4 + 5", "4 + 3 + 5")
+
+
+def test_contrasts_behind_a_gate_that_was_not_passed_have_no_interval() -> None:
+    metrics = runs(METHODS, dict.fromkeys(METHODS, 4), repetitions=2)
+    table = contrast_table(metrics, 20, np.random.default_rng(0), resamples=300)
+    shut = table[table["gate"] == "not passed"]
+    assert len(shut) > 0
+    assert shut["difference_low"].isna().all()
+    assert (shut["reason"] == "difference: the gate: not passed").all()
+
+
+def test_differences_of_captures_are_of_shared_starts() -> None:
+    """Who is captured only from far starts is not slower for that."""
+    rng = np.random.default_rng(0)
+    recorded = np.arange(20.0)
+    early, late = np.arange(20) < 12, np.arange(20) >= 8
+    metrics = pd.concat(
+        [
+            metrics_rows("recorded", -1, recorded, np.ones(20, dtype=bool)),
+            metrics_rows("BC", 0, recorded + rng.normal(0, 0.1, 20), early),
+            metrics_rows("DQDIL", 0, recorded + rng.normal(0, 0.1, 20), late),
+        ]
+    )
+    pairs = pair_table(metrics, 20, rng, resamples=200)
+    where = {"first": "DQDIL", "second": "BC", "metric": "duration"}
+    captures = row(pairs, counting="captures", **where)
+    assert captures["demos"] == 4 and captures["pairing"] == "paired, shared starts only"
+    assert abs(captures["difference"]) < 0.5
+    everything = row(pairs, counting="all", **where)
+    assert everything["demos"] == 20 and everything["pairing"] == "paired, same starts"
+    table = comparison_table(metrics, 20, rng, resamples=200, distance_resamples=50)
+    mean = row(table, method="DQDIL", metric="duration", counting="captures")
+    assert mean["mean"] > 13 and mean["to_recorded"] == pytest.approx(0.0, abs=0.2)
+    assert mean["to_recorded_demos"] == 12
+
+
+def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None:
+    rng = np.random.default_rng(0)
+    recorded, once = rng.normal(5.0, 1.0, 6), np.arange(6) == 2
+    metrics = pd.concat(
+        [
+            metrics_rows("recorded", -1, recorded, np.ones(6, dtype=bool)),
+            metrics_rows("BC", 0, recorded, once),
+            metrics_rows("DQDIL", 0, recorded, ~once),
+            metrics_rows("DQDIL", 1, recorded, ~once),
+        ]
+    )
+    table = comparison_table(metrics, 6, rng, resamples=100, distance_resamples=50)
+    one = row(table, method="BC", metric="duration", counting="captures")
+    assert np.isnan([one["mean_low"], one["to_recorded_low"], one["energy"]]).all()
+    assert "mean: one demonstration" in one["reason"]
+    assert "energy: fewer than two rollouts a start" in one["reason"]
+    assert one["covers"] == "this network only"
+    assert set(table.loc[table["method"] == "DQDIL", "covers"]) == {"training runs like these"}
+    pairs = pair_table(metrics, 6, rng, resamples=100)
+    assert set(pairs["covers"]) == {"these networks only"}
+    apart = row(pairs, first="BC", second="DQDIL", metric="duration", counting="captures")
+    assert np.isnan(apart["difference"]) and "no shared start" in apart["reason"]
+
+
+def test_duration_and_outcome_stand_beside_dtw() -> None:
+    rng = np.random.default_rng(0)
+    recorded, caught = rng.normal(5.0, 1.0, 10), np.arange(10) < 4
+    metrics = pd.concat(
+        [
+            metrics_rows("recorded", -1, recorded, caught),
+            metrics_rows("BC", 0, np.full(10, 1.0), caught),
+        ]
+    )
+    table = comparison_table(metrics, 10, rng, resamples=100, distance_resamples=50)
+    dtw = row(table, method="BC", metric="dtw", counting="all")
+    assert dtw["duration"] == pytest.approx(1.0) and dtw["reached"] == pytest.approx(0.4)
+    floor = row(table, method="BC", metric="duration", counting="all")["kde_floor"]
+    assert floor == pytest.approx(0.01 * np.ptp([*recorded, 1.0]))
+    assert np.isnan(row(table, method="recorded", metric="duration", counting="all")["kde_floor"])
 
 
 # -- counterfactual ------------------------------------------------------------

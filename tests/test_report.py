@@ -141,7 +141,7 @@ def test_a_bare_run_without_captures_leaves_out_what_it_lacks(tmp_path: Path) ->
     )
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
     html = path.read_text(encoding="utf-8")
-    assert "in 0 % [0, 0] of 48 rollouts" in html
+    assert "in 0 % [0, " in html  # none of so few starts is not never
     headings = Page(html).headings
     for absent in ("Planned contrasts", "Counterfactual", "Locomotion", "Learning"):
         assert absent not in headings

@@ -8,23 +8,22 @@ the truth that a flipped cue tries to predict.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.comparison import COUNTING
+from animarl_algos.evaluation.cells import Cells, cells
+from animarl_algos.evaluation.comparison import COUNTING, OF_RECORDINGS, put_interval
 from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
 from animarl_algos.evaluation.statistics import (
     RESAMPLES,
-    Floats,
+    Draws,
     Interval,
-    cells,
-    draw_weights,
-    percentile_interval,
-    resampled_means,
+    bootstrap_difference,
+    bootstrap_mean,
+    covers,
 )
 
 if TYPE_CHECKING:
@@ -35,24 +34,6 @@ ERROR = "absolute error"
 DIFFERENCE = "condition 0 - condition 1"
 SHIFT = "cue shift"
 WORLD_SHIFT = "world shift"
-
-
-@dataclass(frozen=True, eq=False)
-class Resampled:
-    """An estimate and its values on all resamples, so that differences stay paired."""
-
-    estimate: float
-    values: Floats
-
-    def __sub__(self, other: Resampled) -> Resampled:
-        return Resampled(self.estimate - other.estimate, self.values - other.values)
-
-    def __abs__(self) -> Resampled:
-        return Resampled(abs(self.estimate), np.abs(self.values))
-
-    @property
-    def interval(self) -> Interval:
-        return percentile_interval(self.estimate, self.values)
 
 
 Question = tuple[int, int, int]
@@ -85,7 +66,8 @@ def counterfactual_table(
     -------
     One row per method, counting rule and ``quantity``; ``condition`` is that of the demonstrations,
     ``world`` that of the simulation, ``cue`` what the policy was told, and ``value`` comes with
-    ``value_low`` and ``value_high``:
+    ``value_low`` and ``value_high``; ``covers`` says what the interval speaks of, ``reason`` why
+    there is none:
 
     - ``mean``: of the metric, factual, with flipped cue, or in the changed world;
     - ``absolute error``: of the factual mean to the recorded mean of the same condition;
@@ -96,42 +78,39 @@ def counterfactual_table(
 
     Notes
     -----
-    Demonstrations are resampled within their condition. The answers of one network to two cues
-    share their resample of demonstrations and of seeds. An absolute error is never negative, so
-    its interval cannot include zero: compare it between methods.
+    The answers of one network to two cues are subtracted start by start, so what the network and
+    the start add cancels; of episodes that reached the target, only starts that both answers have
+    count. The conditions have demonstrations of their own: their difference is not paired. An
+    absolute error is never negative, so its interval cannot exclude zero from below: compare it
+    between methods.
     """
     import pandas as pd
 
     condition = np.asarray(demo_condition)
-    weights = _stratified(condition, rng, resamples)
+    draws = Draws.by(rng, resamples)
     names = [RECORDED, *(str(m) for m in metrics["method"].unique() if m != RECORDED)]
-    seeds = {
-        name: draw_weights(rng, metrics.loc[metrics["method"] == name, "seed"].nunique(), resamples)
-        for name in names
-    }
     table: list[dict[str, Any]] = []
     for counting in COUNTING:
-        truth: dict[Question, Resampled] = {}
+        truth: dict[Question, Cells] = {}
         for name in names:
             rows = metrics[metrics["method"] == name]
-            answers = _answers(rows, condition, metric, counting, seeds[name], weights)
+            answers = _answers(rows, condition, metric, counting)
             truth = truth or answers
-            for quantity, of, world, cue, value in _quantities(answers, truth, name == RECORDED):
-                interval = value.interval
-                table.append(
-                    {
-                        "method": name,
-                        "quantity": quantity,
-                        "condition": of,
-                        "world": world,
-                        "cue": cue,
-                        "counting": counting,
-                        "planned": quantity == SHIFT and (of, cue) == planned,
-                        "value": interval.estimate,
-                        "value_low": interval.low,
-                        "value_high": interval.high,
-                    }
-                )
+            recorded = name == RECORDED
+            for quantity, of, world, cue, value in _quantities(answers, truth, recorded, draws):
+                row: dict[str, Any] = {
+                    "method": name,
+                    "quantity": quantity,
+                    "condition": of,
+                    "world": world,
+                    "cue": cue,
+                    "counting": counting,
+                    "planned": quantity == SHIFT and (of, cue) == planned,
+                    "covers": OF_RECORDINGS if recorded else covers(answers[of, world, cue]),
+                    "reason": "",
+                }
+                put_interval(row, "value", value)
+                table.append(row)
     return pd.DataFrame(table)
 
 
@@ -141,27 +120,10 @@ def has_flips(metrics: pd.DataFrame) -> bool:
     return bool((told & (metrics["cue"] != metrics["condition"])).any())
 
 
-def _stratified(
-    condition: NDArray[np.integer], rng: np.random.Generator, resamples: int
-) -> dict[int, Floats]:
-    """Weights of the demonstrations of each condition; the others weigh nothing."""
-    weights = {}
-    for c in np.unique(condition).tolist():
-        chosen = condition == c
-        weights[c] = np.zeros((resamples, len(condition)))
-        weights[c][:, chosen] = draw_weights(rng, int(chosen.sum()), resamples)
-    return weights
-
-
 def _answers(
-    rows: pd.DataFrame,
-    condition: NDArray[np.integer],
-    metric: str,
-    counting: str,
-    seeds: Floats,
-    weights: dict[int, Floats],
-) -> dict[Question, Resampled]:
-    """Mean of the metric for every question the rows hold; a missing cue counts as factual."""
+    rows: pd.DataFrame, condition: NDArray[np.integer], metric: str, counting: str
+) -> dict[Question, Cells]:
+    """The metric for every question the rows hold; a missing cue counts as factual."""
     world = rows["condition"].to_numpy()
     cue = np.where(rows["cue"] == NO_CUE, world, rows["cue"])
     demo = rows["demo"].to_numpy()
@@ -170,26 +132,44 @@ def _answers(
     asked = np.unique(np.stack([condition[demo], world, cue], axis=1), axis=0)
     for of, around, told in asked.tolist():
         chosen = counts & (condition[demo] == of) & (world == around) & (cue == told)
-        data = cells(rows[metric], rows["seed"], demo, len(condition), chosen)
-        answers[of, around, told] = Resampled(data.mean, resampled_means(data, seeds, weights[of]))
+        answers[of, around, told] = cells(rows[metric], rows["seed"], demo, len(condition), chosen)
     return answers
 
 
 def _quantities(
-    answers: dict[Question, Resampled], truth: dict[Question, Resampled], recorded: bool
-) -> Iterator[tuple[str, int, int, int, Resampled]]:
+    answers: dict[Question, Cells], truth: dict[Question, Cells], recorded: bool, draws: Draws
+) -> Iterator[tuple[str, int, int, int, Interval]]:
     """Everything that is reported of one method: quantity, condition, world, cue, value."""
+
+    def minus(answer: Cells, actual: Cells) -> Interval:
+        return bootstrap_difference(answer, actual, draws, same_seeds=True)
+
     for (of, around, told), value in answers.items():
-        yield MEAN, of, around, told, value
+        yield MEAN, of, around, told, bootstrap_mean(value, draws)
     for c in (0, 1):
         if (c, c, c) not in answers:
             continue
         actual = answers[c, c, c]
         if not recorded and (c, c, c) in truth:
-            yield ERROR, c, c, c, abs(actual - truth[c, c, c])
+            yield ERROR, c, c, c, _size(bootstrap_difference(actual, truth[c, c, c], draws))
         if (c, c, 1 - c) in answers:
-            yield SHIFT, c, c, 1 - c, answers[c, c, 1 - c] - actual
+            yield SHIFT, c, c, 1 - c, minus(answers[c, c, 1 - c], actual)
         if (c, 1 - c, 1 - c) in answers:
-            yield WORLD_SHIFT, c, 1 - c, 1 - c, answers[c, 1 - c, 1 - c] - actual
+            yield WORLD_SHIFT, c, 1 - c, 1 - c, minus(answers[c, 1 - c, 1 - c], actual)
     if (0, 0, 0) in answers and (1, 1, 1) in answers:
-        yield DIFFERENCE, 0, 0, 0, answers[0, 0, 0] - answers[1, 1, 1]
+        yield (
+            DIFFERENCE,
+            0,
+            0,
+            0,
+            bootstrap_difference(
+                answers[0, 0, 0], answers[1, 1, 1], draws, same_seeds=True, same_demos=False
+            ),
+        )
+
+
+def _size(value: Interval) -> Interval:
+    """Of a difference regardless of its sign."""
+    ends = abs(value.low), abs(value.high)
+    low = 0.0 if value.low <= 0 <= value.high else min(ends)
+    return Interval(abs(value.estimate), low, max(ends), value.reason)

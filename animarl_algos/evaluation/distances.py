@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.statistics import (
+    NO_VALUE,
+    ONE_DEMO,
     UNDEFINED,
     Interval,
     draw_weights,
@@ -83,6 +85,19 @@ def kde_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:
     return float(np.abs(densities[0] - densities[1]).sum() * rule.step)
 
 
+def kde_floor(simulated: ArrayLike, recorded: ArrayLike) -> float:
+    """The smallest bandwidth, in the values' unit, where it acts on either sample; else NaN.
+
+    It acts where values hardly vary, as when nearly all episodes time out, and the kernel-density
+    distance then depends on it.
+    """
+    first, second = _sample(simulated), _sample(recorded)
+    rule = kde_rule(first, second) if min(len(first), len(second)) else None
+    if rule is None or min(_scott(sample, rule.floor) for sample in (first, second)) > rule.floor:
+        return math.nan
+    return rule.floor
+
+
 def wasserstein(simulated: ArrayLike, recorded: ArrayLike) -> float:
     """Wasserstein-1 distance in the metric's own unit: mean shift needed to make them equal."""
     first, second = _sample(simulated), _sample(recorded)
@@ -113,7 +128,12 @@ def kde_weighted(rule: KdeRule, support: Floats, weights: Floats) -> Floats:
     Values are shared out between their two neighbouring grid points and smoothed by a Fourier
     transform, which agrees with the exact estimate to a few parts in a thousand of its L1 norm.
     """
-    from scipy.fft import irfft, rfft
+    return _on_grid(rule, _spectra(rule, support, weights))
+
+
+def _spectra(rule: KdeRule, support: Floats, weights: Floats) -> NDArray[np.complex128]:
+    """Fourier transforms of the densities."""
+    from scipy.fft import rfft
     from scipy.sparse import csr_array
 
     number = weights.sum(axis=1)
@@ -137,8 +157,13 @@ def kde_weighted(rule: KdeRule, support: Floats, weights: Floats) -> Floats:
         mass = (binning @ weights.T).T / number[:, None]
     frequency = 2.0 * np.pi * np.fft.rfftfreq(2 * KDE_GRID)
     smooth = np.exp(-0.5 * np.square(width[:, None] / rule.step * frequency))
-    density = irfft(rfft(mass, n=2 * KDE_GRID, axis=1) * smooth, n=2 * KDE_GRID, axis=1)
-    return np.asarray(density[:, :KDE_GRID] / rule.step)
+    return np.asarray(rfft(mass, n=2 * KDE_GRID, axis=1) * smooth)
+
+
+def _on_grid(rule: KdeRule, spectra: NDArray[np.complex128]) -> Floats:
+    from scipy.fft import irfft
+
+    return np.asarray(irfft(spectra, n=2 * KDE_GRID, axis=1)[:, :KDE_GRID] / rule.step)
 
 
 @dataclass(frozen=True)
@@ -169,7 +194,7 @@ def null_distances(
     even = np.full(len(support), 1.0 / len(support))
     first = rng.multinomial(num_simulated, even, size=resamples).astype(np.float64)
     second = rng.multinomial(num_recorded, even, size=resamples).astype(np.float64)
-    kde, distance = _distances(support, first, support, second)
+    kde, distance = weighted_distances(support, first, support, second)
     return Distances(
         percentile_interval(float(np.mean(kde)), kde),
         percentile_interval(float(np.mean(distance)), distance),
@@ -201,28 +226,31 @@ def bootstrap_distances(
     simulated = np.asarray(simulated, dtype=np.float64)
     recorded = np.asarray(recorded, dtype=np.float64)
     counts, present = np.isfinite(simulated), np.isfinite(recorded)
-    if not counts.any() or not present.any():
-        return Distances(UNDEFINED, UNDEFINED)
+    estimates = kde_distance(simulated, recorded), wasserstein(simulated, recorded)
+    if not counts.any() or not present.any() or len(recorded) < 2:
+        reason = ONE_DEMO if counts.any() and present.any() else NO_VALUE
+        return Distances(*(Interval.without_ends(one, reason) for one in estimates))
     seeds, row = np.unique(np.asarray(seed), return_inverse=True)
     demo_weights = draw_weights(rng, len(recorded), resamples)
     seed_weights = draw_weights(rng, len(seeds), resamples)
     first = seed_weights[:, row.ravel()[counts]] * demo_weights[:, np.asarray(demo)[counts]]
-    kde, distance = _distances(
+    kde, distance = weighted_distances(
         simulated[counts], first, recorded[present], demo_weights[:, present]
     )
     return Distances(
-        percentile_interval(kde_distance(simulated, recorded), kde),
-        percentile_interval(wasserstein(simulated, recorded), distance),
+        percentile_interval(estimates[0], kde), percentile_interval(estimates[1], distance)
     )
 
 
-def _distances(a: Floats, first: Floats, b: Floats, second: Floats) -> tuple[Floats, Floats]:
+def weighted_distances(
+    a: Floats, first: Floats, b: Floats, second: Floats
+) -> tuple[Floats, Floats]:
     """Both distances ``(resamples,)`` of values ``a`` and ``b``, each with its weightings."""
     distance = wasserstein_weighted(a, first, b, second)
     rule = kde_rule(a[first.any(axis=0)], b[second.any(axis=0)])
     if rule is None:
         return np.zeros(len(first)), distance
-    difference = kde_weighted(rule, a, first) - kde_weighted(rule, b, second)
+    difference = _on_grid(rule, _spectra(rule, a, first) - _spectra(rule, b, second))
     return np.abs(difference).sum(axis=1) * rule.step, distance
 
 

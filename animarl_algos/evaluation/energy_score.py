@@ -12,9 +12,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_algos.evaluation.statistics import Cells
 from animarl_envs.errors import InputError
 
 Floats = NDArray[np.float64]
+
+FEW_ROLLOUTS = "fewer than two rollouts a start"
 
 
 def energy_score(simulated: ArrayLike, recorded: ArrayLike) -> float:
@@ -69,6 +72,40 @@ def energy_scores(simulated: ArrayLike, demo: ArrayLike, recorded: ArrayLike) ->
             f"{len(drawn)} rollouts with {len(start)} starts do not fit {len(true)} recordings"
         )
     return np.array([energy_score(drawn[start == i], true[i]) for i in range(len(true))])
+
+
+def energy_cells(
+    simulated: ArrayLike, seed: ArrayLike, demo: ArrayLike, recorded: ArrayLike
+) -> Cells:
+    """The score of every training seed at every start, of numbers.
+
+    Parameters
+    ----------
+    simulated, seed, demo
+        ``(rollouts,)``: the value, the training seed and the start of each; NaN does not count.
+    recorded
+        ``(starts,)``, NaN where there is none.
+
+    Returns
+    -------
+    Cells that hold one score where there are two rollouts of a seed at least, else none.
+    """
+    drawn, true = np.asarray(simulated, np.float64), np.asarray(recorded, np.float64)
+    seeds, row = np.unique(np.asarray(seed), return_inverse=True)
+    shape = (len(seeds), len(true))
+    counted = np.isfinite(drawn)
+    values, place = drawn[counted], (row.ravel() * len(true) + np.asarray(demo))[counted]
+    order = np.lexsort((values, place))
+    values, place = values[order], place[order]
+    number = np.bincount(place, minlength=shape[0] * shape[1])
+    rank = np.arange(len(place)) - (np.cumsum(number) - number)[place]
+    # Of sorted values, the sum over pairs of their distances.
+    apart = np.bincount(place, values * (2 * rank - number[place] + 1), minlength=len(number))
+    error = np.bincount(place, np.abs(values - true[place % len(true)]), minlength=len(number))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        score = (error / number - apart / (number * (number - 1))).reshape(shape)
+    present = np.isfinite(score) & (number.reshape(shape) > 1)
+    return Cells(np.where(present, score, 0.0), present.astype(np.float64))
 
 
 def pooled_score(recorded: ArrayLike) -> float:

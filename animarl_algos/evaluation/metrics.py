@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.dtw import dtw_distance
+from animarl_envs.dtw import dtw_alignment
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,7 +35,13 @@ class Episodes:
     @cached_property
     def dtw(self) -> Floats:
         """``(rollouts,)``: mean DTW distance of those who move by themselves [arena unit]."""
-        return self._mean_over_movers(dtw_distances(self.rollouts, self.demos))
+        return self._mean_over_movers(self._alignments[0])
+
+    @cached_property
+    def dtw_per_step(self) -> Floats:
+        """``(rollouts,)``: mean of those who move, of the distance of aligned positions."""
+        distance, pairs = self._alignments
+        return self._mean_over_movers(distance / pairs)
 
     @property
     def path_length(self) -> Floats:
@@ -46,6 +52,10 @@ class Episodes:
     def duration(self) -> Floats:
         """``(rollouts,)`` [s]."""
         return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
+
+    @cached_property
+    def _alignments(self) -> tuple[Floats, Floats]:
+        return dtw_alignments(self.rollouts, self.demos)
 
     def _mean_over_movers(self, values: Floats) -> Floats:
         return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
@@ -139,10 +149,7 @@ DTW_PER_STEP = Metric(
     key="dtw_per_step",
     label="DTW distance per step",
     unit="arena units",
-    measure=lambda episodes: (
-        episodes.dtw
-        / np.maximum(episodes.rollouts.lengths, episodes.demos.lengths[episodes.rollouts.demo])
-    ),
+    measure=lambda episodes: episodes.dtw_per_step,
     of_recordings=False,
 )
 DTW = Metric(
@@ -192,15 +199,19 @@ def dtw_distances(rollouts: Rollouts, demos: Demonstrations) -> Floats:
     -------
     ``(rollouts, individuals)`` [arena unit].
     """
-    offsets, out = demos.offsets, np.empty((len(rollouts), len(rollouts.individuals)))
+    return dtw_alignments(rollouts, demos)[0]
+
+
+def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, Floats]:
+    """:func:`dtw_distances`, and the number of pairs of frames that each warping path aligns."""
+    offsets = demos.offsets
+    distance, pairs = np.empty((2, len(rollouts), len(rollouts.individuals)))
     for i, demo in enumerate(rollouts.demo.tolist()):
         path = rollouts.path(i)
         recorded = demos.positions[offsets[demo] : offsets[demo + 1]]
-        for k in range(out.shape[1]):
-            out[i, k] = dtw_distance(
-                np.ascontiguousarray(path[:, k]), np.ascontiguousarray(recorded[:, k])
-            )
-    return out
+        for k in range(distance.shape[1]):
+            distance[i, k], pairs[i, k] = dtw_alignment(path[:, k], recorded[:, k])
+    return distance, pairs
 
 
 def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
@@ -222,7 +233,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
     - ``duration`` [s];
     - ``dtw`` [arena unit]: mean over the pursuers of the DTW distance to the same individual of the
       demonstration; zero for the recordings;
-    - ``dtw_per_step`` [arena unit]: ``dtw`` over the frames of the longer of the two paths, about
+    - ``dtw_per_step`` [arena unit]: the same over the pairs of frames that the warping path aligns,
       the mean distance between aligned positions.
 
     Raises

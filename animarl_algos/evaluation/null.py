@@ -11,12 +11,14 @@ regard to their starts, is :func:`animarl_algos.evaluation.distances.null_distan
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.distances import wasserstein_weighted
+from animarl_algos.evaluation.distances import wasserstein_weighted, weighted_distances
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval, percentile_interval
 from animarl_envs.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -41,6 +43,20 @@ class Tested:
     def inside(self) -> bool:
         """Whether chance alone gives as much in more than one case of twenty."""
         return not self.p <= 1 - LEVEL
+
+
+@dataclass(frozen=True)
+class NullDistances:
+    """What both distances come to when nothing differs: mean and central 95 % of the exchanges.
+
+    ``kde_p`` and ``wasserstein_p`` are the share of exchanges, the truth included, that give at
+    least what was found.
+    """
+
+    kde: Interval = UNDEFINED
+    wasserstein: Interval = UNDEFINED
+    kde_p: float = math.nan
+    wasserstein_p: float = math.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +107,25 @@ class Exchanges:
         """Wasserstein-1 distance of rollouts and recordings, in the values' unit."""
         values = np.asarray(values, dtype=np.float64)
         return _tested(wasserstein_weighted(values, self.simulated, values, self.recorded))
+
+    def distances(self, values: ArrayLike) -> NullDistances:
+        """Null of the kernel-density and the Wasserstein distance.
+
+        ``values`` ``(episodes,)`` may be NaN where an episode does not count.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        counts = np.isfinite(values)
+        sides = [side[:, counts] for side in (self.simulated, self.recorded)]
+        if not counts.any() or min(side[0].sum() for side in sides) == 0:
+            return NullDistances()
+        known = values[counts]
+        intervals, shares = [], []
+        for drawn in weighted_distances(known, sides[0], known, sides[1]):
+            null = drawn[1:][np.isfinite(drawn[1:])]
+            mean = float(null.mean()) if len(null) else math.nan
+            intervals.append(percentile_interval(mean, drawn[1:]))
+            shares.append(_tested(np.concatenate([drawn[:1], null])).p)
+        return NullDistances(intervals[0], intervals[1], shares[0], shares[1])
 
     def chi_squared(self, category: ArrayLike) -> Tested:
         """Pearson's statistic of categories by recorded and simulated, however small the counts."""

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TABLES = ("metrics", "comparison", "pairs", "contrasts", "counterfactual")
+WORDS = ("reason", "gate_unit")  # columns that may be empty throughout
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,9 +84,13 @@ class Evaluation:
             numbers = json.loads((folder / "evaluation.json").read_text())
             for name in TABLES:
                 try:
-                    tables[name] = pd.read_csv(folder / f"{name}.csv", float_precision="round_trip")
+                    table = pd.read_csv(folder / f"{name}.csv", float_precision="round_trip")
                 except pd.errors.EmptyDataError:
-                    tables[name] = pd.DataFrame()
+                    table = pd.DataFrame()
+                words = [column for column in WORDS if column in table]
+                tables[name] = table.astype(dict.fromkeys(words, object)).fillna(
+                    dict.fromkeys(words, "")
+                )
             return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:
             raise InputError(

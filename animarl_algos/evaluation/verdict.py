@@ -47,11 +47,12 @@ class Verdict:
     ----------
     table
         One row per question, columns ``measure, label, unit, recorded, simulated, difference,
-        difference_low, difference_high, distance, null, p, recorded_null, energy, energy_pooled,
-        alike, verdict``. ``distance`` is what was tested against ``null``, the 95 % quantile of
-        exchanged recordings: the Wasserstein distance where there is a ``recorded_null`` (the
-        upper end of the central 95 % for recordings drawn from recordings), the absolute
-        difference elsewhere.
+        difference_low, difference_high, distance, null, p, covers, reason, recorded_null, energy,
+        energy_pooled, alike, verdict``. ``covers`` says what the interval of the difference speaks
+        of, ``reason`` why there is none.
+        ``distance`` is what was tested against ``null``, the 95 % quantile of exchanged recordings:
+        the Wasserstein distance where there is a ``recorded_null`` (the upper end of the central
+        95 % for recordings drawn from recordings), the absolute difference elsewhere.
         ``energy`` is the mean energy score over starts, ``energy_pooled`` what recordings of other
         starts score. In the row ``auc``, ``recorded`` and ``null`` are those of
         recordings among themselves.
@@ -108,7 +109,7 @@ class Verdict:
             self.table.to_csv(part, index=False)
         plain = {k: v for k, v in vars(self).items() if k != "table"}
         for key in ("auc", "among", "floor", "ceiling"):
-            ends = vars(plain[key]).values()
+            ends = (plain[key].estimate, plain[key].low, plain[key].high)
             plain[key] = [end if math.isfinite(end) else None for end in ends]
         with write_then_rename(folder / "verdict.json") as part:
             part.write_text(json.dumps(plain | {"importance": dict(self.importance)}, indent=2))
@@ -125,7 +126,8 @@ class Verdict:
         table = pd.read_csv(
             folder / "verdict.csv", float_precision="round_trip", keep_default_na=True
         )
-        table["unit"] = table["unit"].fillna("")
+        for words in ("unit", "covers", "reason"):
+            table[words] = table[words].astype(object).fillna("")
         return cls(table=table, **plain | {"words": tuple(plain["words"])})
 
 

@@ -18,7 +18,13 @@ from animarl_algos.evaluation.motion import MEASURES, RECORDED_SCALE, Measure, U
 from animarl_algos.evaluation.null import Exchanges, Tested
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval, bootstrap_difference, cells
+from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Interval,
+    bootstrap_difference,
+    cells,
+    covers,
+)
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +53,7 @@ def rows_of(
         many = cells(b, counted.seed, counted.demo, len(a))
         gap = bootstrap_difference(many, one, rng)
         row = row_of(measure, prepared.unit, one.mean, many.mean, gap, tested)
+        row["covers"] = covers(many)
         if measure.spread:
             null = null_distances(a[starts], len(b), rng).wasserstein
             scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
@@ -75,6 +82,8 @@ def row_of(
         "distance": tested.value,
         "null": tested.null,
         "p": tested.p,
+        "covers": "",
+        "reason": gap.reason,
         "recorded_null": math.nan,
         "energy": math.nan,
         "energy_pooled": math.nan,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,10 +27,10 @@ def metrics(inputs: ReportInputs) -> Iterator[Block]:
     evaluation = inputs.evaluation
     yield Text(
         "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
-        "interval; the dashed line is the recorded mean. Intervals are percentile bootstrap "
-        f"intervals from {evaluation.resamples:,} paired resamples of demonstrations and of "
-        "training seeds; repetitions from one start are never counted as independent. Captures "
-        "are episodes in which the target was reached."
+        "interval; the dashed line is the recorded mean. Intervals add the margin of "
+        f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that of "
+        "training seeds (Student's t); repetitions from one start are never counted as "
+        "independent. Captures are episodes in which the target was reached."
     )
     measured = set(evaluation.comparison["metric"])
     for metric in (m for m in METRICS if m.caption and m.key in measured):
@@ -56,6 +57,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
                 str(int(row["rollouts"])),
                 str(int(row["demos"])),
                 with_interval(interval(row, "mean"), percent),
+                str(row["covers"]),
             ]
             if with_recorded:
                 cells.append(with_interval(interval(row, "to_recorded"), percent))
@@ -69,18 +71,20 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
             lines.append(Row(cells, strong=row["method"] == inputs.learner))
         groups.append(Group("" if metric.share else COUNTING[counting].capitalize(), lines))
     columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
+    columns += ["Interval of"]
     columns += ["Minus recorded"] if with_recorded else []
     columns += [f"Minus {BASELINE}"] if baseline is not None else []
     note = ""
     if not metric.of_recordings:
-        columns += ["Within starts", f"Minus {method_label(inputs.learner)}"]
+        columns += ["Duration\n(s)", "Reached\n(%)", "Within starts"]
+        columns += [f"Minus {method_label(inputs.learner)}"]
         note = (
             " Within starts: the mean with what all methods share of a start taken out "
             "(Cousineau 2005, Morey 2008), to compare methods where episodes differ much in length."
         )
         if metric.per_step is not None:
             columns.append("Per step")
-            note += " Per step: the distance over the frames of the longer of the two paths."
+            note += " Per step: the mean distance of aligned positions."
     return Table(
         f"{metric.label} by method",
         columns,
@@ -90,9 +94,12 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
 
 
 def _further_cells(inputs: ReportInputs, row: Any, metric: Metric) -> list[str]:
-    """Of a distance to the recordings: within starts, minus the learner, per step."""
+    """Of a distance to the recordings: duration and outcome, without which an episode that ends
+    at once passes for a close one, then within starts, minus the learner, per step."""
     evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
     cells = [
+        number(row["duration"]),
+        number(100.0 * row["reached"]),
         with_interval(interval(row, "within")),
         with_interval(pair_difference(evaluation.pairs, name, inputs.learner, metric, counting)),
     ]
@@ -102,88 +109,40 @@ def _further_cells(inputs: ReportInputs, row: Any, metric: Metric) -> list[str]:
     return cells
 
 
-def distances(inputs: ReportInputs) -> Iterator[Block]:
-    evaluation = inputs.evaluation
-    images = panels.distance_panels(inputs)
-    if not images:
-        return
-    yield Gallery(
-        images,
-        "Kernel-density distance between simulated and recorded values (0: equal, 2: disjoint), "
-        "all episodes, with its 95 % interval. Grey: what recordings against recordings give at "
-        "the same sample sizes, central 95 % and mean. A value inside the grey cannot be told "
-        "from chance; the distance is biased upwards, and so is its interval.",
-    )
-    groups = []
-    measured = set(evaluation.comparison["metric"])
-    for metric in (m for m in METRICS if m.has_distribution and m.key in measured):
-        for counting in COUNTING:
-            lines = []
-            for name in inputs.rollouts:
-                row = comparison_row(evaluation.comparison, name, metric, counting)
-                if row is None:
-                    continue
-                cells = [
-                    method_label(name),
-                    str(int(row["rollouts"])),
-                    with_interval(interval(row, "kde")),
-                    with_interval(interval(row, "kde_null")),
-                    with_interval(interval(row, "wasserstein")),
-                    with_interval(interval(row, "wasserstein_null")),
-                ]
-                lines.append(Row(cells, strong=name == inputs.learner))
-            title = f"{metric.label} ({metric.unit}), {COUNTING[counting]}"
-            groups.append(Group(title, lines))
-    yield Table(
-        "Distances to the recordings",
-        [
-            "Method",
-            "Episodes",
-            "Kernel-density\ndistance",
-            "null\nreference",
-            "Wasserstein\ndistance",
-            "null\nreference",
-        ],
-        groups,
-        "Both distances [95 % interval], each beside its null reference [central 95 %] from "
-        f"{evaluation.distance_resamples:,} resamples. The kernel-density distance lies between 0 "
-        "and 2; the Wasserstein distance has the metric's unit. Its null samples are independent, "
-        "where rollouts from one start are not.",
-    )
-
-
 def contrasts(inputs: ReportInputs) -> Iterator[Block]:
     contrasts = inputs.evaluation.contrasts
     if contrasts.empty:
         return
     groups = []
-    for key, rows in contrasts.groupby("metric", sort=False):
+    for (key, measure), rows in contrasts.groupby(["metric", "measure"], sort=False):
         metric = next(m for m in METRICS if m.key == key)
         gate = rows.iloc[0]
-        passed = "passed" if gate["gate_passed"] else "not passed"
-        title = (
-            f"{metric.label}: gate {passed} (F = {number(gate['gate_f'])}, permutation "
-            f"p = {number(gate['gate_p'], 2)} over {gate['gate_unit']})"
-        )
+        title = f"{metric.label}: gate {gate['gate']} ({measure}"
+        if math.isfinite(gate["gate_p"]):
+            title += (
+                f"; F = {number(gate['gate_f'])}, p = {number(gate['gate_p'], 2)}, exchanging "
+                f"{gate['gate_unit']}"
+            )
         lines = [
             Row(
                 [
                     f"{method_label(row['first'])} {wording.MINUS} {method_label(row['second'])}",
-                    with_interval(interval(row, "difference")),
+                    with_interval(interval(row, "difference")) if row["gate_passed"] else NOTHING,
                 ],
                 faint=not row["gate_passed"],
             )
             for _, row in rows.iterrows()
         ]
+        title += ")"
         groups.append(Group(title, lines))
     yield Table(
         "Planned contrasts",
         ["Contrast", "Difference of the gaps to the recordings"],
         groups,
-        "The contrasts planned in advance, all episodes. Compared is the absolute gap between a "
-        "rollout's start-wise mean and the recording (for DTW the distance itself); below zero, "
-        "the first method is closer. Contrasts behind a gate that was not passed are pale and "
-        "should not be read.",
+        "The contrasts planned in advance, all episodes, of the starts that all methods have. "
+        "Compared is the energy score per start and, as in the paper, the absolute gap between "
+        "its mean and the recording (for DTW the distance itself); below zero, the first method is "
+        "closer. A contrast is shown only behind a gate that was passed.",
     )
 
 

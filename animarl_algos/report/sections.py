@@ -22,6 +22,7 @@ from animarl_algos.report.blocks import (
     Table,
     Text,
 )
+from animarl_algos.report.distance_section import distances
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.sentences import NOTHING, number, with_interval
 from animarl_algos.report.style import method_label
@@ -62,7 +63,7 @@ def build_sections(inputs: ReportInputs) -> list[Section]:
         Section("trajectories", "Trajectories", list(_trajectories(inputs))),
         Section("speeds", "Speeds", list(_speeds(inputs))),
         Section("metrics", "Metrics", list(findings.metrics(inputs))),
-        Section("distances", "Distance to the recordings", list(findings.distances(inputs))),
+        Section("distances", "Distance to the recordings", list(distances(inputs))),
         Section("contrasts", "Planned contrasts", list(findings.contrasts(inputs))),
         Section("counterfactual", "Counterfactual", list(findings.counterfactual(inputs))),
         Section("locomotion", "Locomotion", list(_locomotion(inputs))),

@@ -145,8 +145,8 @@ def _likeness(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
             place = "below" if kde.estimate < null.low else place
             sentence += (
                 f"; kernel-density distance {number(kde.estimate, 2)} on a scale from 0 to 2, "
-                f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that recordings "
-                "against recordings give at this sample size"
+                f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that a perfect "
+                "simulator gives at this sample size"
             )
         yield f"{sentence}."
 
@@ -201,7 +201,8 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
         )
     elif 1 < seeds < FEW_SEEDS:
         sentences.append(
-            f"Only {seeds} training seeds: where seeds differ much, the intervals are too short."
+            f"Only {seeds} training seeds: what another training would give is known but roughly, "
+            "and the intervals are wide for it."
         )
     return sentences
 

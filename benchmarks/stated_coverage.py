@@ -1,0 +1,279 @@
+"""Whether the statistics of an evaluation hold what they say, in simulated experiments.
+
+    python benchmarks/stated_coverage.py [--experiments 4000] [--only intervals energy ...]
+
+Prints the tables of ``docs/statistics.md``: coverage of nominal 95 % intervals, how often the
+energy score prefers a perfect simulator to a collapsed one, false alarms of the null references, of
+the gate and of the classifier, and how long a comparison takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.anova import permutation_anova
+from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.comparison import comparison_table, pair_table
+from animarl_algos.evaluation.energy_score import energy_cells
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.studentised import Draws, Part, margins
+from animarl_algos.evaluation.windows import Windows
+
+Floats = NDArray[np.float64]
+
+SEEDS, DEMOS = (1, 3, 5, 10), (10, 20, 50)
+ROLLOUTS, RESAMPLES, AT_ONCE = 3, 2000, 500
+# Standard deviations: of seeds, demonstrations, their cells and rollouts; of normal values, and of
+# the logarithm of lognormal ones.
+SPREAD = {"normal": (0.5, 1.0, 0.5, 1.0), "lognormal": (0.3, 0.6, 0.3, 0.5)}
+OWN = {"normal": 0.5, "lognormal": 0.25}  # of a demonstration for one method or cue alone
+EFFECT = 0.2
+
+
+class World:
+    """Experiments of one size at once: values ``(experiments, seeds, demos, rollouts)``, truths."""
+
+    def __init__(self, kind: str, seeds: int, demos: int, many: int, rng: np.random.Generator):
+        self.kind, self.rng = kind, rng
+        self.shape = (many, seeds, demos, ROLLOUTS)
+        self.sd = SPREAD[kind]
+        self.demo = self.sd[1] * self.noise(1, 0, 1, 0)
+
+    def noise(self, *axes: int) -> Floats:
+        """Standard normal numbers, of their own along the marked axes."""
+        return self.rng.normal(size=[n if own else 1 for n, own in zip(self.shape, axes)])
+
+    def network(self) -> Floats:
+        return self.sd[0] * self.noise(1, 1, 0, 0)
+
+    def cell(self) -> Floats:
+        return self.sd[2] * self.noise(1, 1, 1, 0)
+
+    def values(self, exponent: Floats) -> Floats:
+        """Cell means ``(experiments, seeds, demos)``, rollouts added."""
+        drawn = exponent + self.sd[3] * self.noise(1, 1, 1, 1)
+        return np.asarray((np.exp(drawn) if self.kind == "lognormal" else drawn).mean(axis=3))
+
+    def truth(self, network: Floats, *spreads: float, effect: float = 0.0) -> Floats:
+        """The expected value; of one seed, for its network."""
+        number = self.shape[1]
+        fixed = network[:, 0, 0, 0] if number == 1 else np.zeros(self.shape[0])
+        if self.kind == "normal":
+            return fixed + effect
+        varying = [*self.sd[1:], *spreads, *(() if number == 1 else self.sd[:1])]
+        return np.asarray(np.exp(fixed + effect + 0.5 * np.square(varying).sum()))
+
+
+def centred(table: Floats) -> Floats:
+    return np.asarray(table - table.mean(axis=(-2, -1), keepdims=True))
+
+
+def mean_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
+    network = world.network()
+    found = world.values(network + world.demo + world.cell())
+    below, above = margins([Part(centred(found))], draws)
+    miss = world.truth(network) - found.mean(axis=(1, 2))
+    return np.asarray((-below <= miss) & (miss <= above))
+
+
+def pair_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
+    """Two methods of networks of their own, on the same demonstrations."""
+    own, tables, truths = OWN[world.kind], [], []
+    for effect in (EFFECT, 0.0):
+        network = world.network()
+        exponent = network + world.demo + own * world.noise(1, 0, 1, 0) + world.cell() + effect
+        tables.append(world.values(exponent))
+        truths.append(world.truth(network, own, effect=effect))
+    parts = [Part(centred(tables[0]), seeds=0), Part(-centred(tables[1]), seeds=1)]
+    below, above = margins(parts, draws)
+    miss = truths[0] - truths[1] - (tables[0] - tables[1]).mean(axis=(1, 2))
+    return np.asarray((-below <= miss) & (miss <= above))
+
+
+def shift_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
+    """The same networks told two cues: each shifts by an amount of its own, at each start."""
+    own, network = OWN[world.kind], world.network()
+    base = network + world.demo + world.cell()
+    of_network = 0.5 * world.network()
+    shift = EFFECT + of_network + own * world.noise(1, 0, 1, 0)
+    gap = world.values(base + shift) - world.values(base)
+    below, above = margins([Part(centred(gap))], draws)
+    if world.shape[1] == 1:
+        told = world.truth(network + of_network, own, effect=EFFECT)
+    else:
+        told = world.truth(network, own, 0.5 * world.sd[0], effect=EFFECT)
+    miss = told - world.truth(network) - gap.mean(axis=(1, 2))
+    return np.asarray((-below <= miss) & (miss <= above))
+
+
+STATISTICS: dict[str, Callable[[World, Draws], NDArray[np.bool_]]] = {
+    "mean": mean_inside,
+    "paired difference": pair_inside,
+    "cue shift": shift_inside,
+}
+
+
+def coverage(
+    name: str, kind: str, seeds: int, demos: int, experiments: int, seed: int = 0
+) -> float:
+    """Share of experiments in which the nominal 95 % interval holds the truth."""
+    inside = []
+    for start in range(0, experiments, AT_ONCE):
+        rng = np.random.default_rng([seed, start, seeds, demos, len(name), len(kind)])
+        world = World(kind, seeds, demos, min(AT_ONCE, experiments - start), rng)
+        inside.append(STATISTICS[name](world, Draws.by(rng, RESAMPLES)))
+    return float(np.concatenate(inside).mean())
+
+
+def intervals(experiments: int) -> None:
+    heading = [f"{kind}, {demos}" for kind in SPREAD for demos in DEMOS]
+    rows = [
+        [name, str(seeds)]
+        + [
+            f"{coverage(name, kind, seeds, demos, experiments):.3f}"
+            for kind in SPREAD
+            for demos in DEMOS
+        ]
+        for name in STATISTICS
+        for seeds in SEEDS
+    ]
+    show(f"Coverage, {experiments:,} experiments", ["statistic", "seeds", *heading], rows)
+
+
+def energy(experiments: int) -> None:
+    rng, rows = np.random.default_rng(1), []
+    for starts in (50, 100):
+        for each in (2, 5):
+            demo, seed = np.repeat(np.arange(starts), each), np.zeros(starts * each)
+            wins = gap_wins = 0
+            for _ in range(experiments):
+                centre = rng.normal(size=starts)
+                recorded = centre + rng.normal(size=starts)
+                perfect = centre[demo] + rng.normal(size=len(demo))
+                scores = [energy_cells(v, seed, demo, recorded) for v in (perfect, centre[demo])]
+                wins += scores[0].mean < scores[1].mean
+                means = perfect.reshape(starts, each).mean(axis=1)
+                gap_wins += np.abs(means - recorded).mean() < np.abs(centre - recorded).mean()
+            rows.append([str(starts), str(each), percent(wins, experiments)])
+            rows[-1].append(percent(gap_wins, experiments))
+    heading = ["starts", "rollouts a start", "energy score", "absolute difference"]
+    show(
+        f"The perfect simulator beats the collapsed one, {experiments:,} experiments", heading, rows
+    )
+
+
+def null(experiments: int) -> None:
+    rows = []
+    for kind in SPREAD:
+        for starts in (10, 20, 50):
+            rng, demo = (
+                np.random.default_rng([2, starts, len(kind)]),
+                np.repeat(np.arange(starts), 5),
+            )
+            alarms = np.zeros(3, dtype=int)
+            for _ in range(experiments):
+                centre = rng.normal(size=starts)
+                recorded, perfect = centre + rng.normal(size=starts), centre[demo]
+                perfect = perfect + rng.normal(size=len(demo))
+                both = np.concatenate([recorded, perfect])
+                both = np.exp(0.7 * both) if kind == "lognormal" else both
+                exchanges = Exchanges.draw(demo, starts, rng, 400)
+                found = exchanges.distances(both)
+                alarms += [found.wasserstein_p <= 0.05, found.kde_p <= 0.05,
+                           not exchanges.difference(both).inside]  # fmt: skip
+            rows.append([kind, str(starts), *(percent(n, experiments) for n in alarms)])
+    heading = ["values", "starts", "Wasserstein", "kernel density", "difference of means"]
+    show(f"Perfect simulators called different, {experiments:,} experiments", heading, rows)
+
+
+def gate(experiments: int) -> None:
+    rng, rows = np.random.default_rng(3), []
+    for sizes in ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10)):
+        passed, decided = 0, False
+        for _ in range(experiments):
+            found = permutation_anova([rng.normal(size=n) for n in sizes], rng, 499)
+            decided = found.can_decide(0.05)
+            passed += decided and found.p <= 0.05
+        words = percent(passed, experiments) if decided else "cannot be decided"
+        rows.append([" + ".join(map(str, sizes)), f"{found.least:.4f}", words])
+    heading = ["seeds of the methods", "smallest p there is", "passed though nothing differs"]
+    show(f"The gate, {experiments:,} experiments", heading, rows)
+
+
+def classifier(experiments: int) -> None:
+    rng, rows = np.random.default_rng(4), []
+    for starts in (20, 50):
+        inside = 0
+        for _ in range(experiments):
+            centre = rng.normal(size=(2 * starts, 8))
+            sides = []
+            for group in np.arange(2 * starts).reshape(2, starts):
+                episode = np.repeat(rng.normal(0, 0.5, (starts, 8)), 6, axis=0)
+                group = np.repeat(group, 6)
+                values = centre[group] + episode + rng.normal(size=(len(group), 8))
+                sides.append(Windows(values, group, np.array(["speed"] * 8)))
+            auc = tell_apart(*sides, rng).auc
+            inside += auc.low <= 0.5 <= auc.high
+        rows.append([str(starts), percent(inside, experiments)])
+    heading = ["demonstrations in each half", "0.5 within the interval"]
+    show(f"Two halves of one sample, {experiments:,} experiments", heading, rows)
+
+
+def speed(_: int) -> None:
+    rng, tables = np.random.default_rng(5), []
+    for name in ("recorded", *"ABCDEF"):
+        values = rng.lognormal(size=(100, 4))
+        row = {"method": name, "seed": np.arange(100) % 2 if name != "recorded" else -1}
+        row |= {"demo": np.arange(100) // 2 * (name != "recorded"), "condition": 0, "cue": -1}
+        row["demo"] = np.arange(50)[np.arange(100) // 2] if name != "recorded" else np.arange(100)
+        row |= dict(zip(("path_length", "duration", "dtw", "dtw_per_step"), values.T))
+        row["captured"] = rng.random(100) < 0.5
+        row["return"] = row["captured"].astype(float)
+        tables.append(pd.DataFrame(row))
+    metrics = pd.concat(tables, ignore_index=True)
+    start, wall = time.process_time(), time.perf_counter()
+    comparison_table(metrics, 100, rng)
+    pair_table(metrics, 100, rng)
+    used = f"{time.process_time() - start:.1f}", f"{time.perf_counter() - wall:.1f}"
+    what = "6 methods, 5 metrics, 100 episodes, 10,000 resamples, distances and pairs"
+    show("Speed", ["comparison", "processor s", "wall s"], [[what, *used]])
+
+
+def percent(part: int, of: int) -> str:
+    return f"{100 * part / of:.1f} %"
+
+
+def show(title: str, heading: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    print(f"\n{title}\n\n| {' | '.join(heading)} |\n|{'---|' * len(heading)}")
+    for row in rows:
+        print(f"| {' | '.join(row)} |", flush=True)
+
+
+SECTIONS: dict[str, tuple[Callable[[int], None], int]] = {
+    "intervals": (intervals, 4000),
+    "energy": (energy, 1000),
+    "null": (null, 400),
+    "gate": (gate, 4000),
+    "classifier": (classifier, 200),
+    "speed": (speed, 1),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--experiments", type=int, help="instead of each table's own number")
+    parser.add_argument("--only", nargs="+", choices=list(SECTIONS), default=list(SECTIONS))
+    args = parser.parse_args()
+    for name in args.only:
+        section, number = SECTIONS[name]
+        section(args.experiments or number)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,129 @@
+"""Coverage of nominal 95 % intervals, and false alarms, on simulated experiments (small versions).
+
+``benchmarks/stated_coverage.py`` has the whole grid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from animarl_algos.evaluation.cells import Cells
+from animarl_algos.evaluation.energy_score import energy_cells
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.statistics import bootstrap_difference, bootstrap_mean
+from animarl_algos.evaluation.studentised import Draws
+
+EXPERIMENTS = 500
+CHANCE = 0.035  # three and a half standard errors of a share of 0.95 in 500 experiments
+
+
+def experiment(
+    rng: np.random.Generator, seeds: int, demo: np.ndarray, *, log: bool = False, network: float
+) -> Cells:
+    """One method: three rollouts from each demonstration, seeds that differ by ``network``."""
+    size = (seeds, len(demo))
+    mean = demo + network * rng.normal(size=(seeds, 1)) + 0.3 * rng.normal(size=size)
+    values = mean[..., None] + 0.5 * rng.normal(size=(*size, 3))
+    return Cells((np.exp(values) if log else values).sum(axis=2), np.full(size, 3.0))
+
+
+@pytest.mark.parametrize("seeds", [3, 5])
+@pytest.mark.parametrize("network", [0.3, 1.0])
+@pytest.mark.parametrize("demos", [10, 50])
+def test_coverage_of_means_where_seeds_vary(seeds: int, network: float, demos: int) -> None:
+    rng, draws = np.random.default_rng([seeds, demos]), Draws(1, 400)
+    inside = 0
+    for _ in range(EXPERIMENTS):
+        found = bootstrap_mean(
+            experiment(rng, seeds, rng.normal(size=demos), network=network), draws
+        )
+        inside += found.low <= 0.0 <= found.high
+    assert 0.93 - CHANCE <= inside / EXPERIMENTS <= 0.97 + CHANCE / 2
+
+
+@pytest.mark.parametrize("demos", [10, 50])
+def test_coverage_of_skewed_means_of_one_network(demos: int) -> None:
+    """The studentised bootstrap follows the long tail, which Student's t does not."""
+    rng, draws = np.random.default_rng(demos), Draws(1, 400)
+    truth = np.exp(0.5 * (0.7**2 + 0.3**2 + 0.5**2))
+    inside = 0
+    for _ in range(EXPERIMENTS):
+        demo = 0.7 * rng.normal(size=demos)
+        found = bootstrap_mean(experiment(rng, 1, demo, log=True, network=0.0), draws)
+        inside += found.low <= truth <= found.high
+    assert inside / EXPERIMENTS >= 0.90 - CHANCE / 2
+
+
+def test_coverage_of_paired_differences_and_of_cue_shifts() -> None:
+    rng, draws = np.random.default_rng(2), Draws(1, 400)
+    paired = shifts = 0
+    widths = []
+    for _ in range(EXPERIMENTS):
+        demo = rng.normal(0, 5.0, 20)
+        first = experiment(rng, 3, demo + 1.0, network=0.5)
+        second = experiment(rng, 5, demo, network=0.5)
+        gap = bootstrap_difference(first, second, draws)
+        paired += gap.low <= 1.0 <= gap.high
+        widths.append(gap.high - gap.low)
+        network, told = rng.normal(0, 5.0, (3, 1)), 1.0 + rng.normal(0, 0.5, (3, 1))
+        asked = [
+            experiment(rng, 3, demo, network=0.0).sums / 3 + network + cue for cue in (0.0, told)
+        ]
+        ones = np.ones((3, 20))
+        shift = bootstrap_difference(
+            Cells(asked[1], ones), Cells(asked[0], ones), draws, same_seeds=True
+        )
+        shifts += shift.low <= 1.0 <= shift.high
+    assert np.mean(widths) < 3.0  # what demonstrations share, 6.6 wide, is out of it
+    for inside in (paired, shifts):
+        assert 0.93 - CHANCE <= inside / EXPERIMENTS <= 0.97 + CHANCE / 2
+
+
+def test_coverage_of_one_network_is_of_this_network() -> None:
+    """Its own mean is covered; that of other trainings is not, which is why the table says so."""
+    rng, draws = np.random.default_rng(3), Draws(1, 400)
+    own = other = 0
+    for _ in range(EXPERIMENTS):
+        network = rng.normal()
+        demo = rng.normal(size=20) + network
+        found = bootstrap_mean(experiment(rng, 1, demo, network=0.0), draws)
+        own += found.low <= network <= found.high
+        other += found.low <= 0.0 <= found.high
+    assert own / EXPERIMENTS >= 0.93 - CHANCE
+    assert other / EXPERIMENTS < 0.6
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_null_references_hold_for_a_perfect_simulator_that_knows_its_start(log: bool) -> None:
+    rng = np.random.default_rng(4)
+    demo, alarms = np.repeat(np.arange(20), 3), np.zeros(2)
+    for _ in range(150):
+        centre = rng.normal(size=20)
+        values = np.concatenate([centre, centre[demo]]) + rng.normal(size=80)
+        found = Exchanges.draw(demo, 20, rng, 200).distances(np.exp(values) if log else values)
+        alarms += [found.wasserstein_p <= 0.05, found.kde_p <= 0.05]
+        assert found.wasserstein.low < found.wasserstein.estimate < found.wasserstein.high
+    assert (alarms / 150 <= 0.05 + 0.055).all()
+
+
+def test_null_references_tell_a_collapsed_simulator() -> None:
+    rng = np.random.default_rng(5)
+    recorded, demo = rng.normal(size=40), np.repeat(np.arange(40), 3)
+    exchanges = Exchanges.draw(demo, 40, rng, 200)
+    found = exchanges.distances(np.concatenate([recorded, np.zeros(120)]))
+    assert found.wasserstein_p <= 0.01 and found.kde_p <= 0.01
+    nothing = exchanges.distances(np.full(160, np.nan))
+    assert np.isnan([nothing.kde_p, nothing.wasserstein.low]).all()
+
+
+def test_the_energy_statistics_of_cells_prefer_the_perfect_simulator() -> None:
+    rng = np.random.default_rng(6)
+    demo, seed = np.repeat(np.arange(60), 2), np.zeros(120)
+    wins = 0
+    for _ in range(200):
+        centre = rng.normal(size=60)
+        recorded = centre + rng.normal(size=60)
+        perfect = energy_cells(centre[demo] + rng.normal(size=120), seed, demo, recorded)
+        wins += perfect.mean < energy_cells(centre[demo], seed, demo, recorded).mean
+    assert wins >= 198
