@@ -1,0 +1,7 @@
+// What the page does when it is opened.
+
+const packed = document.getElementById("scenes");
+const player = packed && new Player(JSON.parse(packed.textContent));
+startThemes(() => player?.draw());
+startTables();
+startDownloads();
