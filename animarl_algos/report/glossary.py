@@ -40,6 +40,8 @@ TERMS = {
     "Wasserstein": "Wasserstein distance: how far values must be moved, on average, to turn one "
     "distribution into the other; in the values' own unit.",
 }
+WRITTEN = {"KDE": "(KDE|kernel-density)", "Q": "(?-i:Q)"}
+"""Regular expressions of terms that a page writes in another way."""
 
 
 def glossary(methods: Iterable[str], page: str) -> list[tuple[str, str]]:
@@ -57,6 +59,6 @@ def glossary(methods: Iterable[str], page: str) -> list[tuple[str, str]]:
     used |= {
         term: told
         for term, told in TERMS.items()
-        if re.search(rf"\b{re.escape(term)}", page, re.IGNORECASE if len(term) > 3 else 0)
+        if re.search(rf"\b{WRITTEN.get(term, term)}s?\b", page, re.IGNORECASE)
     }
     return sorted(used.items(), key=lambda item: item[0].casefold())

@@ -44,7 +44,7 @@ def trajectory_pair(
     with style.figure_style():
         from matplotlib.patches import Rectangle
 
-        figure, axes = style.new_figure(1.9, 4.0, rows=2)
+        figure, axes = style.new_figure(1.9, 4.5, rows=2)
         view = view_of(arena, simulated, recorded)
         x, y, half = view
         for panel, path, name in zip(
@@ -62,8 +62,9 @@ def trajectory_pair(
             )  # fmt: skip
         _scale_bar(axes[-1], view, words.unit)
         figure.legend(
-            *axes[0].get_legend_handles_labels(), loc="outside lower left", fontsize=7,
-            handlelength=2.6, labelspacing=0.25, borderaxespad=0.2,
+            *(part[::-1] for part in axes[0].get_legend_handles_labels()),
+            loc="outside lower left", fontsize=7, handlelength=2.6, labelspacing=0.25,
+            borderaxespad=0.2,
         )  # fmt: skip
         if title:
             figure.suptitle(title, fontsize=8, x=0.02, ha="left")

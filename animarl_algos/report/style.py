@@ -77,9 +77,18 @@ RC: Any = {
 }
 
 
+def is_method(name: str) -> bool:
+    """Whether it is one of those with a colour of their own, or its quantile twin."""
+    return _recipe(name) in themes.METHODS
+
+
+def _recipe(name: str) -> str:
+    return name.casefold().removeprefix("qr-")
+
+
 def method_colour(name: str, position: int = 0) -> str:
     """The colour of a method, a quantile twin's that of its recipe; other names by position."""
-    known = themes.METHODS.get(name.casefold().removeprefix("qr-"))
+    known = themes.METHODS.get(_recipe(name))
     return (known or themes.PURSUERS[position % len(themes.PURSUERS)]).hex
 
 

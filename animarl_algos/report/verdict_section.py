@@ -68,7 +68,7 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     lines = [Row(cells, faint=bool(row["alike"])) for row, cells in _lines(verdict, words)]
     columns = [say(column) for column in COLUMNS]
     yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
-    yield Gallery(list(_pictures(verdict)), _classifier_caption(verdict))
+    yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
     energies = [
         Row([_asked(row), number(row["energy"]), number(row["energy_pooled"])])
         for key in SPREADS
@@ -228,7 +228,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
     if shown:
         figure = figures.interval_rows(
             shown, "Area under the ROC curve", title="Told apart", reference=0.5,
-            limits=(min(0.4, *(a.low for a in shown.values())), 1.02),
+            limits=(min(0.4, *(a.low for a in shown.values())), 1.02), label=str,
         )  # fmt: skip
         yield to_image(figure, "Area under the ROC curve of the classifier, with its references")
     if verdict.importance:
@@ -236,5 +236,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
             kind: Interval(fall, math.nan, math.nan)
             for kind, fall in sorted(verdict.importance.items(), key=lambda item: -item[1])
         }
-        figure = figures.interval_rows(falls, "Fall of the area", title="By what", reference=0.0)
+        figure = figures.interval_rows(
+            falls, "Fall of the area", title="By what", reference=0.0, label=str
+        )
         yield to_image(figure, "By how much the area falls when one kind of feature is shuffled")

@@ -129,7 +129,7 @@ class Stage {
     const { colour, role } = this.data.individuals[who];
     context.strokeStyle = colourOf(colour);
     context.setLineDash(role === "target" ? [] : DASHES[who % DASHES.length]);
-    for (const [upTo, opacity, width] of [[track.frames - 1, 0.25, 1], [frame, 0.95, 1.75]]) {
+    for (const [upTo, opacity, width] of [[track.frames - 1, 0.35, 1], [frame, 0.95, 1.75]]) {
       context.globalAlpha = opacity;
       context.lineWidth = width;
       context.beginPath();

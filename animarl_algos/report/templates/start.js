@@ -5,3 +5,4 @@ const player = packed && new Player(JSON.parse(packed.textContent));
 startThemes(() => player?.draw());
 startTables();
 startDownloads();
+if (player && !matchMedia("(prefers-reduced-motion: reduce)").matches) player.play(true);
