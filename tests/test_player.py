@@ -106,14 +106,11 @@ def test_long_paths_are_thinned_to_the_budget(monkeypatch: pytest.MonkeyPatch) -
 
 def test_walls_and_names_are_told() -> None:
     inputs = report_inputs()
-    walled = dataclasses.replace(inputs.demos.arena, rebound=True)
-    demos = dataclasses.replace(inputs.demos, arena=walled)
-    evaluation = dataclasses.replace(inputs.evaluation, fingerprint=demos.fingerprint())
-    player = Player.of(dataclasses.replace(inputs, demos=demos, evaluation=evaluation))
+    player = Player.of(dataclasses.replace(inputs, environment={"rebound": True}))
     assert player.data["arena"]["walls"] and "a wall" in player.caption
     assert not Player.of(inputs).data["arena"]["walls"]
     individuals = player.data["individuals"]
-    assert [one["name"] for one in individuals] == list(demos.individuals)
+    assert [one["name"] for one in individuals] == list(inputs.demos.individuals)
     assert len({one["mark"] for one in individuals}) == 3
     assert len({one["colour"] for one in individuals}) == 3
 

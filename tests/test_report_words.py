@@ -177,7 +177,8 @@ def test_every_verdict_carries_its_interval() -> None:
     )
     assert "80 [70, 90] % of pairs" in sentence
     spread = judged(("path lengths too much alike",), difference_low=-1.5, difference_high=0.5)
-    assert "(distance 1.00 mm, by chance up to 0.400)" in verdict_sentence(spread, Words())
+    told = "[\u22121.5, 0.5] mm; distance 1.00, by chance up to 0.400 mm)"
+    assert told in verdict_sentence(spread, Words())
     lead = verdict_lead(judged(("paths too short",)), Words())
     assert not lead.like and "can be told apart from the recordings" in lead.headline
     assert lead.details[0].startswith("Paths too short (difference")

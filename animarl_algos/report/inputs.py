@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.words import Words
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
@@ -92,6 +93,12 @@ class ReportInputs:
     def words(self) -> Words:
         """What the demonstrations and the unit of lengths are called."""
         return Words.of(self.demos)
+
+    @property
+    def arena(self) -> Arena:
+        """The recorded field, with walls if the world had them."""
+        arena = self.demos.arena
+        return replace(arena, rebound=bool(self.environment.get("rebound", arena.rebound)))
 
     def __post_init__(self) -> None:
         if self.evaluation.fingerprint != self.demos.fingerprint():

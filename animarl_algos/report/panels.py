@@ -40,7 +40,7 @@ def trajectories(inputs: ReportInputs) -> Iterator[tuple[str, list[Image]]]:
             figure = trajectory_pair(
                 rollouts.path(i),
                 inputs.demos.episode(demo).positions,
-                inputs.demos.arena,
+                inputs.arena,
                 inputs.demos.roles,
                 inputs.demos.individuals,
                 words,

@@ -66,9 +66,9 @@ class Player:
             "dt": demos.dt * max(1, stride),
             "unit": words.unit.name,
             "arena": {
-                "shape": demos.arena.shape,
-                "size": demos.arena.size,
-                "walls": demos.arena.rebound,
+                "shape": inputs.arena.shape,
+                "size": inputs.arena.size,
+                "walls": inputs.arena.rebound,
             },
             "contact": inputs.contact_radius,
             "individuals": [
@@ -162,7 +162,7 @@ def _packed(scene: Scene, inputs: ReportInputs, stride: int) -> dict[str, Any]:
     span = float((points.max(axis=0) - low).max()) or 1.0
     moved = [t.path for kind, t in scene.tracks.items() if kind != RECORDED]
     view = view_of(
-        inputs.demos.arena,
+        inputs.arena,
         np.concatenate([path.reshape(-1, 2) for path in moved]),
         scene.tracks[RECORDED].path,
     )
@@ -188,8 +188,8 @@ def pack(path: Floats, low: Floats, span: float) -> str:
 
 def _caption(inputs: ReportInputs, count: int) -> str:
     walls = {"open": "The field is open."}.get(
-        inputs.demos.arena.shape,
-        "The outline is a wall." if inputs.demos.arena.rebound
+        inputs.arena.shape,
+        "The outline is a wall." if inputs.arena.rebound
         else "The dashed outline is the edge of the field; there is no wall.",
     )  # fmt: skip
     contact = (

@@ -115,15 +115,17 @@ def _wrong(verdict: Verdict) -> Iterator[str]:
 
 
 def _evidence(row: Any) -> str:
-    """The difference with its interval; where there is none, the distance beside its null."""
+    """The difference with its interval; where it might be none, also the distance and its null."""
     scale, unit = _scale(row)
     gap = Interval(row["difference"], row["difference_low"], row["difference_high"])
-    if math.isfinite(gap.low) and gap.excludes_zero:
-        return f"difference {with_interval(gap, unit == '%')} {unit}"
-    return (
-        f"distance {number(scale * row['distance'])} {unit}".rstrip()
-        + f", by chance up to {number(scale * row['null'])}"
-    )
+    points = "percentage points" if unit == "%" else unit
+    parts = []
+    if math.isfinite(gap.estimate):
+        parts.append(f"difference {with_interval(gap, unit == '%')} {points}".rstrip())
+    if not (math.isfinite(gap.low) and gap.excludes_zero):
+        null = f"by chance up to {number(scale * row['null'])}"
+        parts.append(f"distance {number(scale * row['distance'])}, {null} {points}".rstrip())
+    return "; ".join(parts)
 
 
 def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:

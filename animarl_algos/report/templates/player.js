@@ -1,5 +1,7 @@
 // The player: one start at a time, side by side; play, scrub, speed, keyboard.
 
+const LONGEST = 30; // seconds that the first start takes, as the page is opened
+
 class Player {
   constructor(data) {
     this.data = data;
@@ -14,6 +16,16 @@ class Player {
     document.querySelectorAll(".controls").forEach((row) => { row.hidden = false; });
     this.listen();
     this.setView(0);
+    this.suitSpeed();
+  }
+
+  /** As slow as may be, but so that the first start is over in good time. */
+  suitSpeed() {
+    const speed = this.find("speed");
+    const seconds = this.frames * this.data.dt;
+    const speeds = [...speed.options].map(({ value }) => Number(value));
+    const fitting = speeds.findIndex((value) => value >= 1 && seconds / value <= LONGEST);
+    speed.selectedIndex = fitting < 0 ? speeds.length - 1 : fitting;
   }
 
   fill(name, titles) {
