@@ -61,7 +61,7 @@ class Player:
             flipper = method_label(str(_flipper(inputs)))
             other = "told the other condition"
             views.append(_view("flipped", f"{flipper}, factual", FACTUAL, other, FLIPPED))
-        names = {style.themes.TARGET.hex: "target"} | {c.hex: c.name for c in COLOURS}
+        names = {colour.hex: colour.name for colour in COLOURS}
         data = {
             "dt": demos.dt * max(1, stride),
             "unit": words.unit.name,

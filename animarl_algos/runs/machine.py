@@ -95,7 +95,7 @@ def timed_stage(
 
     def of(function: Callable[Concatenate[R, P], T]) -> Callable[Concatenate[R, P], T]:
         @wraps(function)
-        def inner(run: R, *args: P.args, **kwargs: P.kwargs) -> T:
+        def inner(run: R, /, *args: P.args, **kwargs: P.kwargs) -> T:
             with timed(run.path, stage):
                 return function(run, *args, **kwargs)
 
