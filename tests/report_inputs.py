@@ -141,6 +141,10 @@ def report_inputs() -> ReportInputs:
         command="animarl run demos.npz --algo dqdil",
         created="2026-11-21",
         episodes={"train": 80, "val": 10, "test": 12},
+        contact_radius=0.1,
+        environment={"time_limit": 20, "arena": None},
+        machine={"commit": "0123456789abcdef", "processor": "Some processor"},
+        wall_time={"training DQDIL": 150.0},
     )
 
 

@@ -62,7 +62,9 @@ def test_a_policy_of_a_single_individual_tells_that_ones_values() -> None:
     assert not np.array_equal(prey.actions, decisions(Counter()).actions)
     assert prey.map_q.max(axis=-1) == pytest.approx(10.0 * prey.moment + 1.0 + FLAG)
     assert np.array_equal(prey.others[0], DEMOS.episode(MEDIAN).positions[prey.moment, 0])
-    assert "target dark" not in render_report(dataclasses.replace(report_inputs(), decisions=prey))
+    assert "target a cross" not in render_report(
+        dataclasses.replace(report_inputs(), decisions=prey)
+    )
 
 
 def test_decisions_pass_through_a_file_onto_the_page(tmp_path: Path) -> None:

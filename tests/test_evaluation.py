@@ -13,7 +13,8 @@ from rich.console import Console
 
 from animarl_algos.evaluation import Evaluation, evaluate, measure
 from animarl_algos.evaluation.metrics import METRICS, Metric, add_metric
-from animarl_algos.report import evaluation_table, panels
+from animarl_algos.report import evaluation_table
+from animarl_algos.report.examples import factual_rollouts
 from animarl_algos.report.report import render_report
 from animarl_envs.errors import InputError
 
@@ -60,7 +61,7 @@ def test_rollouts_in_another_condition_alone_are_refused() -> None:
 def test_examples_are_factual_and_in_order() -> None:
     """A flipped cue, or rollouts in another order, must not mix up paths and their distances."""
     flipped = dataclasses.replace(report_inputs(), learner="dqcil")
-    rollouts, dtw = panels._factual(flipped)
+    rollouts, dtw = factual_rollouts(flipped)
     assert len(rollouts) == 24 and (rollouts.cue == rollouts.condition).all()
     assert dtw == pytest.approx(measure(rollouts, flipped.demos)["dtw"].to_numpy())
 

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-import base64
+import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from animarl_algos.evaluation.motion import Unit
 from animarl_algos.report.figures import shared_bins
 from animarl_algos.report.interpretation import advantage, value_map, values_along_path
 from animarl_algos.report.learning_curves import chosen_curves
-from animarl_algos.report.path_figures import trajectory_pair
-from animarl_algos.report.style import to_image
+from animarl_algos.report.path_figures import bar_length, trajectory_pair
+from animarl_algos.report.style import looks, new_figure, to_image
+from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
+
+MM = Unit("mm", 4.0)
 
 
 def test_bins_are_shared_and_hold_everything() -> None:
@@ -51,29 +56,63 @@ def test_interpretation_figures() -> None:
     assert advantage(q).mean(axis=1) == pytest.approx(0.0, abs=1e-12)
     assert (advantage(q).argmax(axis=1) == q.argmax(axis=1)).all()
     along = to_image(values_along_path(q, rng.integers(-1, 13, 30), 0.1), "values")
-    assert "Advantage" in base64.b64decode(along.source.partition(",")[2]).decode()
+    assert "Advantage" in along.drawing
     x, y = np.linspace(-1, 1, 20), np.linspace(-1, 1, 15)
     focus = np.tile([1.0, 0.0], (15, 20, 1))
     others = np.array([[0.5, 0.5], [0.0, 0.0]])
     drawn = to_image(
-        value_map(x, y, rng.normal(size=(15, 20, 13)), focus, Arena("disc"), others=others), "map"
+        value_map(
+            x, y, rng.normal(size=(15, 20, 13)), focus, Arena("disc"), others=others, unit=MM
+        ),
+        "map",
     )
-    assert drawn.source.startswith("data:image/svg+xml;base64,")
+    assert drawn.drawing.startswith("<svg") and "x (mm)" in drawn.drawing
     with pytest.raises(InputError, match="one value per action"):
         values_along_path(q[:, :5], np.zeros(30, dtype=int), 0.1)
     with pytest.raises(InputError, match="15 rows"):
         value_map(x, y, rng.normal(size=(20, 15, 13)), focus, Arena())
 
 
+def test_a_drawing_stands_in_a_page_and_alone() -> None:
+    figure, panel = new_figure(2.0, 1.0)
+    panel.plot([0, 1], [0, 1], color="#2b2b2f")
+    drawing = to_image(figure, 'a "line" & more').drawing
+    again, panel = new_figure(2.0, 1.0)
+    panel.plot([0, 1], [1, 0], color="#2b2b2f")
+    other = to_image(again, "another").drawing
+    ids = [set(re.findall(r' id="([^"]+)"', one)) for one in (drawing, other)]
+    assert ids[0] and ids[0].isdisjoint(ids[1])
+    used = re.findall(r'(?:xlink:href="#|url\(#)([\w-]+)', drawing)
+    assert used and set(used) == ids[0]
+    assert "var(--text, #2b2b2f)" in drawing and "<style" not in drawing
+    root = ElementTree.fromstring(drawing)
+    assert root.get("aria-label") == 'a "line" & more'
+
+
+def test_individuals_differ_in_more_than_colour() -> None:
+    seen = looks(("pursuer",) * 3 + ("target",))
+    for key in ("colour", "marker"):
+        assert len({str(getattr(look, key)) for look in seen}) == 4
+    assert len({str(look.dashes) for look in seen[:3]}) == 3
+
+
+def test_a_scale_bar_is_round_and_fits() -> None:
+    for half in (0.013, 0.35, 1.0, 7.0):
+        length = bar_length(half, MM)
+        assert half * MM.per_arena_unit / 8 < length <= half * MM.per_arena_unit / 2
+        assert f"{length:.0e}"[0] in "125"
+
+
 def test_a_lost_searcher_does_not_hide_the_recording() -> None:
     recorded = np.linspace([0.3, 0.0], [0.02, 0.01], 30)[:, None]
     lost = np.linspace([0.3, 0.0], [-40.0, 9.0], 90)[:, None]
-    figure = trajectory_pair(lost, recorded, Arena("open", size=0.35), ("searcher",))
+    open_field = Arena("open", size=0.35)
+    figure = trajectory_pair(lost, recorded, open_field, ("searcher",), ("moth",), Words())
     for panel in figure.axes:
         low, high = panel.get_xlim()
         assert low < 0.0 and 0.3 < high < 1.0
     indoors = trajectory_pair(
-        np.full((4, 1, 2), 1.1), recorded, Arena("square"), ("pursuer",)
-    )  # fmt: skip
+        np.full((4, 1, 2), 1.1), recorded, Arena("square"), ("pursuer",), ("she",), Words()
+    )
     low, high = indoors.axes[0].get_xlim()
     assert low < -1.0 and high > 1.1

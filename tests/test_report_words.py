@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
+from functools import cache
+
 import pandas as pd
 import pytest
+from html_page import Page
+from report_inputs import locomotion_fit, make_demos, make_rollouts
 
+from animarl_algos.evaluation import evaluate
+from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.verdict import LIKE, Verdict
+from animarl_algos.report import ReportInputs
+from animarl_algos.report.report import render_report
 from animarl_algos.report.sentences import cautions, headline, number, with_interval
+from animarl_algos.report.verdict_section import verdict_lead, verdict_sentence
+from animarl_algos.report.words import Words
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 
 
 def comparison(mean: float, low: float, high: float) -> pd.DataFrame:
@@ -39,7 +54,8 @@ def pairs(low: float, high: float) -> pd.DataFrame:
 def test_claims_follow_the_numbers(
     mean: float, low: float, high: float, other: tuple[float, float], said: list[str]
 ) -> None:
-    text = " ".join(headline(comparison(mean, low, high), pairs(*other), "bc"))
+    table = comparison(mean, low, high)
+    text = " ".join(headline(table, pairs(*other), "bc", Words()))
     for words in said:
         assert words in text
 
@@ -72,3 +88,105 @@ def test_numbers_alone_have_three_digits() -> None:
     assert [number(v) for v in (0.0, 1234.5, -0.5, 3e-7, float("nan"))] == [
         "0", "1234", "\u22120.500", "3e\u221207", "\u2013",
     ]  # fmt: skip
+
+
+# -- recorded or demonstrated, and in which unit --------------------------------------------------
+
+
+def measured(synthetic: bool) -> Demonstrations:
+    """Demonstrations of which the scale is known: an arena unit is 4 mm."""
+    demos = make_demos()
+    scales = {name: {"unit": 4.0} for name in demos.recording.tolist()}
+    provenance = {
+        "source": "somebody", "licence": "not stated", "synthetic": synthetic, "unit": "mm",
+        "scales": scales, "camera": None,
+    }  # fmt: skip
+    return dataclasses.replace(demos, provenance=provenance)
+
+
+@cache
+def page_of(synthetic: bool) -> Page:
+    demos = measured(synthetic)
+    rollouts = {"bc": make_rollouts(demos, "bc"), "random": make_rollouts(demos, "random")}
+    evaluation = evaluate(
+        rollouts, demos, seed=0, learner="bc", resamples=50, distance_resamples=50
+    )
+    return Page(
+        render_report(
+            ReportInputs(
+                title="x", learner="bc", demos=demos, rollouts=rollouts, evaluation=evaluation,
+                fit=locomotion_fit(demos.individuals),
+            )
+        )
+    )  # fmt: skip
+
+
+def test_only_recordings_are_called_recorded() -> None:
+    generated = "\n".join([*page_of(True).texts, *map(str, page_of(True).drawings)])
+    said = re.findall(r"[^\n]*\brecord(?:ed|ings?)\b[^\n]*", generated, re.IGNORECASE)
+    assert [line for line in said if "not recorded from animals" not in line] == []
+    assert "Demonstrated" in generated and "demonstrated" in generated
+    recorded = "\n".join(page_of(False).texts)
+    assert "Demonstrated" not in recorded and "Recorded" in recorded
+    assert "recordings against recordings" in recorded
+
+
+@pytest.mark.parametrize("synthetic", [True, False])
+def test_lengths_are_told_in_the_unit_of_the_recordings(synthetic: bool) -> None:
+    texts = page_of(synthetic).texts
+    whole = "\n".join(texts)
+    assert "arena unit" not in whole
+    for told in ("Path length (mm)", "Speed (mm/s)", "DTW distance (mm)", "mm/s\u00b2", "2 mm"):
+        assert told in whole
+    assert "None" not in whole and "not stated" in texts
+
+
+def test_numbers_are_told_in_that_unit_too() -> None:
+    metric = METRICS[1]  # path length
+    row = {"mean": 2.0, "mean_low": 1.0, "mean_high": 3.0}
+    words = Words.of(measured(False))
+    assert with_interval(words.interval(row, "mean", metric)) == "8.0 [4.0, 12.0]"
+    assert (words.unit_of(metric), words.axis(metric)) == ("mm", "Path length (mm)")
+    assert with_interval(Words().interval(row, "mean", metric)) == "2.0 [1.0, 3.0]"
+    assert Words().unit_of(METRICS[2]) == "s" and words.factor(METRICS[2]) == 1.0
+
+
+def test_the_arena_unit_of_moths_is_the_metre() -> None:
+    moths = load_packaged("silkmoth")
+    assert Words.of(moths).unit.name == "m"
+    assert Words.of(load_packaged("agent")).unit.name == "arena units"
+
+
+def judged(words: tuple[str, ...], **row: float) -> Verdict:
+    """A verdict of one row."""
+    numbers = {"recorded": 3.0, "simulated": 2.0, "difference": -1.0, "difference_low": -1.5,
+               "difference_high": -0.5, "distance": 1.0, "null": 0.4}  # fmt: skip
+    told = {"measure": "path_length", "label": "Path length", "unit": "mm", "verdict": words[0]}
+    told |= {"energy": float("nan"), "energy_pooled": float("nan"), "alike": words == (LIKE,)}
+    table = pd.DataFrame([told | numbers | row])
+    return Verdict(
+        table=table, words=words, learner="bc", starts=5, rollouts=10,
+        auc=Interval(0.8, 0.7, 0.9), importance={},
+    )  # fmt: skip
+
+
+def test_every_verdict_carries_its_interval() -> None:
+    sentence = verdict_sentence(judged(("paths too short",)), Words())
+    assert sentence.startswith(
+        "BC: paths too short (difference \u22121.0 [\u22121.5, \u22120.5] mm)"
+    )
+    assert "80 [70, 90] % of pairs" in sentence
+    spread = judged(("path lengths too much alike",), difference_low=-1.5, difference_high=0.5)
+    told = "[\u22121.5, 0.5] mm; distance 1.00, by chance up to 0.400 mm)"
+    assert told in verdict_sentence(spread, Words())
+    lead = verdict_lead(judged(("paths too short",)), Words())
+    assert not lead.like and "can be told apart from the recordings" in lead.headline
+    assert lead.details[0].startswith("Paths too short (difference")
+
+
+def test_what_is_not_told_apart_is_not_called_equal() -> None:
+    found = judged((LIKE,))
+    for words, name in ((Words(), "recordings"), (Words(synthetic=True), "demonstrations")):
+        for text in (verdict_sentence(found, words), verdict_lead(found, words).headline):
+            assert f"cannot be told apart from the {name} at this sample size" in text
+            assert "equal" not in text

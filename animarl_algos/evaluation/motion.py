@@ -15,6 +15,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
 from animarl_envs.demos.summary import RESTING_SHARE
+from animarl_envs.species import SPECIES
 
 Floats = NDArray[np.float64]
 
@@ -78,18 +79,22 @@ class Unit:
 
 
 RECORDED_SCALE = Unit("arena units", 1.0)
+METRES = Unit("m", 1.0)
 
 
 def unit_of(demos: Demonstrations) -> Unit:
     """The recordings' own unit where their provenance knows it, else the arena unit.
 
-    Recordings with scales of their own are told in their mean scale.
+    Recordings with scales of their own are told in their mean scale. Of some species the arena
+    unit is the metre.
     """
+    species = SPECIES.get(demos.species)
+    unscaled = METRES if species and species.length_unit == "metre" else RECORDED_SCALE
     name, scales = demos.provenance.get("unit"), demos.provenance.get("scales")
     if name not in PHYSICAL_UNITS or not isinstance(scales, Mapping) or not scales:
-        return RECORDED_SCALE
+        return unscaled
     used = [_scale(scales[r]) for r in np.unique(demos.recording).tolist() if r in scales]
-    return Unit(str(name), float(np.mean(used))) if used else RECORDED_SCALE
+    return Unit(str(name), float(np.mean(used))) if used else unscaled
 
 
 def _scale(record: Any) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -13,6 +13,12 @@ from animarl_algos.report.style import Image
 class Text:
     kind: ClassVar[str] = "text"
     text: str
+
+
+@dataclass(frozen=True)
+class Sentences:
+    kind: ClassVar[str] = "sentences"
+    sentences: Sequence[str]
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,7 @@ class Pairs:
     entries: Sequence[tuple[str, str]]
 
 
-Block = Text | Heading | Command | Gallery | Table | Pairs
+Block = Text | Sentences | Heading | Command | Gallery | Table | Pairs
 
 
 @dataclass(frozen=True)
@@ -72,8 +78,23 @@ class Section:
     title: str
     blocks: Sequence[Block]
 
-
-@dataclass(frozen=True)
-class Summary:
-    findings: Sequence[str]
-    cautions: Sequence[str]
+    @property
+    def texts(self) -> Iterator[str]:
+        """All that is written in it, apart from figures."""
+        yield self.title
+        for block in self.blocks:
+            match block:
+                case Text() | Heading() | Command():
+                    yield block.text
+                case Sentences():
+                    yield from block.sentences
+                case Gallery():
+                    yield block.caption
+                    yield from (image.alt for image in block.images)
+                case Table():
+                    yield from (block.caption, *block.columns)
+                    for group in block.groups:
+                        yield group.title
+                        yield from (cell for row in group.rows for cell in row.cells)
+                case Pairs():
+                    yield from (word for entry in block.entries for word in entry)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 from animarl_algos.evaluation.comparison import COUNTING, interval
 from animarl_algos.evaluation.metrics import METRICS
@@ -19,12 +18,16 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
     images = panels.distance_panels(inputs)
     if not images:
         return
+    words = inputs.words
     yield Gallery(
         images,
-        "Kernel-density distance between simulated and recorded values (0: equal, 2: disjoint), "
-        "all episodes, with its 95 % interval. Grey: what a perfect simulator gives at the "
-        "same sample sizes, central 95 % and mean. A value inside the grey cannot be told "
-        "from chance; the distance is biased upwards, and so is its interval.",
+        words.say(
+            "Kernel-density distance between simulated and recorded values (0: the same "
+            "distribution, 2: disjoint), all episodes, with its 95 % interval. Grey: what a "
+            "perfect simulator gives at the same sample sizes, central 95 % and mean. A "
+            "value inside the grey cannot be told from chance at this sample size; the distance is "
+            "biased upwards, and so is its interval."
+        ),
     )
     groups = []
     measured = set(evaluation.comparison["metric"])
@@ -38,18 +41,18 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
                 cells = [
                     method_label(name),
                     str(int(row["rollouts"])),
-                    with_interval(interval(row, "energy")),
-                    number(row["energy_pooled"]),
+                    with_interval(words.interval(row, "energy", metric)),
+                    number(words.factor(metric) * row["energy_pooled"]),
                     with_interval(interval(row, "kde")),
                     with_interval(interval(row, "kde_null")),
-                    with_interval(interval(row, "wasserstein")),
-                    with_interval(interval(row, "wasserstein_null")),
+                    with_interval(words.interval(row, "wasserstein", metric)),
+                    with_interval(words.interval(row, "wasserstein_null", metric)),
                 ]
                 lines.append(Row(cells, strong=name == inputs.learner))
-            title = f"{metric.label} ({metric.unit}), {COUNTING[counting]}"
+            title = f"{metric.label} ({words.unit_of(metric)}), {COUNTING[counting]}"
             groups.append(Group(title, lines))
     yield Table(
-        "Distances to the recordings",
+        words.say("Distances to the recordings"),
         [
             "Method",
             "Episodes",
@@ -61,28 +64,33 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
             "null\nreference",
         ],
         groups,
-        "The energy score per start, the primary measure, beside what the demonstrations of all "
-        "other starts score: the smaller the better, and a simulator that always does the same "
-        "cannot win by it. Both distances [95 % interval], each beside its null reference "
-        "[central 95 %] from "
-        f"{evaluation.distance_resamples:,} resamples. The kernel-density distance lies between 0 "
-        "and 2; the Wasserstein distance has the metric's unit. Null: what both come to if the "
-        "recorded episode of every start is exchanged with one of its rollouts, which a perfect "
-        f"simulator would not notice.{_floors(evaluation.comparison)}",
+        words.say(
+            "The energy score per start, the primary measure, beside what the recordings of all "
+            "other starts score: the smaller the better, and a simulator that always does the same "
+            "cannot win by it. Both distances [95 % interval], each beside its null reference "
+            f"[central 95 %] from {evaluation.distance_resamples:,} resamples. The kernel-density "
+            "distance lies between 0 and 2; the Wasserstein distance has the metric's unit. Null: "
+            "what both come to if the recorded episode of every start is exchanged with one of its "
+            f"rollouts, which a perfect simulator would not notice.{_floors(inputs)}"
+        ),
     )
 
 
-def _floors(comparison: Any) -> str:
+def _floors(inputs: ReportInputs) -> str:
     """Where the smallest bandwidth acts, and so makes the kernel-density distance."""
+    comparison, words = inputs.evaluation.comparison, inputs.words
     acts = comparison[comparison["kde_floor"].notna()]
     if acts.empty:
         return ""
-    units = {metric.key: metric for metric in METRICS}
-    places = [
-        f"{method_label(str(row['method']))}, {units[row['metric']].label.lower()}, "
-        f"{COUNTING[row['counting']]} ({number(row['kde_floor'], 2)} {units[row['metric']].unit})"
-        for _, row in acts.iterrows()
-    ]
+    by_key = {metric.key: metric for metric in METRICS}
+    places = []
+    for _, row in acts.iterrows():
+        metric = by_key[row["metric"]]
+        floor = number(words.factor(metric) * row["kde_floor"], 2)
+        places.append(
+            f"{method_label(str(row['method']))}, {metric.label.lower()}, "
+            f"{COUNTING[row['counting']]} ({floor} {words.unit_of(metric)})"
+        )
     return (
         " Values hardly vary, so that the smallest bandwidth decides on the kernel-density "
         f"distance, of: {'; '.join(places)}."

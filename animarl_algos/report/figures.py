@@ -6,7 +6,7 @@ enough that a page can set several side by side, or below one another on a narro
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.distances import kde_rule, kde_weighted
-from animarl_algos.evaluation.metrics import Metric
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import style
+from animarl_algos.report.words import Words, scaled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,24 +32,27 @@ MOST_DOTS = 400  # more rollouts than this are thinned evenly in drawings, never
 # -- speeds ---------------------------------------------------------------------------------------
 
 
-def speed_histogram(simulated: ArrayLike, recorded: ArrayLike, title: str = "") -> Figure:
-    """Speeds per step, recorded dark and simulated light, on shared bins; areas sum to one."""
-    first, second = np.asarray(simulated, dtype=float), np.asarray(recorded, dtype=float)
+def speed_histogram(
+    simulated: ArrayLike, recorded: ArrayLike, words: Words, title: str = ""
+) -> Figure:
+    """Speeds per step, recorded filled and simulated as a line, on shared bins.
+
+    Speeds are in arena units per s and drawn in the unit of ``words``; areas sum to one.
+    """
+    scale = words.unit.per_arena_unit
+    first, second = (scale * np.asarray(one, dtype=float) for one in (simulated, recorded))
     edges = shared_bins(first, second)
     with style.figure_style():
         figure, panel = style.new_figure(4.0, 2.4)
         panel.hist(
-            second, edges, density=True, color=style.RECORDED_FILL, label="recorded", alpha=0.85
-        )
-        panel.hist(
-            first, edges, density=True, histtype="stepfilled", alpha=0.42, linewidth=0,
-            color=style.SIMULATED_COLOUR, label="simulated",
+            second, edges, density=True, color=style.RECORDED_FILL, alpha=0.55, linewidth=0,
+            label=words.say("recorded"),
         )  # fmt: skip
         panel.hist(
-            first, edges, density=True, histtype="step", linewidth=1.2,
+            first, edges, density=True, histtype="step", linewidth=1.6, label="simulated",
             color=style.SIMULATED_COLOUR,
         )  # fmt: skip
-        panel.set(xlabel="Speed (arena units / s)", ylabel="Density", title=title)
+        panel.set(xlabel=f"Speed ({words.speed})", ylabel="Density", title=title)
         panel.set_xlim(edges[0], edges[-1])
         panel.legend(loc="best")
     return figure
@@ -71,9 +74,10 @@ def shared_bins(*samples: Floats, most: int = 50) -> Floats:
 def metric_distribution(
     values: Mapping[str, ArrayLike],
     means: Mapping[str, Interval],
-    metric: Metric,
+    axis: str,
     *,
     title: str = "",
+    label: Callable[[str], str] = style.method_label,
 ) -> Figure:
     """One row per method: density above, every rollout below, mean with its 95 % interval.
 
@@ -83,6 +87,8 @@ def metric_distribution(
         By method, the recordings first: one value per rollout that counts.
     means
         By method, as in the comparison table.
+    axis, label
+        What the values are, with their unit; how a method is called.
     """
     names = list(values)
     samples = {name: _finite(value) for name, value in values.items()}
@@ -109,14 +115,15 @@ def metric_distribution(
                     dots, base - 0.12 - 0.18 * _spread(len(dots)), ".", color=colour,
                     markersize=2.4, alpha=0.55, markeredgewidth=0, rasterized=True,
                 )  # fmt: skip
-            draw_interval(panel, means[name], base, colour)
+            marker = "s" if style.is_recorded(name) else "o"
+            draw_interval(panel, means[name], base, colour, marker)
         if style.is_recorded(names[0]) and np.isfinite(means[names[0]].estimate):
             panel.axvline(
                 means[names[0]].estimate, color=style.MUTED, linewidth=0.7, linestyle=(0, (4, 3)),
                 zorder=0.5,
             )  # fmt: skip
-        _method_rows(panel, names)
-        panel.set(xlabel=metric.axis, title=title or metric.label)
+        _method_rows(panel, names, label)
+        panel.set(xlabel=axis, title=title)
         if rule is not None and min(s.min() for s in samples.values() if len(s)) >= 0:
             panel.set_xlim(left=min(0.0, panel.get_xlim()[0]) if _near_zero(samples) else None)
     return figure
@@ -124,12 +131,13 @@ def metric_distribution(
 
 def interval_rows(
     means: Mapping[str, Interval],
-    label: str,
+    axis: str,
     *,
     title: str = "",
     reference: float | None = None,
     bands: Mapping[str, Interval] | None = None,
     limits: tuple[float, float] | None = None,
+    label: Callable[[str], str] = style.method_label,
 ) -> Figure:
     """One row per method: an estimate with its interval, over an optional null band.
 
@@ -159,8 +167,8 @@ def interval_rows(
             panel.axvline(
                 reference, color=style.MUTED, linewidth=0.7, linestyle=(0, (4, 3)), zorder=0.5
             )
-        _method_rows(panel, names, pad=0.55)
-        panel.set(xlabel=label, title=title)
+        _method_rows(panel, names, label, pad=0.55)
+        panel.set(xlabel=axis, title=title)
         if limits is not None:
             panel.set_xlim(limits)
         panel.xaxis.set_major_locator(locator(5))
@@ -168,15 +176,19 @@ def interval_rows(
     return figure
 
 
-def draw_interval(panel: Axes, value: Interval, base: float, colour: str) -> None:
-    """A mean as a dot with its interval, ringed in white so that it stands out."""
+def draw_interval(
+    panel: Axes, value: Interval, base: float, colour: str, marker: str = "o"
+) -> None:
+    """A mean as a dot with its interval, ringed in the ground so that it stands out."""
     if not np.isfinite(value.estimate):
         return
     if np.isfinite(value.low):
-        panel.plot([value.low, value.high], [base, base], color="white", linewidth=4.2, zorder=3)
+        panel.plot(
+            [value.low, value.high], [base, base], color=style.GROUND, linewidth=4.2, zorder=3
+        )
         panel.plot([value.low, value.high], [base, base], color=colour, linewidth=2.2, zorder=3.1)
     panel.plot(
-        value.estimate, base, "o", color=colour, markersize=6.2, markeredgecolor="white",
+        value.estimate, base, marker, color=colour, markersize=6.2, markeredgecolor=style.GROUND,
         markeredgewidth=1.2, zorder=3.2,
     )  # fmt: skip
 
@@ -185,7 +197,7 @@ def draw_interval(panel: Axes, value: Interval, base: float, colour: str) -> Non
 
 
 def counterfactual_lengths(
-    table: pd.DataFrame, method: str, conditions: Sequence[str], *, counting: str, unit: str
+    table: pd.DataFrame, method: str, conditions: Sequence[str], words: Words, *, counting: str
 ) -> Figure:
     """Mean path length by condition: recorded, simulated, and with the cue flipped.
 
@@ -198,7 +210,8 @@ def counterfactual_lengths(
         asked = means[(means["method"] == method) & (means["condition"] == c)]
         asked = asked[asked["world"] == c]
         for _, row in recorded.iterrows():
-            rows.append((f"recorded: {conditions[c]}", interval(row, "value"), "recorded", "o"))
+            label = words.say(f"recorded: {conditions[c]}")
+            rows.append((label, interval(row, "value"), "recorded", "s"))
         for _, row in asked.sort_values("cue", ascending=c == 0).iterrows():
             told = int(row["cue"])
             label = conditions[c] if told == c else f"{conditions[c]} \u2192 {conditions[told]}"
@@ -208,25 +221,28 @@ def counterfactual_lengths(
         style.light_grid(panel)
         for i, (_, value, name, marker) in enumerate(rows):
             base, colour = float(len(rows) - 1 - i), style.method_colour(name)
-            draw_interval(panel, value, base, colour)
+            value = scaled(value, words.unit.per_arena_unit)
+            draw_interval(panel, value, base, colour, marker)
             if marker == "D":
                 panel.plot(
-                    value.estimate, base, "o", color="white", markersize=2.6, zorder=3.3,
+                    value.estimate, base, "o", color=style.GROUND, markersize=2.6, zorder=3.3,
                     markeredgewidth=0,
                 )  # fmt: skip
         panel.set_yticks(range(len(rows)), [row[0] for row in reversed(rows)])
         panel.tick_params(axis="y", length=0)
         panel.spines["left"].set_visible(False)
         panel.set_ylim(-0.6, len(rows) - 0.4)
-        panel.set(xlabel=f"Mean path length ({unit})", title=style.method_label(method))
+        panel.set(xlabel=f"Mean path length ({words.unit.name})", title=style.method_label(method))
     return figure
 
 
 # -- small things ---------------------------------------------------------------------------------
 
 
-def _method_rows(panel: Axes, names: Sequence[str], pad: float = 0.6) -> None:
-    panel.set_yticks(range(len(names)), [style.method_label(n) for n in reversed(list(names))])
+def _method_rows(
+    panel: Axes, names: Sequence[str], label: Callable[[str], str], pad: float = 0.6
+) -> None:
+    panel.set_yticks(range(len(names)), [label(name) for name in reversed(names)])
     panel.tick_params(axis="y", length=0)
     panel.spines["left"].set_visible(False)
     panel.set_ylim(-pad, len(names) - 1 + pad)

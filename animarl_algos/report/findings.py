@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from animarl_algos.evaluation.comparison import BASELINE, COUNTING, find_method, interval
+from animarl_algos.evaluation.comparison import BASELINE, COUNTING, find_method
 from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WORLD_SHIFT
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.report import panels
 from animarl_algos.report import sentences as wording
-from animarl_algos.report.blocks import Block, Gallery, Group, Heading, Row, Table, Text
+from animarl_algos.report.blocks import Block, Gallery, Group, Heading, Row, Sentences, Table, Text
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.sentences import (
     NOTHING,
@@ -21,26 +21,37 @@ from animarl_algos.report.sentences import (
     with_interval,
 )
 from animarl_algos.report.style import method_label
+from animarl_algos.report.words import scaled
+
+
+def summary(inputs: ReportInputs) -> Iterator[Block]:
+    """What the tables say, in sentences."""
+    evaluation = inputs.evaluation
+    yield Sentences(
+        wording.headline(evaluation.comparison, evaluation.pairs, inputs.learner, inputs.words)
+    )
 
 
 def metrics(inputs: ReportInputs) -> Iterator[Block]:
-    evaluation = inputs.evaluation
+    evaluation, say = inputs.evaluation, inputs.words.say
     yield Text(
-        "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
-        "interval; the dashed line is the recorded mean. Intervals add the margin of "
-        f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that of "
-        "training seeds (Student's t); repetitions from one start are never counted as "
-        "independent. Captures are episodes in which the target was reached."
+        say(
+            "Every distribution shows one dot per rollout, its density, and the mean with its 95 % "
+            "interval; the dashed line is the recorded mean. Intervals add the margin of "
+            f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that "
+            "of training seeds (Student's t); repetitions from one start are never counted as "
+            "independent. Captures are episodes in which the target was reached."
+        )
     )
     measured = set(evaluation.comparison["metric"])
     for metric in (m for m in METRICS if m.caption and m.key in measured):
         yield Heading(metric.label)
-        yield Gallery(panels.metric_panels(inputs, metric), metric.caption)
+        yield Gallery(panels.metric_panels(inputs, metric), say(metric.caption))
         yield _metric_table(inputs, metric)
 
 
 def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
-    comparison = inputs.evaluation.comparison
+    comparison, words = inputs.evaluation.comparison, inputs.words
     rows = comparison[comparison["metric"] == metric.key]
     percent = metric.share
     with_recorded = bool(rows["to_recorded"].notna().any())
@@ -53,26 +64,27 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
         lines = []
         for _, row in chosen.iterrows():
             cells = [
-                method_label(str(row["method"])),
+                words.label(str(row["method"])),
                 str(int(row["rollouts"])),
                 str(int(row["demos"])),
-                with_interval(interval(row, "mean"), percent),
+                with_interval(words.interval(row, "mean", metric), percent),
                 str(row["covers"]),
             ]
             if with_recorded:
-                cells.append(with_interval(interval(row, "to_recorded"), percent))
+                gap = words.interval(row, "to_recorded", metric)
+                cells.append(with_interval(gap, percent))
             if baseline is not None:
                 less = pair_difference(
                     inputs.evaluation.pairs, str(row["method"]), baseline, metric, counting
                 )
-                cells.append(with_interval(less, percent))
+                cells.append(with_interval(scaled(less, words.factor(metric)), percent))
             if not metric.of_recordings:
                 cells += _further_cells(inputs, row, metric)
             lines.append(Row(cells, strong=row["method"] == inputs.learner))
         groups.append(Group("" if metric.share else COUNTING[counting].capitalize(), lines))
-    columns = ["Method", "Episodes", "Starts", f"Mean\n({'%' if percent else metric.unit})"]
+    columns = ["Method", "Episodes", "Starts", f"Mean\n({words.unit_of(metric)})"]
     columns += ["Interval of"]
-    columns += ["Minus recorded"] if with_recorded else []
+    columns += [words.say("Minus recorded")] if with_recorded else []
     columns += [f"Minus {BASELINE}"] if baseline is not None else []
     note = ""
     if not metric.of_recordings:
@@ -97,20 +109,26 @@ def _further_cells(inputs: ReportInputs, row: Any, metric: Metric) -> list[str]:
     """Of a distance to the recordings: duration and outcome, without which an episode that ends
     at once passes for a close one, then within starts, minus the learner, per step."""
     evaluation, name, counting = inputs.evaluation, str(row["method"]), str(row["counting"])
+    words = inputs.words
+    less = pair_difference(evaluation.pairs, name, inputs.learner, metric, counting)
     cells = [
         number(row["duration"]),
         number(100.0 * row["reached"]),
-        with_interval(interval(row, "within")),
-        with_interval(pair_difference(evaluation.pairs, name, inputs.learner, metric, counting)),
+        with_interval(words.interval(row, "within", metric)),
+        with_interval(scaled(less, words.factor(metric))),
     ]
     if metric.per_step is not None:
         step = comparison_row(evaluation.comparison, name, metric.per_step, counting)
-        cells.append(NOTHING if step is None else with_interval(interval(step, "mean")))
+        cells.append(
+            NOTHING
+            if step is None
+            else with_interval(words.interval(step, "mean", metric.per_step))
+        )
     return cells
 
 
 def contrasts(inputs: ReportInputs) -> Iterator[Block]:
-    contrasts = inputs.evaluation.contrasts
+    contrasts, words = inputs.evaluation.contrasts, inputs.words
     if contrasts.empty:
         return
     groups = []
@@ -121,13 +139,15 @@ def contrasts(inputs: ReportInputs) -> Iterator[Block]:
         if math.isfinite(gate["gate_p"]):
             title += (
                 f"; F = {number(gate['gate_f'])}, p = {number(gate['gate_p'], 2)}, exchanging "
-                f"{gate['gate_unit']}"
+                f"{gate['gate_unit']}; differences in {words.unit_of(metric)}"
             )
         lines = [
             Row(
                 [
                     f"{method_label(row['first'])} {wording.MINUS} {method_label(row['second'])}",
-                    with_interval(interval(row, "difference")) if row["gate_passed"] else NOTHING,
+                    with_interval(words.interval(row, "difference", metric))
+                    if row["gate_passed"]
+                    else NOTHING,
                 ],
                 faint=not row["gate_passed"],
             )
@@ -137,12 +157,14 @@ def contrasts(inputs: ReportInputs) -> Iterator[Block]:
         groups.append(Group(title, lines))
     yield Table(
         "Planned contrasts",
-        ["Contrast", "Difference of the gaps to the recordings"],
+        ["Contrast", words.say("Difference of the gaps to the recordings")],
         groups,
-        "The contrasts planned in advance, all episodes, of the starts that all methods have. "
-        "Compared is the energy score per start and, as in the paper, the absolute gap between "
-        "its mean and the recording (for DTW the distance itself); below zero, the first method is "
-        "closer. A contrast is shown only behind a gate that was passed.",
+        words.say(
+            "The contrasts planned in advance, all episodes, of the starts that all methods have. "
+            "Compared is the energy score per start and, as in the paper, the absolute gap between "
+            "its mean and the recording (for DTW the distance itself); below zero, the first "
+            "method is closer. A contrast is shown only behind a gate that was passed."
+        ),
     )
 
 
@@ -150,7 +172,7 @@ def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
     table = inputs.evaluation.counterfactual
     if table.empty:
         return
-    names = condition_names(inputs)
+    names, words = condition_names(inputs), inputs.words
     yield Text(
         "The policy is told the other condition; the world stays as it is. The shift is the path "
         "length with the flipped cue minus that with the true one, on the same starts and the "
@@ -158,10 +180,12 @@ def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
     )
     yield Gallery(
         panels.counterfactual_panels(inputs, names),
-        "Mean path length with 95 % interval, all episodes: recorded, simulated, and simulated "
-        "with the cue flipped (arrow, ringed dot).",
+        words.say(
+            "Mean path length with 95 % interval, all episodes: recorded (square), simulated "
+            "(dot), and simulated with the cue flipped (arrow, ringed diamond)."
+        ),
     )
-    words = {
+    quantities = {
         DIFFERENCE: f"{names[0]} {wording.MINUS} {names[1]}",
         ERROR: "absolute error",
         SHIFT: "cue flipped",
@@ -171,7 +195,7 @@ def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
     for counting in COUNTING:
         lines = []
         for _, row in table[table["counting"] == counting].iterrows():
-            if row["quantity"] not in words:
+            if row["quantity"] not in quantities:
                 continue
             of, told = names[int(row["condition"])], names[int(row["cue"])]
             where = {
@@ -183,10 +207,10 @@ def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
             lines.append(
                 Row(
                     [
-                        method_label(str(row["method"])),
-                        words[row["quantity"]],
+                        words.label(str(row["method"])),
+                        quantities[row["quantity"]],
                         where,
-                        with_interval(interval(row, "value")),
+                        with_interval(words.interval(row, "value", PATH_LENGTH)),
                         "planned" if row["planned"] else "",
                     ],
                     strong=bool(row["planned"]),
@@ -195,7 +219,7 @@ def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
         groups.append(Group(COUNTING[counting].capitalize(), lines))
     yield Table(
         "Counterfactual path lengths",
-        ["Method", "Quantity", "Condition", f"Path length\n({PATH_LENGTH.unit})", ""],
+        ["Method", "Quantity", "Condition", f"Path length\n({words.unit_of(PATH_LENGTH)})", ""],
         groups,
         "Differences and errors of the mean path length [95 % interval]. An absolute error is "
         "never negative, so its interval cannot include zero.",

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tables import Evaluation
+from animarl_algos.report.words import Words
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
@@ -50,8 +52,15 @@ class ReportInputs:
         Training seeds, package versions, the command that repeats the run, and when it was made.
     episodes
         Number of demonstrations per split, where the run knows them.
-    unit
-        Of lengths, as axes and tables name it.
+    contact_radius
+        How near a pursuer comes to touch the target, or the searcher to reach the source [arena
+        unit]; the player draws it.
+    environment
+        Options of the world that was trained in and evaluated.
+    machine
+        What the run was made with and on: commit, processor, accelerator.
+    wall_time
+        Seconds by stage, where they were measured.
 
     Raises
     ------
@@ -75,6 +84,21 @@ class ReportInputs:
     command: str = ""
     created: str = ""
     episodes: Mapping[str, int] = field(default_factory=dict)
+    contact_radius: float | None = None
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    machine: Mapping[str, str] = field(default_factory=dict)
+    wall_time: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def words(self) -> Words:
+        """What the demonstrations and the unit of lengths are called."""
+        return Words.of(self.demos)
+
+    @property
+    def arena(self) -> Arena:
+        """The recorded field, with walls if the world had them."""
+        arena = self.demos.arena
+        return replace(arena, rebound=bool(self.environment.get("rebound", arena.rebound)))
 
     def __post_init__(self) -> None:
         if self.evaluation.fingerprint != self.demos.fingerprint():

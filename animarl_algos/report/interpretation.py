@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.report import style
+from animarl_algos.evaluation.motion import RECORDED_SCALE, Unit
+from animarl_algos.report import style, themes
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS, NUM_DIRECTIONS, action_directions
@@ -100,6 +101,7 @@ def value_map(
     *,
     others: Floats | None = None,
     target_last: bool = True,
+    unit: Unit = RECORDED_SCALE,
     title: str = "",
 ) -> Figure:
     """Best action value at every place of the arena, with the accelerations it calls for.
@@ -116,7 +118,9 @@ def value_map(
     others
         ``(individuals, 2)``, where the others stand.
     target_last
-        Whether the last of them is the target, which is drawn dark.
+        Whether the last of them is the target, which is drawn as a dark cross.
+    unit
+        Of the axes.
     """
     _check(q, "(rows, columns, actions)", 3)
     if q.shape[:2] != (len(y), len(x)) or focus.shape != (*q.shape[:2], 2):
@@ -126,6 +130,8 @@ def value_map(
         )
     direction = action_directions(q.argmax(axis=-1), focus, q.shape[-1])
     direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
+    x, y = unit.per_arena_unit * x, unit.per_arena_unit * y
+    others = None if others is None else unit.per_arena_unit * others
     with style.figure_style():
         figure, panel = style.new_figure(4.2, 3.6)
         mesh = panel.pcolormesh(
@@ -134,20 +140,21 @@ def value_map(
         rows, columns = (slice(None, None, max(1, len(a) // 14)) for a in (y, x))
         panel.quiver(
             x[columns], y[rows], direction[rows, columns, 0], direction[rows, columns, 1],
-            color="white", pivot="mid", scale=24, width=0.004,
+            color=style.ON_MAP, pivot="mid", scale=24, width=0.004,
         )  # fmt: skip
         if others is not None:
-            marks: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 1.0}
+            marks: dict[str, Any] = {"markeredgecolor": style.ON_MAP, "markeredgewidth": 1.0}
             marks["markersize"] = 6
             pursuers = len(others) - target_last
-            panel.plot(*others[:pursuers].T, "o", color=style.SIMULATED_COLOUR, **marks)
-            panel.plot(*others[pursuers:].T, "o", color=style.RECORDED_COLOUR, **marks)
+            panel.plot(*others[:pursuers].T, "o", color=themes.VERMILION.hex, **marks)
+            panel.plot(*others[pursuers:].T, "X", color=style.RECORDED_COLOUR, **marks)
         panel.set_aspect("equal")
-        panel.set(xlabel="x (arena units)", ylabel="y (arena units)", title=title)
+        panel.set(xlabel=f"x ({unit.name})", ylabel=f"y ({unit.name})", title=title)
         if arena.shape == "disc":
             from matplotlib.patches import Circle
 
-            panel.add_patch(Circle((0, 0), arena.size, fill=False, edgecolor=style.MUTED))
+            radius = unit.per_arena_unit * arena.size
+            panel.add_patch(Circle((0, 0), radius, fill=False, edgecolor=style.MUTED))
         figure.colorbar(mesh, ax=panel, label="Q of the best action", pad=0.02)
     return figure
 

@@ -77,24 +77,27 @@ def learning_curve(curves: pd.DataFrame, title: str, x_label: str, y_label: str 
         Columns ``method, seed, step, value``.
     """
     with style.figure_style():
-        figure, panel = style.new_figure(3.1, 2.2)
+        figure, panel = style.new_figure(3.4, 2.3)
         style.light_grid(panel, "y")
         methods = list(curves.groupby("method", sort=False))
         for position, (name, rows) in enumerate(methods):
+            label = style.method_label(str(name)) if style.is_method(str(name)) else str(name)
             colour = style.method_colour(str(name), position)
+            dashes = style.DASHES[position % len(style.DASHES)]
             seeds = list(rows.groupby("seed"))
             for _, one in seeds:
                 alone = len(seeds) == 1
                 panel.plot(
-                    one["step"], one["value"], color=colour, linewidth=1.4 if alone else 0.6,
+                    one["step"], one["value"], color=colour, linestyle=dashes,
+                    linewidth=1.4 if alone else 0.6,
                     alpha=1.0 if alone else 0.45,
-                    label=style.method_label(str(name)) if alone else None,
+                    label=label if alone else None,
                 )  # fmt: skip
             if len(seeds) > 1:
                 mean = rows.groupby("step")["value"].mean()
                 panel.plot(
-                    mean.index, mean.to_numpy(), color=colour, linewidth=1.8,
-                    label=style.method_label(str(name)),
+                    mean.index, mean.to_numpy(), color=colour, linestyle=dashes, linewidth=1.8,
+                    label=label,
                 )  # fmt: skip
         panel.set(title=title[:1].upper() + title[1:], xlabel=x_label, ylabel=y_label)
         panel.margins(x=0.01)

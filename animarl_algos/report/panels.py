@@ -6,19 +6,20 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.comparison import COUNTING, factual, interval
 from animarl_algos.evaluation.decisions import Decisions
-from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH, Metric
+from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, interpretation
+from animarl_algos.report.examples import examples, factual_rollouts
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.learning_curves import chosen_curves, learning_curve
 from animarl_algos.report.path_figures import trajectory_pair
 from animarl_algos.report.sentences import comparison_row, number
 from animarl_algos.report.style import Image, method_label, to_image
+from animarl_algos.report.words import scaled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,73 +29,77 @@ QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)  # of the DTW distance, for the examples
 
 def trajectories(inputs: ReportInputs) -> Iterator[tuple[str, list[Image]]]:
     """Per condition present: its name and the examples, from the best to the worst."""
-    rollouts, dtw = _factual(inputs)
-    present = np.unique(rollouts.condition).tolist()
-    for condition in present:
-        among = np.flatnonzero(rollouts.condition == condition)
-        order = among[np.argsort(dtw[among], kind="stable")]
-        ranks = np.unique(np.round(np.array(QUANTILES) * (len(order) - 1)).astype(int))
+    rollouts, dtw = factual_rollouts(inputs)
+    words = inputs.words
+    for condition, chosen in examples(inputs, QUANTILES):
         images = []
-        for i in order[ranks].tolist():
+        for i in chosen:
             demo = int(rollouts.demo[i])
             ending = "reached" if rollouts.captured[i] else "not reached"
+            distance = f"DTW {number(dtw[i] * words.factor(DTW))}"
             figure = trajectory_pair(
                 rollouts.path(i),
                 inputs.demos.episode(demo).positions,
-                inputs.demos.arena,
+                inputs.arena,
                 inputs.demos.roles,
-                f"DTW {number(dtw[i])}, {ending}",
+                inputs.demos.individuals,
+                words,
+                f"start {demo}: {distance},\n{ending}",
             )
-            alt = f"Simulated and recorded paths of test demonstration {demo}, DTW {dtw[i]:.3g}"
-            images.append(to_image(figure, alt))
-        named = len(present) > 1 and len(inputs.conditions) == 2
-        yield inputs.conditions[condition] if named else "", images
+            what = words.say(f"Simulated and recorded paths of test demonstration {demo}")
+            images.append(to_image(figure, f"{what}, {distance} {words.unit_of(DTW)}"))
+        yield condition, images
 
 
 def speeds(inputs: ReportInputs) -> tuple[list[Image], tuple[int, int]]:
     """A histogram for each role, and the numbers of simulated and recorded steps."""
-    simulated = _factual(inputs)[0].speeds()
+    simulated = factual_rollouts(inputs)[0].speeds()
     recorded = Rollouts.from_demonstrations(inputs.demos).speeds()
-    roles = np.array(inputs.demos.roles)
+    roles, words = np.array(inputs.demos.roles), inputs.words
     images = []
     for role in dict.fromkeys(inputs.demos.roles):
         chosen = roles == role
         title = role.capitalize() + ("s" if chosen.sum() > 1 else "")
         figure = figures.speed_histogram(
-            simulated[:, chosen].ravel(), recorded[:, chosen].ravel(), title
+            simulated[:, chosen].ravel(), recorded[:, chosen].ravel(), words, title
         )
-        images.append(to_image(figure, f"Histogram of speeds: {title}, simulated over recorded"))
+        alt = words.say(f"Histogram of speeds: {title}, simulated over recorded")
+        images.append(to_image(figure, alt))
     return images, (len(simulated), len(recorded))
 
 
 def metric_panels(inputs: ReportInputs, metric: Metric) -> list[Image]:
     """All episodes and captures side by side; of a share a single panel of means."""
-    comparison = inputs.evaluation.comparison
+    words = inputs.words
     rows = factual(inputs.evaluation.metrics)
     names = [RECORDED, *inputs.rollouts] if metric.of_recordings else list(inputs.rollouts)
     if metric.share:
-        percent = {n: _times(_mean(comparison, n, metric, "all"), 100.0) for n in names}
+        percent = {n: _mean(inputs, n, metric, "all") for n in names}
         figure = figures.interval_rows(
             percent,
-            metric.axis,
+            words.axis(metric),
             title=COUNTING["all"].capitalize(),
             reference=percent[RECORDED].estimate,
             limits=(-2.0, 102.0),
+            label=words.label,
         )
-        return [to_image(figure, f"{metric.axis} by method, {COUNTING['all']}")]
+        return [to_image(figure, f"{words.axis(metric)} by method, {COUNTING['all']}")]
     images = []
     for counting in COUNTING:
         counted = rows[rows["captured"]] if counting == "captures" else rows
         values = {
-            name: counted.loc[counted["method"] == name, metric.key].to_numpy() for name in names
+            name: words.factor(metric)
+            * counted.loc[counted["method"] == name, metric.key].to_numpy()
+            for name in names
         }
         if not any(len(v) for v in values.values()):
             continue
         figure = figures.metric_distribution(
             values,
-            {name: _mean(comparison, name, metric, counting) for name in names},
-            metric,
+            {name: _mean(inputs, name, metric, counting) for name in names},
+            words.axis(metric),
             title=COUNTING[counting].capitalize(),
+            label=words.label,
         )
         images.append(to_image(figure, f"{metric.label} by method, {COUNTING[counting]}"))
     return images
@@ -113,7 +118,7 @@ def distance_panels(inputs: ReportInputs) -> list[Image]:
             continue
         figure = figures.interval_rows(
             values,
-            "Kernel-density distance to the recordings",
+            inputs.words.say("Kernel-density distance to the recordings"),
             title=metric.label,
             bands=nulls,
             limits=(0.0, 2.0),
@@ -129,7 +134,7 @@ def counterfactual_panels(inputs: ReportInputs, conditions: Sequence[str]) -> li
     images = []
     for name in asked:
         figure = figures.counterfactual_lengths(
-            table, str(name), conditions, counting="all", unit=PATH_LENGTH.unit
+            table, str(name), conditions, inputs.words, counting="all"
         )
         alt = f"Mean path length by condition and cue, {method_label(str(name))}"
         images.append(to_image(figure, alt))
@@ -155,6 +160,7 @@ def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
             inputs.demos.arena,
             others=decisions.others,
             target_last=not is_target(inputs, who),
+            unit=inputs.words.unit,
             title=f"{who} at {number(decisions.moment * dt)} s",
         )
         images.append(to_image(figure, f"Best action value of {who} over the arena"))
@@ -170,22 +176,9 @@ def learning_panels(curves: pd.DataFrame, learner: str, *, offline: bool) -> lis
     ]
 
 
-def _factual(inputs: ReportInputs) -> tuple[Rollouts, NDArray[np.float64]]:
-    """The rollouts of the learner that the tables compare, and their DTW distances."""
-    rollouts = inputs.rollouts[inputs.learner]
-    rows = inputs.evaluation.metrics
-    first = int(np.flatnonzero(rows["method"] == inputs.learner)[0])
-    compared = factual(rows)
-    compared = compared[compared["method"] == inputs.learner]
-    chosen = compared.index.to_numpy() - first  # rows stand in the order of the rollouts
-    return rollouts.select(chosen), compared[DTW.key].to_numpy(dtype=np.float64)
-
-
-def _mean(comparison: pd.DataFrame, name: str, metric: Metric, counting: str) -> Interval:
-    row = comparison_row(comparison, name, metric, counting)
+def _mean(inputs: ReportInputs, name: str, metric: Metric, counting: str) -> Interval:
+    """In the unit told, shares in percent."""
+    row = comparison_row(inputs.evaluation.comparison, name, metric, counting)
     assert row is not None  # the comparison has every method and metric
-    return interval(row, "mean")
-
-
-def _times(value: Interval, factor: float) -> Interval:
-    return Interval(value.estimate * factor, value.low * factor, value.high * factor)
+    value = inputs.words.interval(row, "mean", metric)
+    return scaled(value, 100.0) if metric.share else value

@@ -1,4 +1,4 @@
-"""Figures of paths: a rollout beside its recording, in their arena."""
+"""Figures of paths: a rollout above its recording, in their arena, with names and a scale bar."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.motion import Unit
 from animarl_algos.report import style
+from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 
 if TYPE_CHECKING:
@@ -16,10 +18,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
+View = tuple[float, float, float]
 
 
 def trajectory_pair(
-    simulated: Floats, recorded: Floats, arena: Arena, roles: Sequence[str], title: str = ""
+    simulated: Floats,
+    recorded: Floats,
+    arena: Arena,
+    roles: Sequence[str],
+    names: Sequence[str],
+    words: Words,
+    title: str = "",
 ) -> Figure:
     """A rollout above the demonstration that it started from.
 
@@ -27,39 +36,51 @@ def trajectory_pair(
     ----------
     simulated, recorded
         ``(frames, individuals, 2)``, arena frame [arena unit].
-    arena, roles
-        The field, whose outline is drawn, and what each individual is.
+    arena, roles, names
+        The field, whose outline is drawn, and what each individual is and is called.
+    words
+        What the demonstration and the unit of the scale bar are called.
     """
     with style.figure_style():
         from matplotlib.patches import Rectangle
 
-        figure, axes = style.new_figure(1.7, 3.6, rows=2)
-        view = _view(arena, simulated, recorded)
+        figure, axes = style.new_figure(1.9, 4.5, rows=2)
+        view = view_of(arena, simulated, recorded)
         x, y, half = view
-        for panel, path, name in zip(axes, (simulated, recorded), ("simulated", "recorded")):
-            draw_paths(panel, path, arena, roles)
+        for panel, path, name in zip(
+            axes, (simulated, recorded), ("simulated", words.say("recorded"))
+        ):
+            draw_paths(panel, path, arena, roles, names)
             panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
             if arena.shape == "open":
                 panel.add_patch(
                     Rectangle((x - half, y - half), 2 * half, 2 * half, color=style.FLOOR, zorder=0)
                 )
-                _scale_bar(panel, view)
             panel.text(
                 0.0, 1.02, name, transform=panel.transAxes, fontsize=8, color=style.MUTED,
                 va="bottom",
             )  # fmt: skip
+        _scale_bar(axes[-1], view, words.unit)
+        figure.legend(
+            *(part[::-1] for part in axes[0].get_legend_handles_labels()),
+            loc="outside lower left", fontsize=7, handlelength=2.6, labelspacing=0.25,
+            borderaxespad=0.2,
+        )  # fmt: skip
         if title:
-            figure.suptitle(title, fontsize=8.5, x=0.02, ha="left")
+            figure.suptitle(title, fontsize=8, x=0.02, ha="left")
     return figure
 
 
-def draw_paths(panel: Axes, path: Floats, arena: Arena, roles: Sequence[str]) -> None:
-    """Paths in an arena: open circle at the start, filled at the end, a cross at the source."""
+def draw_paths(
+    panel: Axes, path: Floats, arena: Arena, roles: Sequence[str], names: Sequence[str]
+) -> None:
+    """Paths in an arena: open mark at the start, filled at the end, a cross at the source."""
     from matplotlib.patches import Circle, Rectangle
 
     outline: dict[str, Any] = {
-        "fill": True, "facecolor": style.FLOOR, "edgecolor": style.MUTED, "linewidth": 0.8,
-        "zorder": 0,
+        "fill": True, "facecolor": style.FLOOR, "edgecolor": style.MUTED,
+        "linewidth": 1.4 if arena.rebound else 0.8,
+        "linestyle": "-" if arena.rebound else (0, (4, 2)), "zorder": 0,
     }  # fmt: skip
     if arena.shape == "square":
         panel.add_patch(
@@ -69,22 +90,24 @@ def draw_paths(panel: Axes, path: Floats, arena: Arena, roles: Sequence[str]) ->
         panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
     if "searcher" in roles:
         panel.plot(0.0, 0.0, "x", color=style.RECORDED_COLOUR, markersize=6, markeredgewidth=1.5)
-    colours = style.individual_colours(roles)
-    for k in reversed(range(len(roles))):
-        xy, colour = path[:, k], colours[k]
-        panel.plot(xy[:, 0], xy[:, 1], color=colour, linewidth=1.1, alpha=0.9)
+    for k, look in reversed(list(enumerate(style.looks(roles)))):
+        xy = path[:, k]
         panel.plot(
-            *xy[0], "o", markersize=3.6, markerfacecolor="white", markeredgecolor=colour,
-            markeredgewidth=0.9,
+            xy[:, 0], xy[:, 1], color=look.colour, linestyle=look.dashes, linewidth=1.2,
+            label=names[k],
         )  # fmt: skip
-        panel.plot(*xy[-1], "o", markersize=4.0, color=colour, markeredgecolor="white",
-                   markeredgewidth=0.5)  # fmt: skip
+        panel.plot(
+            *xy[0], look.marker, markersize=3.8, markerfacecolor=style.GROUND,
+            markeredgecolor=look.colour, markeredgewidth=0.9,
+        )  # fmt: skip
+        panel.plot(*xy[-1], look.marker, markersize=4.4, color=look.colour,
+                   markeredgecolor=style.GROUND, markeredgewidth=0.5)  # fmt: skip
     panel.set_aspect("equal")
     panel.set_axis_off()
 
 
-def _view(arena: Arena, simulated: Floats, recorded: Floats) -> tuple[float, float, float]:
-    """A square window: centre and half side.
+def view_of(arena: Arena, simulated: Floats, recorded: Floats) -> View:
+    """A square window: centre and half side [arena unit].
 
     It holds the arena and both paths; in an open field, where a lost searcher may be anywhere, the
     recording and the source with room around them.
@@ -102,13 +125,23 @@ def _view(arena: Arena, simulated: Floats, recorded: Floats) -> tuple[float, flo
     return float(x), float(y), float((high - low).max()) / 2 * margin
 
 
-def _scale_bar(panel: Axes, view: tuple[float, float, float]) -> None:
-    """A bar of a round length, about a quarter of the window."""
+def bar_length(half: float, unit: Unit) -> float:
+    """A round length for a scale bar, at most a quarter of the window, in the unit told."""
+    most = half * unit.per_arena_unit / 2
+    power = 10.0 ** np.floor(np.log10(most))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= most))
+
+
+def _scale_bar(panel: Axes, view: View, unit: Unit) -> None:
+    """Below the window, so that it covers no path."""
     x, y, half = view
-    power = 10.0 ** np.floor(np.log10(half / 2))
-    length = max(step * power for step in (1, 2, 5) if step * power <= half / 2)
-    left, bottom = x - 0.9 * half, y - 0.9 * half
-    panel.plot([left, left + length], [bottom, bottom], color=style.TEXT, linewidth=1.2)
+    length = bar_length(half, unit)
+    left, below = x - half, y - 1.06 * half
+    panel.plot(
+        [left, left + length / unit.per_arena_unit], [below, below], color=style.TEXT,
+        linewidth=1.4, clip_on=False, solid_capstyle="butt",
+    )  # fmt: skip
     panel.text(
-        left + length / 2, bottom + 0.03 * half, f"{length:g}", fontsize=7, ha="center", va="bottom"
-    )
+        left + length / unit.per_arena_unit + 0.06 * half, below, f"{length:g} {unit.name}",
+        fontsize=7, va="center",
+    )  # fmt: skip

@@ -4,31 +4,30 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from animarl_algos.report.glossary import glossary
 from animarl_algos.report.inputs import ReportInputs
-from animarl_algos.report.sections import build_sections, facts, summary
-from animarl_envs.errors import MissingExtraError
+from animarl_algos.report.page import Page, render_page
+from animarl_algos.report.scenes import Player
+from animarl_algos.report.sections import build_sections, facts, lead
+from animarl_algos.report.style import method_label
 from animarl_envs.files import write_then_rename
 
 
 def render_report(inputs: ReportInputs) -> str:
     """The report as HTML that loads nothing from anywhere."""
-    try:
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    except ImportError as error:
-        raise MissingExtraError("the report", "algos") from error
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.j2").render(
-        title=inputs.title,
-        synthetic=inputs.demos.synthetic,
-        facts=facts(inputs),
-        summary=summary(inputs),
-        sections=build_sections(inputs),
+    sections = build_sections(inputs)
+    text = "\n".join(text for section in sections for text in section.texts)
+    return render_page(
+        Page(
+            title=inputs.title,
+            kind="Simulation report",
+            synthetic=inputs.demos.synthetic,
+            facts=facts(inputs),
+            lead=lead(inputs),
+            player=Player.of(inputs),
+            sections=sections,
+            glossary=glossary(map(method_label, inputs.rollouts), text),
+        )
     )
 
 

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
+from animarl_algos.evaluation.metrics import DTW
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import findings, panels
 from animarl_algos.report import sentences as wording
 from animarl_algos.report.blocks import (
     Block,
-    Command,
     Gallery,
     Group,
     Heading,
-    Pairs,
     Row,
     Section,
-    Summary,
     Table,
-    Text,
 )
 from animarl_algos.report.distance_section import distances
 from animarl_algos.report.inputs import ReportInputs
+from animarl_algos.report.provenance import provenance, to_paste
 from animarl_algos.report.sentences import NOTHING, number, with_interval
 from animarl_algos.report.style import method_label
-from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence
+from animarl_algos.report.verdict_section import Lead, verdict_blocks, verdict_lead
+from animarl_algos.report.words import scaled
 from animarl_envs.fitting import IndividualFit
 
 
@@ -42,34 +40,34 @@ def facts(inputs: ReportInputs) -> list[tuple[str, str]]:
     return rows + ([("Made", inputs.created)] if inputs.created else [])
 
 
-def summary(inputs: ReportInputs) -> Summary:
-    """The sentences at the top, worked out from the tables."""
+def lead(inputs: ReportInputs) -> Lead:
+    """The verdict, and what limits it."""
     comparison = inputs.evaluation.comparison
-    return Summary(
-        [
-            verdict_sentence(inputs.evaluation.verdict),
-            *wording.headline(comparison, inputs.evaluation.pairs, inputs.learner),
-        ],
+    return verdict_lead(
+        inputs.evaluation.verdict,
+        inputs.words,
         wording.cautions(comparison, inputs.learner, inputs.demos.synthetic),
     )
 
 
 def build_sections(inputs: ReportInputs) -> list[Section]:
     """All sections that have something to show, in order."""
-    demonstrated = "Demonstrated" if inputs.demos.synthetic else "Recorded"
-    verdict = verdict_blocks(inputs.evaluation.verdict, demonstrated)
+    words = inputs.words
+    findings_first = findings.summary(inputs)
     candidates = [
-        Section("verdict", "Verdict", list(verdict)),
+        Section("found", "What was found", list(findings_first)),
+        Section("verdict", "Verdict", list(verdict_blocks(inputs.evaluation.verdict, words))),
         Section("trajectories", "Trajectories", list(_trajectories(inputs))),
         Section("speeds", "Speeds", list(_speeds(inputs))),
         Section("metrics", "Metrics", list(findings.metrics(inputs))),
-        Section("distances", "Distance to the recordings", list(distances(inputs))),
+        Section("distances", words.say("Distance to the recordings"), list(distances(inputs))),
         Section("contrasts", "Planned contrasts", list(findings.contrasts(inputs))),
         Section("counterfactual", "Counterfactual", list(findings.counterfactual(inputs))),
         Section("locomotion", "Locomotion", list(_locomotion(inputs))),
         Section("decisions", "Decisions", list(_decisions(inputs))),
         Section("learning", "Learning", list(_learning(inputs))),
-        Section("provenance", "How this was made", list(_provenance(inputs))),
+        Section("paste", "To paste", list(to_paste(inputs))),
+        Section("provenance", "How this was made", list(provenance(inputs))),
     ]
     return [section for section in candidates if section.blocks]
 
@@ -78,19 +76,21 @@ def build_sections(inputs: ReportInputs) -> list[Section]:
 
 
 def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
-    learner = method_label(inputs.learner)
+    learner, words = method_label(inputs.learner), inputs.words
     for condition, images in panels.trajectories(inputs):
         where = f" Condition: {condition}." if condition else ""
-        marks = "target black"
-        if "searcher" in inputs.demos.roles:
-            marks = "cross: the source; bar: arena units; paths that leave the window are cut"
+        source = (
+            "; the cross is the source, and paths that leave the window are cut"
+            if "searcher" in inputs.demos.roles
+            else ""
+        )
         yield Gallery(
             images,
             f"{learner} above the demonstration that each rollout started from.{where} Chosen by "
             "rank, not by eye: from left to right the rollouts nearest to the 10th, 30th, 50th, "
-            "70th and 90th percentile of the DTW distance to the demonstration (arena units), so "
-            "the first are among the best and the last among the worst. Open circles mark starts, "
-            f"filled ones ends; {marks}.",
+            "70th and 90th percentile of the DTW distance to the demonstration "
+            f"({words.unit_of(DTW)}), no two from one start, so the first are among the best and "
+            f"the last among the worst. Open marks are starts, filled ones ends{source}.",
             strip=True,
         )
 
@@ -99,9 +99,11 @@ def _speeds(inputs: ReportInputs) -> Iterator[Block]:
     images, steps = panels.speeds(inputs)
     yield Gallery(
         images,
-        f"Speed of every step, recorded (dark) and simulated by {method_label(inputs.learner)} "
-        f"(light), all episodes, on shared bins; areas sum to one. {steps[1]:,} recorded and "
-        f"{steps[0]:,} simulated steps per individual.",
+        inputs.words.say(
+            f"Speed of every step, recorded (filled) and simulated by "
+            f"{method_label(inputs.learner)} (line), all episodes, on shared bins; areas sum to "
+            f"one. {steps[1]:,} recorded and {steps[0]:,} simulated steps per individual."
+        ),
     )
 
 
@@ -109,26 +111,32 @@ def _speeds(inputs: ReportInputs) -> Iterator[Block]:
 
 
 def _locomotion(inputs: ReportInputs) -> Iterator[Block]:
-    fit = inputs.fit
+    fit, words = inputs.fit, inputs.words
     if fit is None:
         return
+    unit = words.unit
     onsets = any(one.onsets is not None for one in fit.individuals)
     lines = []
     for one in fit.individuals:
         cells = [
             one.name,
             with_interval(_interval(one.damping, one.damping_interval)),
-            with_interval(_interval(one.thrust, one.thrust_interval)),
-            number(one.velocity_rmse, 2),
-            number(one.terminal_speed),
-            number(one.top_speed),
+            with_interval(scaled(_interval(one.thrust, one.thrust_interval), unit.per_arena_unit)),
+            number(unit.per_arena_unit * one.velocity_rmse, 2),
+            number(unit.per_arena_unit * one.terminal_speed),
+            number(unit.per_arena_unit * one.top_speed),
             with_interval(_braking(one, fit.dt)),
         ]
         lines.append(Row(cells + ([str(one.onsets)] if onsets else [])))
     columns = [
-        "Individual", "Damping d", "Thrust u", "Velocity\nRMSE", "Terminal\nspeed",
-        "Recorded\ntop speed", "Braking\ntime (s)",
-    ]  # fmt: skip
+        "Individual",
+        "Damping d\n(per step)",
+        f"Thrust u\n({unit.name}/s\u00b2)",
+        f"Velocity\nRMSE ({words.speed})",
+        f"Terminal\nspeed ({words.speed})",
+        words.say(f"Recorded top\nspeed ({words.speed})"),
+        "Braking\ntime (s)",
+    ]
     yield Table(
         "Fitted locomotion",
         columns + (["Onsets"] if onsets else []),
@@ -137,9 +145,8 @@ def _locomotion(inputs: ReportInputs) -> Iterator[Block]:
         f"fit on {fit.episodes} episodes ({fit.fitted_on}); 95 % intervals over {fit.bootstrap:,} "
         f"resamples of episodes; velocity RMSE on {fit.validation_episodes} episodes "
         f"({fit.validated_on}). Terminal speed u \u0394t / d is where constant thrust leads; the "
-        "recorded top speed is the median above the 99th percentile; after the braking time a "
-        "coasting animal has lost all but 1/e of its speed. Lengths in arena units, times in s, "
-        "d per step.",
+        f"{words.say('recorded')} top speed is the median above the 99th percentile; after the "
+        "braking time a coasting animal has lost all but 1/e of its speed.",
     )
 
 
@@ -148,7 +155,7 @@ def _decisions(inputs: ReportInputs) -> Iterator[Block]:
     if decisions is None:
         return
     target = panels.is_target(inputs, decisions.individual)
-    others = "the others" if target else "the others (the target dark)"
+    others = "the others" if target else "the others (the target a cross)"
     over = (
         " Over the arena: the value of the best action and the acceleration it calls for, were the "
         f"animal put there at rest halfway through that episode, its memory and {others} as they "
@@ -159,10 +166,10 @@ def _decisions(inputs: ReportInputs) -> Iterator[Block]:
     yield Gallery(
         panels.decision_panels(inputs, decisions),
         f"What {method_label(inputs.learner)} values for {decisions.individual} along test "
-        f"demonstration {decisions.demo}, the one of median length, everyone moving as recorded. "
+        f"demonstration {decisions.demo}, the one of median length, everyone moving as there. "
         "Above, the state value (mean of Q over actions) and the best action's; below, the "
         "advantage of each direction of acceleration, angles taken from the direction to the "
-        f"learner; dots: the action found in the recording.{over}",
+        f"learner; dots: the action found in the demonstration.{over}",
     )
 
 
@@ -177,49 +184,6 @@ def _learning(inputs: ReportInputs) -> Iterator[Block]:
             "One thin line per training seed, thick their mean; a single seed is drawn thick. "
             f"Lines by individual are losses of {method_label(inputs.learner)}.",
         )
-
-
-def _provenance(inputs: ReportInputs) -> Iterator[Block]:
-    demos = inputs.demos
-    if inputs.command:
-        yield Text("To repeat this run:")
-        yield Command(inputs.command)
-    entries = [
-        ("fingerprint of the evaluated set", inputs.evaluation.fingerprint),
-        ("evaluated episodes", str(demos.num_episodes)),
-        ("individuals", ", ".join(demos.individuals)),
-        ("time step", f"{demos.dt:g} s"),
-        *((f"{split} episodes", str(count)) for split, count in inputs.episodes.items()),
-        *flattened(demos.provenance),
-    ]
-    yield Pairs("Demonstrations", entries)
-    yield Pairs(
-        "Statistics",
-        [
-            ("resamples of means and differences", f"{inputs.evaluation.resamples:,}"),
-            ("resamples of distances", f"{inputs.evaluation.distance_resamples:,}"),
-            ("seed of the resampling", str(inputs.evaluation.seed)),
-            ("training seeds", ", ".join(map(str, inputs.seeds)) or NOTHING),
-        ],
-    )
-    if inputs.settings:
-        yield Pairs("Settings", flattened(inputs.settings))
-    if inputs.versions:
-        yield Pairs("Versions", list(inputs.versions.items()))
-
-
-def flattened(settings: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested settings as dotted names and printable values."""
-    out: list[tuple[str, str]] = []
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            out += flattened(value, f"{prefix}{key}.")
-        elif isinstance(value, list | tuple):
-            out.append((f"{prefix}{key}", ", ".join(map(str, value)) or NOTHING))
-        else:
-            out.append((f"{prefix}{key}", {True: "yes", False: "no"}[value]
-                        if isinstance(value, bool) else str(value)))  # fmt: skip
-    return out
 
 
 def _braking(one: IndividualFit, dt: float) -> Interval:

@@ -11,6 +11,7 @@ from animarl_algos.evaluation.metrics import DTW, METRICS, RETURN, Metric
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.report.style import method_label
+from animarl_algos.report.words import Words, scaled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,13 +73,16 @@ def comparison_row(
     return None if chosen.empty else chosen.iloc[0]
 
 
-def headline(comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str) -> list[str]:
+def headline(
+    comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str, words: Words
+) -> list[str]:
     """What the evaluation of ``learner`` found, in plain sentences."""
-    return [
+    sentences = [
         *_captures(comparison, learner),
-        *_likeness(comparison, learner),
-        *_closeness(comparison, pairs, learner),
+        *_likeness(comparison, learner, words),
+        *_closeness(comparison, pairs, learner, words),
     ]
+    return [words.say(sentence) for sentence in sentences]
 
 
 def pair_difference(
@@ -102,14 +106,15 @@ def _captures(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
     if simulated is None or recorded is None:
         return
     gap = interval(simulated, "to_recorded")
+    size = f"difference {with_interval(gap, percent=True)} percentage points"
     yield (
         f"{method_label(learner)} reaches the target in {_share(simulated)} of "
         f"{int(simulated['rollouts'])} rollouts, the recordings in {_share(recorded)} of "
         f"{int(recorded['rollouts'])}: "
         + (
-            "the difference cannot be told from none."
+            f"not told apart at this sample size ({size})."
             if not gap.excludes_zero
-            else f"{'more' if gap.estimate > 0 else 'less'} often than recorded."
+            else f"{'more' if gap.estimate > 0 else 'less'} often than recorded ({size})."
         )
     )
 
@@ -120,38 +125,39 @@ def _share(row: Any) -> str:
     return f"{_fixed(100 * value.estimate, 0)} % [{low}, {high}]"
 
 
-def _likeness(comparison: pd.DataFrame, learner: str) -> Iterator[str]:
+def _likeness(comparison: pd.DataFrame, learner: str, words: Words) -> Iterator[str]:
     for metric in METRICS:
         row = comparison_row(comparison, learner, metric)
         if metric.more_less is None or row is None or not math.isfinite(row["to_recorded"]):
             continue
         more, less = metric.more_less
-        gap = interval(row, "to_recorded")
+        gap, unit = words.interval(row, "to_recorded", metric), words.unit_of(metric)
         if gap.excludes_zero:
             size = gap if gap.estimate > 0 else Interval(-gap.estimate, -gap.high, -gap.low)
-            words = (
-                f"{with_interval(size)} {metric.unit} {more if gap.estimate > 0 else less} "
-                "than recorded"
+            found = (
+                f"{with_interval(size)} {unit} {more if gap.estimate > 0 else less} than recorded"
             )
         else:
-            words = (
-                f"not told apart from the recordings on average (difference "
-                f"{with_interval(gap)} {metric.unit})"
+            found = (
+                "on average not told apart from the recordings at this sample size (difference "
+                f"{with_interval(gap)} {unit})"
             )
-        sentence = f"{metric.label}, all episodes: {words}"
+        sentence = f"{metric.label}, all episodes: {found}"
         kde, null = interval(row, "kde"), interval(row, "kde_null")
         if math.isfinite(kde.estimate) and math.isfinite(null.high):
             place = "within" if kde.estimate <= null.high else "above"
             place = "below" if kde.estimate < null.low else place
             sentence += (
-                f"; kernel-density distance {number(kde.estimate, 2)} on a scale from 0 to 2, "
+                f"; kernel-density distance {with_interval(kde)} on a scale from 0 to 2, "
                 f"{place} the {number(null.low, 2)} to {number(null.high, 2)} that a perfect "
                 "simulator gives at this sample size"
             )
         yield f"{sentence}."
 
 
-def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str) -> Iterator[str]:
+def _closeness(
+    comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str, words: Words
+) -> Iterator[str]:
     mine = comparison_row(comparison, learner, DTW)
     if mine is None:
         return
@@ -160,8 +166,9 @@ def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str) -> I
         row = comparison_row(comparison, name, DTW)
         if row is None or name == learner:
             continue
-        more = pair_difference(pairs, str(name), learner, DTW)
-        text = f"{method_label(name)} ({number(row['mean'])}, difference {with_interval(more)})"
+        more = scaled(pair_difference(pairs, str(name), learner, DTW), words.factor(DTW))
+        mean = number(words.interval(row, "mean", DTW).estimate)
+        text = f"{method_label(name)} ({mean}, difference {with_interval(more)})"
         if not more.excludes_zero:
             unclear.append(text)
         elif more.estimate > 0:
@@ -170,11 +177,11 @@ def _closeness(comparison: pd.DataFrame, pairs: pd.DataFrame, learner: str) -> I
             farther.append(text)
     sentence = (
         f"Mean DTW distance of {method_label(learner)} to the recordings: "
-        f"{with_interval(interval(mine, 'mean'))} {DTW.unit}"
+        f"{with_interval(words.interval(mine, 'mean', DTW))} {words.unit_of(DTW)}"
     )
     parts = [
-        f"{words} {_listed(names)}"
-        for words, names in (
+        f"{place} {_listed(names)}"
+        for place, names in (
             ("closer than", closer),
             ("farther than", farther),
             ("not told apart from", unclear),

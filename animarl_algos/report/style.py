@@ -5,44 +5,37 @@ Figures are made without pyplot, so nothing global changes and nothing has to be
 
 from __future__ import annotations
 
-import base64
+import hashlib
 import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.rollouts import RECORDED
-from animarl_envs.drawing import palette
-from animarl_envs.drawing.palette import mix, to_hex
+from animarl_algos.report import themes
 from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TEXT = to_hex(palette.TEXT)
-MUTED = to_hex(palette.MUTED_TEXT)
-FAINT = to_hex(mix(palette.MUTED_TEXT, palette.BACKGROUND, 0.75))
-FLOOR = to_hex(mix(palette.ARENA, palette.BACKGROUND, 0.4))
-RECORDED_COLOUR = to_hex(palette.TARGET)
-RECORDED_FILL = to_hex(mix(palette.TARGET, palette.BACKGROUND, 0.35))
-SIMULATED_COLOUR = to_hex(palette.SIMULATED)
+TEXT = themes.TEXT.hex
+MUTED = themes.MUTED.hex
+FAINT = themes.LINE.hex
+FLOOR = themes.FLOOR.hex
+GROUND = themes.PAGE.hex
+RECORDED_COLOUR = themes.TARGET.hex
+RECORDED_FILL = themes.FILL.hex
+SIMULATED_COLOUR = themes.BLUE.hex
+ON_MAP = "#fefefe"
+"""White on a colour map, which does not follow the theme, and so neither does this."""
 
-METHOD_COLOURS = {
-    "recorded": palette.TARGET,
-    "random": (168, 166, 160),
-    "untrained": (140, 128, 112),
-    "dqn": (204, 140, 0),
-    "bc": (213, 94, 0),
-    "dqaas": (0, 148, 110),
-    "dqdil": (64, 160, 215),
-    "dqdil-pt": (0, 114, 178),
-    "dqcil": (178, 96, 146),
-    "dqcil-pt": (140, 60, 110),
-}
-"""Okabe and Ito's hues (2008), one per recipe, so that a method looks alike in every figure."""
+DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.4)), (0, (6, 2, 1, 2)), (0, (3, 1.2)))
+MARKERS = ("o", "s", "^", "D", "v", "P")
+"""Lines and marks by position, so that nothing is told by colour alone."""
 
 FONTS = "system-ui, -apple-system, 'Segoe UI', Roboto, Helvetica, Arial, sans-serif"
 """Of texts in figures, as of the page around them; all are narrower than the one laid out with."""
@@ -84,10 +77,19 @@ RC: Any = {
 }
 
 
+def is_method(name: str) -> bool:
+    """Whether it is one of those with a colour of their own, or its quantile twin."""
+    return _recipe(name) in themes.METHODS
+
+
+def _recipe(name: str) -> str:
+    return name.casefold().removeprefix("qr-")
+
+
 def method_colour(name: str, position: int = 0) -> str:
     """The colour of a method, a quantile twin's that of its recipe; other names by position."""
-    known = METHOD_COLOURS.get(name.casefold().removeprefix("qr-"))
-    return to_hex(known if known is not None else palette.pursuer(position))
+    known = themes.METHODS.get(_recipe(name))
+    return (known or themes.PURSUERS[position % len(themes.PURSUERS)]).hex
 
 
 def method_label(name: str) -> str:
@@ -96,12 +98,24 @@ def method_label(name: str) -> str:
     return name if name.casefold() in plain or not name.islower() else name.upper()
 
 
-def individual_colours(roles: Sequence[str]) -> list[str]:
-    """Pursuers in hues, the target near-black, as in the renderer."""
-    return [
-        to_hex(palette.TARGET if role == "target" else palette.pursuer(i))
-        for i, role in enumerate(roles)
-    ]
+@dataclass(frozen=True)
+class Look:
+    """How one individual is drawn: colour, line and mark all tell it from the others."""
+
+    colour: str
+    dashes: Any
+    marker: str
+
+
+def looks(roles: Sequence[str]) -> list[Look]:
+    """Pursuers in hues, the target near-black and solid."""
+    out = []
+    for i, role in enumerate(roles):
+        hue = themes.TARGET if role == "target" else themes.PURSUERS[i % len(themes.PURSUERS)]
+        dashes = DASHES[0] if role == "target" else DASHES[i % len(DASHES)]
+        marker = "X" if role == "target" else MARKERS[i % len(MARKERS)]
+        out.append(Look(hue.hex, dashes, marker))
+    return out
 
 
 @contextmanager
@@ -140,18 +154,44 @@ def is_recorded(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Image:
-    """A figure for a web page: a data URI, its natural width, and what it shows in words."""
+    """A figure for a web page: a drawing that stands in it, its natural width, and its words."""
 
-    source: str
+    drawing: str  # an svg element, its colours variables of the page's style sheet
     width: int  # [CSS px]
     alt: str
 
 
 def to_image(figure: Figure, alt: str) -> Image:
-    """The figure as SVG inside a data URI; the same figure gives the same bytes."""
+    """The figure as SVG; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with figure_style():
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    drawing = re.sub(r"font-family: [^;\"]+", f"font-family: {FONTS}", buffer.getvalue().decode())
-    encoded = base64.b64encode(drawing.encode()).decode()
-    return Image(f"data:image/svg+xml;base64,{encoded}", round(figure.get_figwidth() * 96), alt)
+    drawing = buffer.getvalue().decode()
+    drawing = drawing[drawing.index("<svg") :]
+    for nothing in (r"<metadata>.*?</metadata>", r"<style.*?</style>", r"<!--.*?-->"):
+        drawing = re.sub(nothing, "", drawing, flags=re.DOTALL)
+    drawing = re.sub(r"font-family: [^;\"]+", f"font-family: {FONTS}", drawing)
+    drawing = re.sub(r"(font: [\d.]+px) [^;\"]+", rf"\1 {FONTS}", drawing)
+    drawing = _with_own_ids(drawing)
+    box = re.search(r'viewBox="[^"]+"', drawing)
+    assert box is not None  # matplotlib writes one
+    width = round(figure.get_figwidth() * 96)
+    opening = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'{box[0]} width="{width}" role="img" aria-label="{escape(alt, quote=True)}" '
+        'style="stroke-linejoin: round; stroke-linecap: butt">'
+    )
+    body = drawing[drawing.index(">") + 1 :].strip()
+    return Image(themes.themed(opening + body), width, alt)
+
+
+def _with_own_ids(drawing: str) -> str:
+    """Ids that are referred to get a name of the drawing's own; the others go."""
+    own = hashlib.sha256(drawing.encode()).hexdigest()[:10]
+    used = set(re.findall(r'(?:xlink:href="#|url\(#)([\w.-]+)', drawing))
+    drawing = re.sub(
+        r' id="([^"]+)"',
+        lambda found: f' id="f{own}-{found[1]}"' if found[1] in used else "",
+        drawing,
+    )
+    return re.sub(r'(xlink:href="#|url\(#)', rf"\1f{own}-", drawing)

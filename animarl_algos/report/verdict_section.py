@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.motion import MEASURES
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.told_apart import AUC
 from animarl_algos.evaluation.verdict import Verdict
+from animarl_algos.evaluation.verdict_rows import ALIKE
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
 from animarl_algos.report.blocks import Block, Gallery, Group, Row, Table, Text
 from animarl_algos.report.sentences import NOTHING, number, with_interval
 from animarl_algos.report.style import Image, method_label, to_image
+from animarl_algos.report.words import Words
 from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -25,21 +28,49 @@ COLUMNS = (
     "Verdict",
 )  # fmt: skip
 SHARES = frozenset(measure.key for measure in MEASURES if measure.is_share)
+ALIKE_WORDS = {ALIKE: "not told apart"}
+DEMONSTRATED = Words(synthetic=True)
+"""Where nobody says what the demonstrations are, they are called that."""
 SPREADS = tuple(measure.key for measure in MEASURES if measure.spread)
 
 
-def verdict_blocks(verdict: Verdict, recorded: str = "Recorded") -> Iterator[Block]:
-    """Sentence, table and the two figures of the classifier.
+@dataclass(frozen=True)
+class Lead:
+    """What stands at the top of the page: whether it was told apart, by what, how surely."""
 
-    ``recorded`` is what the demonstrations are called: they may be synthetic.
-    """
-    yield Text(verdict_sentence(verdict))
-    lines = [Row(cells, faint=bool(row["alike"])) for row, cells in _lines(verdict)]
-    columns = [COLUMNS[0], recorded, *COLUMNS[2:]]
-    yield Table("Verdict", columns, [Group("", lines)], _caption(verdict))
-    yield Gallery(list(_pictures(verdict)), _classifier_caption(verdict))
+    like: bool
+    headline: str
+    details: Sequence[str]
+    cautions: Sequence[str] = ()
+
+
+def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -> Lead:
+    """The verdict as a line and what it rests on, every figure with its interval."""
+    learner = method_label(verdict.learner)
+    told = "cannot be told apart" if verdict.like else "can be told apart"
+    at = " at this sample size" if verdict.like else ""
+    size = f"{verdict.rollouts} rollouts from {verdict.starts} starts"
+    details = [] if verdict.like else [f"{word[:1].upper()}{word[1:]}." for word in _wrong(verdict)]
+    if math.isfinite(verdict.auc.estimate):
+        details.append(f"{_classifier(verdict)}.")
+    return Lead(
+        verdict.like,
+        words.say(f"{learner} {told} from the recordings{at} ({size})."),
+        [words.say(detail) for detail in details],
+        cautions,
+    )
+
+
+def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
+    """Sentence, table and the two figures of the classifier."""
+    say = words.say
+    yield Text(verdict_sentence(verdict, words))
+    lines = [Row(cells, faint=bool(row["alike"])) for row, cells in _lines(verdict, words)]
+    columns = [say(column) for column in COLUMNS]
+    yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
+    yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
     energies = [
-        Row([str(row["label"]), number(row["energy"]), number(row["energy_pooled"])])
+        Row([_asked(row), number(row["energy"]), number(row["energy_pooled"])])
         for key in SPREADS
         if math.isfinite((row := verdict.row(key))["energy"])
     ]
@@ -55,25 +86,49 @@ def verdict_blocks(verdict: Verdict, recorded: str = "Recorded") -> Iterator[Blo
         )
 
 
-def verdict_sentence(verdict: Verdict) -> str:
-    """The verdict in one sentence, with the classifier's area beside it."""
-    found = (
-        f"{method_label(verdict.learner)} {verdict.overall}"
-        if verdict.like
-        else f"{method_label(verdict.learner)}: {verdict.overall}"
-    )
-    auc = (
-        f"; a classifier ranks a simulated window above a recorded one in "
-        f"{with_interval(verdict.auc, percent=True)} % of pairs (50: cannot tell them apart)"
-        if math.isfinite(verdict.auc.estimate)
-        else ""
-    )
+def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
+    """The verdict in one sentence, with the intervals that it rests on."""
     size = f"{verdict.rollouts} rollouts from {verdict.starts} starts"
-    at = "told apart from the demonstrations in nothing that counts, at this sample size: "
-    return f"{found} ({at if verdict.like else ''}{size}){auc}."
+    learner = method_label(verdict.learner)
+    found = (
+        f"{learner} cannot be told apart from the recordings at this sample size ({size})"
+        if verdict.like
+        else f"{learner}: {', '.join(_wrong(verdict))} ({size})"
+    )
+    auc = f". {_classifier(verdict)}" if math.isfinite(verdict.auc.estimate) else ""
+    return words.say(f"{found}{auc}.")
 
 
-def verdict_table(verdict: Verdict) -> TerminalTable:
+def _classifier(verdict: Verdict) -> str:
+    return (
+        "A classifier ranks a simulated window above a recorded one in "
+        f"{with_interval(verdict.auc, percent=True)} % of pairs (50: cannot tell them apart)"
+    )
+
+
+def _wrong(verdict: Verdict) -> Iterator[str]:
+    """What is wrong, each with the figure it rests on."""
+    rows = [row for _, row in verdict.table.iterrows()]
+    for word in verdict.words:
+        row = next((row for row in rows if row["verdict"] == word), None)
+        yield word if row is None else f"{word} ({_evidence(row)})"
+
+
+def _evidence(row: Any) -> str:
+    """The difference with its interval; where it might be none, also the distance and its null."""
+    scale, unit = _scale(row)
+    gap = Interval(row["difference"], row["difference_low"], row["difference_high"])
+    points = "percentage points" if unit == "%" else unit
+    parts = []
+    if math.isfinite(gap.estimate):
+        parts.append(f"difference {with_interval(gap, unit == '%')} {points}".rstrip())
+    if not (math.isfinite(gap.low) and gap.excludes_zero):
+        null = f"by chance up to {number(scale * row['null'])}"
+        parts.append(f"distance {number(scale * row['distance'])}, {null} {points}".rstrip())
+    return "; ".join(parts)
+
+
+def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
     """The verdict for the terminal.
 
     Raises
@@ -88,33 +143,43 @@ def verdict_table(verdict: Verdict) -> TerminalTable:
     except ImportError as error:
         raise MissingExtraError("the table", "algos") from error
     table = TerminalTable(
-        title=escape(verdict_sentence(verdict)), caption=escape(_caption(verdict)),
+        title=escape(verdict_sentence(verdict, words)),
+        caption=escape(words.say(_caption(verdict))),
         box=SIMPLE_HEAD, padding=(0, 1),
     )  # fmt: skip
-    for i, heading in enumerate((COLUMNS[0], "Demonstrated", *COLUMNS[2:])):
-        words = i in (0, len(COLUMNS) - 1)
-        table.add_column(heading, justify="left" if words else "right", no_wrap=not words)
-    for row, cells in _lines(verdict):
+    for i, heading in enumerate(COLUMNS):
+        wide = i in (0, len(COLUMNS) - 1)
+        table.add_column(
+            words.say(heading), justify="left" if wide else "right", no_wrap=not wide
+        )  # fmt: skip
+    for row, cells in _lines(verdict, words):
         table.add_row(*(escape(cell) for cell in cells), style="" if row["alike"] else "bold")
     return table
 
 
-def _lines(verdict: Verdict) -> Iterator[tuple[Any, list[str]]]:
+def _scale(row: Any) -> tuple[float, str]:
+    """By what the row's numbers are multiplied, and the unit they then have."""
+    return (100.0, "%") if row["measure"] in SHARES else (1.0, str(row["unit"]))
+
+
+def _asked(row: Any) -> str:
+    unit = _scale(row)[1]
+    return f"{row['label']} ({unit})" if unit else str(row["label"])
+
+
+def _lines(verdict: Verdict, words: Words) -> Iterator[tuple[Any, list[str]]]:
     """Each row of the table with its cells as texts."""
     for _, row in verdict.table.iterrows():
-        percent = row["measure"] in SHARES
-        scale = 100.0 if percent else 1.0
-        unit = "%" if percent else str(row["unit"])
-        label = f"{row['label']} ({unit})" if unit else str(row["label"])
+        scale, unit = _scale(row)
         gap = Interval(row["difference"], row["difference_low"], row["difference_high"])
         cells = [
-            label,
+            _asked(row),
             number(scale * row["recorded"]),
             number(scale * row["simulated"]),
-            with_interval(gap, percent),
+            with_interval(gap, unit == "%"),
             number(scale * row["distance"]),
             number(scale * row["null"]),
-            str(row["verdict"]),
+            words.say(ALIKE_WORDS.get(str(row["verdict"]), str(row["verdict"]))),
         ]
         if row["measure"] == AUC:
             cells[2] = with_interval(verdict.auc)
@@ -165,7 +230,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
     if shown:
         figure = figures.interval_rows(
             shown, "Area under the ROC curve", title="Told apart", reference=0.5,
-            limits=(min(0.4, *(a.low for a in shown.values())), 1.02),
+            limits=(min(0.4, *(a.low for a in shown.values())), 1.02), label=str,
         )  # fmt: skip
         yield to_image(figure, "Area under the ROC curve of the classifier, with its references")
     if verdict.importance:
@@ -173,5 +238,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
             kind: Interval(fall, math.nan, math.nan)
             for kind, fall in sorted(verdict.importance.items(), key=lambda item: -item[1])
         }
-        figure = figures.interval_rows(falls, "Fall of the area", title="By what", reference=0.0)
+        figure = figures.interval_rows(
+            falls, "Fall of the area", title="By what", reference=0.0, label=str
+        )
         yield to_image(figure, "By how much the area falls when one kind of feature is shuffled")

@@ -32,6 +32,7 @@ from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
 from animarl_algos.runs.acting import act_as_chosen, acting_file, for_all
 from animarl_algos.runs.alone import alone, holding
+from animarl_algos.runs.machine import timed, timed_stage, wall_times
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -136,7 +137,10 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
     resumed = latest_checkpoint(checkpoints) is not None
     if resumed:
         load_checkpoint(model, checkpoints)
-    with closing(configure(str(run.log_folder(algo)), ["csv", "tensorboard"])) as logger:
+    with (
+        timed(run.path, f"training {method_name(algo)}"),
+        closing(configure(str(run.log_folder(algo)), ["csv", "tensorboard"])) as logger,
+    ):
         model.set_logger(logger)
         model.learn(
             max(0, settings.steps - model.num_timesteps) if resumed else settings.steps,
@@ -216,6 +220,7 @@ def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts
 
 
 @holding
+@timed_stage("evaluation")
 def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
     rollouts = roll_out(run, progress_bar=progress_bar)
@@ -263,6 +268,10 @@ def report(run: RunFolder) -> Path:
             command=record["command"],
             created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
             episodes={split: int((demos.split == split).sum()) for split in SPLITS},
+            contact_radius=species.contact_radius,
+            environment=run.environment_options,
+            machine=record.get("machine", {}),
+            wall_time=wall_times(run.path),
         ),
         run.path / "report.html",
     )

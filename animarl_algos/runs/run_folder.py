@@ -1,6 +1,6 @@
 """A run's folder: everything needed to repeat it, to continue it, and to show it.
 
-settings.json       as resolved, with versions, the command and the demonstrations' fingerprint
+settings.json       as resolved, with versions, machine, command and the demonstrations' fingerprint
 demonstrations.npz  with their splits and provenance
 locomotion.json     the fitted parameters
 checkpoints/        the last whole checkpoint of each learner
@@ -8,6 +8,7 @@ policies/           final weights of each learner (tensors only)
 logs/               learning curves: CSV and TensorBoard
 rollouts/           on the test split, by method
 evaluation/         tables, and the verdict
+wall_time.json      seconds by stage
 report.html
 """
 
@@ -27,6 +28,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.machine import machine
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
@@ -85,7 +87,9 @@ class RunFolder:
                     )
             return
         demos.save(self.path / "demonstrations.npz")
-        record = resolved | {"versions": versions(), "command": command}
+        record = resolved | {
+            "versions": versions(), "machine": machine(), "command": command,
+        }  # fmt: skip
         with write_then_rename(file) as part:
             part.write_text(json.dumps(_plain(record), indent=2) + "\n")
 
@@ -107,7 +111,7 @@ class RunFolder:
     @property
     def record(self) -> dict[str, Any]:
         """``settings``, ``learner`` and the ``baseline`` it is compared with, ``environment``,
-        ``fingerprint``, ``versions`` and ``command``.
+        ``fingerprint``, ``versions``, ``machine`` and ``command``.
         """
         return self._read()
 

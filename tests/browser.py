@@ -1,0 +1,42 @@
+"""A headless Chromium for tests of pages, where there is one.
+
+It is looked for where systems put it, and then where ``playwright install chromium`` does;
+``ANIMARL_CHROMIUM`` names another one.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+
+
+def executable() -> str | None:
+    """A Chromium of the system, or nothing: playwright's own then."""
+    named = os.environ.get("ANIMARL_CHROMIUM")
+    found = (shutil.which(name) for name in ([named] if named else NAMES))
+    return next((path for path in found if path), None)
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser; the test is skipped, with the reason, where there is none."""
+    from playwright import sync_api as api
+
+    with api.sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(
+                executable_path=executable(), args=["--no-sandbox", "--disable-gpu"]
+            )
+        except api.Error as error:
+            pytest.skip(f"no Chromium can be started here: {str(error).splitlines()[0]}")
+        try:
+            yield browser
+        finally:
+            browser.close()

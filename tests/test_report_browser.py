@@ -1,0 +1,289 @@
+"""The page of a run in a browser: it plays, sorts, saves, fits every width, and says nothing."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import chromium
+from report_inputs import report_page
+
+api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+Open = Callable[..., Any]
+WIDTHS = (390, 768, 1440)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(report_page(), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def open_page(browser: Any, file: Path) -> Iterator[Open]:
+    """Opens the page in a window; afterwards nothing may have been said or asked for."""
+    said: list[str] = []
+    contexts = []
+
+    def opened(width: int = 1440, height: int = 900, **options: Any) -> Any:
+        context = browser.new_context(
+            viewport={"width": width, "height": height}, reduced_motion="reduce", **options
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on(
+            "request",
+            lambda asked: said.append(asked.url) if asked.url.startswith("http") else None,
+        )
+        page.goto(file.as_uri())
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert said == []
+
+
+def frame(page: Any) -> int:
+    return int(page.input_value("#time"))
+
+
+def drawn(page: Any) -> list[str]:
+    """What the panels show, as pixels."""
+    return list(
+        page.eval_on_selector_all("#panels canvas", "all => all.map(one => one.toDataURL())")
+    )
+
+
+# -- the player -----------------------------------------------------------------------------------
+
+
+def test_the_player_plays_to_the_end_and_begins_again(open_page: Open) -> None:
+    page = open_page()
+    before = drawn(page)
+    assert len(before) == 2 and frame(page) == 0
+    page.select_option("#speed", "8")
+    page.click("#play")
+    assert page.inner_text("#play") == "Pause"
+    api.expect(page.locator("#play")).to_have_text("Play")
+    last = int(page.get_attribute("#time", "max"))
+    assert frame(page) == last > 5
+    after = drawn(page)
+    assert all(one != other for one, other in zip(before, after, strict=True))
+    states = page.locator("#panels output").all_inner_texts()
+    assert all("target" in state and state.endswith(" s") for state in states)
+    page.click("#play")
+    api.expect(page.locator("#time")).not_to_have_value("0")
+    assert page.inner_text("#clock").endswith(" s")
+
+
+def test_it_starts_by_itself_unless_motion_is_to_be_reduced(open_page: Open) -> None:
+    page = open_page()
+    assert page.inner_text("#play") == "Play"
+    page.emulate_media(reduced_motion="no-preference")
+    page.reload()
+    api.expect(page.locator("#time")).not_to_have_value("0")
+
+
+def test_it_is_scrubbed_and_moved_by_keys(open_page: Open) -> None:
+    page = open_page()
+    page.locator("#time").fill("3")
+    assert frame(page) == 3
+    page.focus("#panels")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowLeft")
+    assert frame(page) == 4 and page.inner_text("#clock").startswith("0.4 of ")
+    page.keyboard.press("End")
+    assert frame(page) == int(page.get_attribute("#time", "max"))
+    page.keyboard.press("Home")
+    assert frame(page) == 0
+    page.keyboard.press("+")
+    assert page.input_value("#speed") == "2"
+    page.keyboard.press("ArrowDown")
+    assert page.input_value("#start") == "1"
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("ArrowUp")
+    count = page.locator("#start option").count()
+    assert page.input_value("#start") == str(count - 1)
+    page.keyboard.press(" ")
+    assert page.inner_text("#play") == "Pause"
+    page.focus("#start")
+    page.keyboard.press(" ")  # a list keeps its own keys
+    assert page.inner_text("#play") == "Pause"
+
+
+def test_factual_stands_beside_flipped(open_page: Open) -> None:
+    page = open_page()
+    titles = page.locator("#view option").all_inner_texts()
+    assert titles == ["DQDIL beside demonstrated", "told the other condition beside DQCIL, factual"]
+    before = drawn(page)
+    page.select_option("#view", "1")
+    headings = page.locator("#panels figcaption").all_inner_texts()
+    assert headings[0].startswith("DQCIL, factual")
+    assert headings[1].startswith("Told the other condition")
+    page.locator("#time").fill("6")
+    factual, flipped = drawn(page)
+    assert factual != flipped and drawn(page) != before
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+def test_verdict_and_player_are_on_the_first_screen(
+    open_page: Open, width: int, height: int
+) -> None:
+    page = open_page(width, height)
+    for selector in (".headline", "#panels"):
+        box = page.locator(selector).bounding_box()
+        assert box["y"] >= 0 and box["y"] + min(box["height"], 100) < height
+
+
+# -- tables and downloads -------------------------------------------------------------------------
+
+
+def numbers(page: Any, table: str, column: int, body: int = 0) -> list[str]:
+    rows = page.locator(f"{table} >> tbody >> nth={body} >> tr:not(.group)")
+    return [rows.nth(i).locator("th, td").nth(column).inner_text() for i in range(rows.count())]
+
+
+def test_tables_sort_within_their_groups(open_page: Open) -> None:
+    page = open_page()
+    table = "table[data-name^=metrics] >> nth=1"  # path length: all episodes, captures only
+    heading = page.locator(f"{table} >> thead >> th >> nth=3")
+    given = [numbers(page, table, 0, body) for body in (0, 1)]
+    heading.locator("button").click()
+    assert heading.get_attribute("aria-sort") == "ascending"
+    for body in (0, 1):
+        means = [float(text.split(" [")[0]) for text in numbers(page, table, 3, body)]
+        assert means == sorted(means) and len(set(means)) > 1
+        assert sorted(numbers(page, table, 0, body)) == sorted(given[body])
+    heading.locator("button").click()
+    assert heading.get_attribute("aria-sort") == "descending"
+    means = [float(text.split(" [")[0]) for text in numbers(page, table, 3)]
+    assert means == sorted(means, reverse=True)
+    gaps = page.locator(f"{table} >> thead >> th >> nth=4")
+    for _ in range(2):  # what is not defined stands last either way
+        gaps.locator("button").click()
+        assert numbers(page, table, 4)[-1] == "\u2013"
+    assert heading.get_attribute("aria-sort") is None
+
+
+def test_figures_and_tables_are_saved(open_page: Open, tmp_path: Path) -> None:
+    page = open_page()
+    saved = {}
+    for kind, place in (("SVG", ".picture"), ("PNG", ".picture"), ("CSV", "figure.table")):
+        with page.expect_download() as download:
+            page.locator(f"{place} >> button:text-is('{kind}')").nth(1).click()
+        saved[kind] = tmp_path / download.value.suggested_filename
+        download.value.save_as(saved[kind])
+        assert saved[kind].suffix == f".{kind.lower()}"
+    drawing = saved["SVG"].read_text(encoding="utf-8")
+    assert drawing.startswith("<svg") and "var(" not in drawing and "#2b2b2f" in drawing
+    assert saved["PNG"].read_bytes().startswith(b"\x89PNG")
+    assert saved["PNG"].stat().st_size > 5_000
+    rows = list(csv.reader(saved["CSV"].read_text(encoding="utf-8").splitlines()))
+    assert len({len(row) for row in rows}) == 1 and len(rows) > 2
+    with page.expect_download() as download:
+        page.locator("#metrics figure.table >> nth=1 >> button:text-is('CSV')").click()
+    download.value.save_as(tmp_path / "lengths.csv")
+    table = list(csv.DictReader((tmp_path / "lengths.csv").open(encoding="utf-8")))
+    assert {row["Group"] for row in table} == {"All episodes", "Captures only"}
+    mean = "Mean (arena units)"
+    for row in table:
+        assert float(row[f"{mean} low"]) <= float(row[mean]) <= float(row[f"{mean} high"])
+
+
+# -- looks ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_overflows_and_pictures_are_there(open_page: Open, width: int) -> None:
+    page = open_page(width)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    boxes = page.eval_on_selector_all(
+        ".picture svg, #panels canvas",
+        "all => all.map(one => one.getBoundingClientRect()).map(b => [b.width, b.height, b.right])",
+    )
+    assert len(boxes) > 15
+    assert all(w > 40 and h > 40 and right <= width for w, h, right in boxes)
+
+
+def test_the_first_column_stays_in_sight(open_page: Open) -> None:
+    page = open_page(390)
+    region = page.locator("#metrics .scroll").nth(1)
+    cell = region.locator("tbody tr:not(.group) th").first
+    left = cell.bounding_box()["x"]
+    moved = region.evaluate("region => { region.scrollLeft = 9999; return region.scrollLeft; }")
+    assert moved > 50
+    assert cell.bounding_box()["x"] == pytest.approx(left, abs=1)
+
+
+CONTRASTS = """() => {
+  const shade = (text) => text.match(/[\\d.]+/g).map(Number);
+  const linear = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
+  const luminance = ([r, g, b]) => 0.2126 * linear(r / 255) + 0.7152 * linear(g / 255)
+    + 0.0722 * linear(b / 255);
+  const ground = (element) => {
+    for (let one = element; one; one = one.parentElement) {
+      const parts = shade(getComputedStyle(one).backgroundColor);
+      if (parts.length === 3 || parts[3] > 0) return parts;
+    }
+    return [255, 255, 255];
+  };
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  const found = [];
+  while (walker.nextNode()) {
+    const element = walker.currentNode.parentElement;
+    const box = element.getBoundingClientRect();
+    const text = walker.currentNode.textContent.trim();
+    if (!text || !box.width || element.closest("script, style, option")) continue;
+    const style = getComputedStyle(element);
+    const ink = shade(element.closest("svg") ? style.fill : style.color);
+    const pair = [luminance(ink), luminance(ground(element))].sort((a, b) => a - b);
+    found.push([(pair[1] + 0.05) / (pair[0] + 0.05), text]);
+  }
+  return found;
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_all_text_can_be_read_in_both_themes(open_page: Open, scheme: str) -> None:
+    page = open_page(color_scheme=scheme)
+    found = page.evaluate(CONTRASTS)
+    assert len(found) > 500
+    assert [text for ratio, text in found if ratio < 4.5] == []
+
+
+def test_the_button_changes_the_theme_of_page_and_figures(open_page: Open) -> None:
+    page = open_page(color_scheme="light")
+
+    def colours() -> tuple[str, str]:
+        ink = ".picture svg text"
+        return (
+            page.evaluate("getComputedStyle(document.body).backgroundColor"),
+            page.eval_on_selector(ink, "one => getComputedStyle(one).fill"),
+        )
+
+    light, canvas = colours(), drawn(page)
+    assert light == ("rgb(255, 255, 255)", "rgb(43, 43, 47)")
+    assert page.inner_text("#theme") == "Dark"
+    page.click("#theme")
+    assert all(one != other for one, other in zip(light, colours(), strict=True))
+    assert drawn(page) != canvas
+    page.click("#theme")
+    assert colours() == light and drawn(page) == canvas
+    page.emulate_media(media="print", color_scheme="dark")  # paper is white
+    assert colours()[1] == light[1]
+    assert not page.is_visible("#player") and page.is_visible(".lead")
