@@ -350,7 +350,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         if own is None:
             raise InputError(
                 f"recipe {self.recipe.name} learns from demonstrations and neither it nor its "
-                "environment was given any: pass demonstrations="
+                "environment was given demonstrations: pass demonstrations="
             )
         data: DemonstrationData = own() if callable(own) else own
         return data
