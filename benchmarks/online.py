@@ -2,6 +2,7 @@
 
     python benchmarks/online.py agent --rate 1e-5 --rate 3e-5 --rate 1e-4 --seed 0 --seed 1
     python benchmarks/online.py fly newt silkmoth --seed 0 --seed 1
+    python benchmarks/online.py termites.npz --algo iq-learn --steps 153600
 
 Each learner is pretrained once per seed and goes on from there at every rate. Before and after, it
 is rolled out from the validation starts, sampled at the temperatures fitted anew on validation. The
@@ -33,7 +34,8 @@ from animarl_algos.learner.checkpoint import load_checkpoint, save_checkpoint
 from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
-from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.worlds import make_world
@@ -43,12 +45,19 @@ HEADINGS = ("", "duration, s", "reached", "path", "median speed", "outcome", "du
             "speed", "all four")  # fmt: skip
 
 
-def learner(species: str, algo: str, seed: int, settings: dict[str, Any]) -> SequenceQLearning:
+def demonstrations(name: str) -> Demonstrations:
+    """A packaged set, or a file."""
+    return load_packaged(name) if name in packaged_names() else Demonstrations.load(name)
+
+
+def learner(
+    demos: Demonstrations, algo: str, seed: int, settings: dict[str, Any]
+) -> SequenceQLearning:
     """As the default preset makes it, in its own training environment."""
-    demos = load_packaged(species)
-    preset = learner_preset(algo, environment_id(species), "default", settings)
+    species = species_of(demos)
+    preset = learner_preset(algo, environment_id(species.name), "default", settings)
     env = SlotVecEnv(
-        species_of(demos, base=species),
+        species,
         preset.n_envs,
         demos=demos,
         condition_flag=None,
@@ -92,7 +101,7 @@ def described(label: str, rollouts: Rollouts, recorded: Rollouts) -> list[str]:
 
 
 def main(
-    species: Annotated[list[str], typer.Argument(help="Packaged sets: agent, fly, newt, silkmoth")],
+    species: Annotated[list[str], typer.Argument(help="Packaged sets, or files.")],
     algo: Annotated[str, typer.Option(help="The learner.")] = "dqdil-pt",
     settings: Annotated[list[str] | None, typer.Option("--set", help="KEY=VALUE.")] = None,
     steps: Annotated[int, typer.Option(help="Of the online phase.")] = 30_000,
@@ -104,14 +113,14 @@ def main(
     """Pretrain, act, adapt, act again."""
     torch.set_num_threads(1)
     for name in species:
-        demos = load_packaged(name)
-        scenario = make_scenario(species_of(demos, base=name), demos=demos, split="val")
+        demos = demonstrations(name)
+        scenario = make_scenario(species_of(demos), demos=demos, split="val")
         assert scenario.demos is not None
         recorded = Rollouts.from_demonstrations(scenario.demos)
         lines = [described("demonstrated", recorded, recorded)]
         for number in seed or [0]:
             lines += before_and_after(
-                name, algo, number, parse_settings(settings), steps, rate, scenario, recorded
+                demos, algo, number, parse_settings(settings), steps, rate, scenario, recorded
             )
         table = Table(title=f"{algo}, {demos.name}, {steps} steps online")
         for heading in HEADINGS:
@@ -122,7 +131,7 @@ def main(
 
 
 def before_and_after(
-    name: str,
+    demos: Demonstrations,
     algo: str,
     seed: int,
     settings: dict[str, Any],
@@ -135,7 +144,7 @@ def before_and_after(
     lines = []
     with tempfile.TemporaryDirectory() as folder:
         begun = time.process_time()
-        model = learner(name, algo, seed, settings)
+        model = learner(demos, algo, seed, settings)
         model.pretrain()
         save_checkpoint(model, folder)
         label = f"seed {seed}: offline, {time.process_time() - begun:.0f} s"
@@ -143,7 +152,7 @@ def before_and_after(
         for rate in rates or [None]:
             begun = time.process_time()
             over = {} if rate is None else {"learning_rate": rate}
-            model = learner(name, algo, seed, settings | over)
+            model = learner(demos, algo, seed, settings | over)
             load_checkpoint(model, folder)
             model.learn(steps, reset_num_timesteps=False)
             label = f"seed {seed}: {model.learning_rate:g}, {time.process_time() - begun:.0f} s"

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from animarl_algos.data.action_penalties import dynamics_scored_penalties
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import one_step_misses
+from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import (
     COAST,
@@ -24,6 +25,7 @@ from animarl_envs.locomotion import (
     infer_actions,
 )
 
+ROLES = ("pursuer", "pursuer", "target")
 NAMES = ("male_0", "male_1", "female")
 LENGTHS = np.array([4, 2, 9, 3, 6, 5, 2])
 DT = 0.1
@@ -180,28 +182,27 @@ def test_bad_data_is_refused(change: Any, message: str) -> None:
 def recording(
     noise: float, seed: int = 1
 ) -> tuple[Demonstrations, NDArray[np.int64], list[Locomotion], NDArray[np.float64]]:
-    """Animals that take random actions towards random foci; positions may be read with noise."""
+    """Animals that take random actions, by where the others are; read with noise."""
     rng = np.random.default_rng(seed)
     lengths = np.array([30, 20])
     frames = int(lengths.sum())
     fitted = [Locomotion(0.25, 2.4), Locomotion(0.1, 1.0), Locomotion(0.3, 3.0)]
     actions = rng.integers(0, NUM_ACTIONS, (frames, 3))
-    angle = rng.uniform(0, 2 * np.pi, (frames, 3))
-    focus = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     positions = np.zeros((frames, 3, 2))
     initial = rng.normal(size=(2, 3, 2)) * 0.2
     for episode, begin in enumerate((0, 30)):
         positions[begin] = rng.uniform(-0.3, 0.3, (3, 2))
         velocity = initial[episode].copy()
         for t in range(begin, begin + lengths[episode] - 1):
+            focus = focus_directions(positions[t], ROLES)
             for k, model in enumerate(fitted):
-                velocity[k] = apply_actions(velocity[k], actions[t, k], focus[t, k], model, DT)
+                velocity[k] = apply_actions(velocity[k], actions[t, k], focus[k], model, DT)
             positions[t + 1] = positions[t] + velocity * DT
     actions[[29, 49]] = -1
     demos = Demonstrations(
         species="custom",
         individuals=NAMES,
-        roles=("pursuer", "pursuer", "target"),
+        roles=ROLES,
         dt=DT,
         arena=Arena("open"),
         positions=positions + rng.normal(size=positions.shape) * noise,
@@ -213,13 +214,13 @@ def recording(
         recording=np.array(["a", "b"]),
         provenance={"source": "test", "licence": "none", "synthetic": True},
     )
-    return demos, actions, fitted, focus
+    return demos, actions, fitted, demos.focus()
 
 
 def test_the_action_taken_leads_exactly_to_the_next_position() -> None:
-    demos, actions, fitted, focus = recording(noise=0.0)
-    penalties = dynamics_scored_penalties(demos, demos.velocities(), fitted, focus, DT)
-    assert penalties.shape == (50, 3, NUM_ACTIONS) and penalties.dtype == np.float32
+    demos, actions, fitted, _ = recording(noise=0.0)
+    penalties = one_step_misses(demos, fitted)
+    assert penalties.shape == (50, 3, NUM_ACTIONS)
     taken = actions >= 0
     assert (penalties.argmin(axis=2)[taken] == actions[taken]).all()
     assert penalties.min(axis=2).max() < 1e-7
@@ -234,7 +235,7 @@ def test_the_action_taken_leads_exactly_to_the_next_position() -> None:
 def test_the_inferred_action_has_the_smallest_penalty() -> None:
     demos, _, fitted, focus = recording(noise=0.003)
     velocity = demos.velocities()
-    penalties = dynamics_scored_penalties(demos, velocity, fitted, focus, DT)
+    penalties = one_step_misses(demos, fitted)
     steps = np.setdiff1d(np.arange(50), [29, 49])
     for k, model in enumerate(fitted):
         inferred = infer_actions(
@@ -249,16 +250,13 @@ def test_recorded_actions_have_the_smallest_penalty(data_dir: Path) -> None:
     demos = read(data_dir / "agents_collab_hunting" / "episodes_c2ae_share_slow2.4.npz")
     demos = demos.select(episodes=np.arange(60))
     fitted = [Locomotion(0.25, u) for u in (2.4, 2.4, 3.0)]
-    focus = demos.focus()
-    penalties = dynamics_scored_penalties(demos, demos.velocities(), fitted, focus, demos.dt)
+    penalties = one_step_misses(demos, fitted)
     recorded = demos.signals["actions"]
     taken = recorded >= 0
     assert (penalties.argmin(axis=2)[taken] == recorded[taken]).all()
 
 
-def test_penalties_of_unrelated_arrays_are_refused() -> None:
-    demos, _, fitted, focus = recording(noise=0.0)
-    with pytest.raises(InputError, match="do not belong together"):
-        dynamics_scored_penalties(demos, demos.velocities()[:-1], fitted, focus, DT)
-    with pytest.raises(InputError, match="2 locomotion models"):
-        dynamics_scored_penalties(demos, demos.velocities(), fitted[:2], focus, DT)
+def test_penalties_by_the_locomotion_of_others_are_refused() -> None:
+    demos, _, fitted, _ = recording(noise=0.0)
+    with pytest.raises(InputError, match="for 3 individuals: give one set each"):
+        one_step_misses(demos, fitted[:2])

@@ -19,7 +19,7 @@ from animarl_envs.errors import InputError
 
 AGENT = "AnimaRL/Agent-v0"
 PAPERS_WORLD = {"observation": "paper", "rebound": False}
-OF_THE_PAPER = [name for name in RECIPES if "soft-bc" not in name]
+OF_THE_PAPER = [name for name in RECIPES if "soft-bc" not in name and name != "iq-learn"]
 
 
 # -- every learner --------------------------------------------------------------------------------

@@ -39,6 +39,7 @@ def test_every_recipe_trains_repeats_saves_and_loads(name: str, tmp_path: Path) 
     np.testing.assert_array_equal(actions, expected)
     assert state is not None and loaded_state is not None
     np.testing.assert_array_equal(state[0], loaded_state[0])
+    loaded.demonstrations = model.demonstrations
     loaded.learn(30)
 
 

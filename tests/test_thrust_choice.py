@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from animarl_algos.evaluation.thrust_choice import choose_thrusts, tracking_floor
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.magnitudes import joint_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.locomotion import Locomotion
@@ -33,3 +35,21 @@ def test_animals_that_push_with_several_strengths_get_several(chases: Demonstrat
     wobbly = replace(chases, positions=track(chases, strengths).positions)
     assert choose_thrusts(wobbly) > 1
     assert tracking_floor(wobbly, joint_locomotion(wobbly)).estimate > 0.8
+
+
+def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
+    """Flies that are too sluggish to turn in time: through the edge, unless it is a wall."""
+    demos = load_packaged("fly").select(split="train")
+    sluggish = (Locomotion(0.1, 0.05),) * demos.num_individuals
+    walled = arena_of(demos)
+    assert walled.rebound and not demos.arena.rebound
+    assert farthest(demos, sluggish, demos.arena) > 1.02
+    assert farthest(demos, sluggish, walled) <= 1.0
+    floor = tracking_floor(demos, sluggish)
+    assert floor == tracking_floor(demos, sluggish, arena=walled)
+    assert floor != tracking_floor(demos, sluggish, arena=demos.arena)
+
+
+def farthest(demos: Demonstrations, locomotion: tuple[Locomotion, ...], arena: Arena) -> float:
+    """From the centre of the dish [arena unit]."""
+    return float(np.linalg.norm(track(demos, locomotion, arena).positions, axis=2).max())

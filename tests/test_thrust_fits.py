@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
 from animarl_algos.cli.thrusts import parse_thrusts
-from animarl_algos.data.action_penalties import dynamics_scored_penalties
 from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged
@@ -183,8 +182,15 @@ def test_each_step_is_the_best_from_where_the_simulation_is() -> None:
 
 def test_misses_from_recorded_states_are_distances() -> None:
     demos, _ = walk(TRUTH, 12, episodes=10, noise=0.01)
-    scored = dynamics_scored_penalties(demos, demos.velocities(), TRUTH, demos.focus(), DT)
-    np.testing.assert_allclose(one_step_misses(demos, TRUTH), scored, rtol=1e-5, atol=1e-7)
+    misses, focus, velocity = one_step_misses(demos, TRUTH), demos.focus(), demos.velocities()
+    for frame in np.setdiff1d(np.arange(len(misses)), demos.offsets[1:] - 1):
+        for i, own in enumerate(TRUTH):
+            for action in (0, 7, own.num_actions - 1):
+                reached = apply_actions(
+                    velocity[frame, i], np.array(action), focus[frame, i], own, DT
+                )
+                apart = demos.positions[frame, i] + reached * DT - demos.positions[frame + 1, i]
+                assert misses[frame, i, action] == pytest.approx(np.hypot(*apart), abs=1e-12)
 
 
 def test_tracking_stays_within_walls() -> None:

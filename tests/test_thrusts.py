@@ -11,7 +11,6 @@ import pytest
 from thrust_walks import DT, MULTIPLES, ROLES, TRUTH, three, walk
 
 import animarl_envs
-from animarl_algos.data.action_penalties import dynamics_scored_penalties
 from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -23,6 +22,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import (
     demonstrated_actions,
+    one_step_misses,
     transitions,
 )
 from animarl_envs.focus import focus_directions
@@ -250,9 +250,7 @@ def test_data_and_decisions_have_a_value_per_action() -> None:
     train = SpeciesDemonstrations(species, few, species.individuals).train
     batch = next(iter(train.batches(2, np.random.default_rng(0))))
     assert batch.action_penalties.shape[-1] == 37 and batch.actions.max() > COAST
-    penalties = dynamics_scored_penalties(
-        few, few.velocities(), species.locomotion, few.focus(), few.dt
-    )
+    penalties = one_step_misses(few, species.locomotion)
     assert penalties.shape == (len(few.positions), 3, 37)
     acted = demonstrated_actions(few, species.locomotion)
     np.testing.assert_array_equal(penalties[acted >= 0].argmin(axis=1), acted[acted >= 0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,13 @@ import rl_zoo3.utils
 import yaml
 from behaviours import Behaviour, PartlyRandom, Same
 from commands import Done
+from stable_baselines3.common.evaluation import evaluate_policy
 from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
 from animarl_algos.learner.presets import known_settings, learner_preset
 from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.recipes.soft_bc import SoftBC
 from animarl_algos.zoo import enjoy, manager, samplers
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment
@@ -114,6 +117,40 @@ def mean_score(species: str, behaviour: Behaviour) -> float:
         for slot in np.flatnonzero(done).tolist():
             returns.setdefault(slot, infos[slot]["episode"]["r"])
     return float(np.mean(list(returns.values())))
+
+
+@pytest.mark.parametrize("deterministic", [True, False])
+@pytest.mark.parametrize("species", ["agent", "fly"])
+def test_a_trained_network_scores_above_an_untrained_one(species: str, deterministic: bool) -> None:
+    """As EvalCallback scores them: the best model that it keeps is no network that ends at once."""
+    before, after = trained_scores(species)
+    assert after[deterministic] > before[deterministic]
+
+
+@cache
+def trained_scores(species: str) -> tuple[dict[bool, float], dict[bool, float]]:
+    """Of a clone before and after some hundred updates, by whether it acts greedily."""
+    env_id = environment_id(species)
+    model = SoftBC(
+        env=slot_environment(env_id, 1), seed=0, device="cpu", offline_epochs=3,
+        offline_batch_size=256, offline_kwargs={"updates_per_epoch": 80},
+        policy_kwargs={"hidden": 64, "depth": 2},
+    )  # fmt: skip
+    scored = validation_environment(env_id, 16)
+
+    def scores() -> dict[bool, float]:
+        found = {}
+        for deterministic in (True, False):
+            scored.seed(0)
+            mean, _ = evaluate_policy(
+                model, scored, n_eval_episodes=scored.num_envs, deterministic=deterministic
+            )
+            found[deterministic] = float(np.mean(mean))
+        return found
+
+    before = scores()
+    model.learn(1)
+    return before, scores()
 
 
 def test_train_then_enjoy(zoo: Callable[..., Done], small: Path, tmp_path: Path) -> None:

@@ -34,7 +34,8 @@ def _asked(
     algo: Annotated[
         str,
         typer.Option(
-            help="soft-bc, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."
+            help="soft-bc, iq-learn, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; "
+            "qr-dqn and so on."
         ),
     ] = "soft-bc",
     preset: Annotated[

@@ -17,6 +17,7 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit, track
+from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.magnitudes import FAST
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
@@ -67,7 +68,7 @@ def thrust_rows(
     fast = np.quantile(speed, FAST, axis=0)
     rows = []
     for fit in fits:
-        tracking = track(seen, fit.locomotion)
+        tracking = track(seen, fit.locomotion, arena_of(seen))
         errors, speeds = tracking_errors(seen, tracking), speed_distances(seen, tracking)
         floor = tracking_floor(seen, fit.locomotion, seed=seed).estimate
         for i, one in enumerate(fit.individuals):

@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.data.action_penalties import dynamics_scored_penalties
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.labels import Labels, soft_labels
 from animarl_algos.data.reflection import Mirror, Reflection
@@ -17,6 +16,7 @@ from animarl_algos.ranges import POSITIVE
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.species import Species
 from animarl_envs.worlds import demonstration_observations
@@ -106,13 +106,7 @@ class SpeciesDemonstrations:
             flag = np.repeat(demos.condition, demos.lengths).astype(np.float32)
             column = np.broadcast_to(flag[:, None, None], (*observations.shape[:2], 1))
             observations = np.concatenate([observations, column], axis=2)
-        penalties = dynamics_scored_penalties(
-            demos,
-            demos.velocities(),
-            species.locomotion,
-            demos.focus(),
-            demos.dt,
-        )
+        penalties = one_step_misses(demos, species.locomotion)
         shares = None
         if self.labels == Labels.SOFT:
             thrust = np.array([own.thrust for own in species.locomotion])

@@ -1,23 +1,25 @@
 """How many thrust magnitudes recordings ask for: as many as a classifier needs to be fooled.
 
-Closed-loop tracking is the best that the 12 directions with M magnitudes can do. What tells it
-from the recordings (area under the ROC curve of a classifier) is the floor of every simulation with
-these magnitudes, whatever the policy.
+Closed-loop tracking follows the recordings with the 12 directions and M magnitudes. What tells it
+from them (area under the ROC curve of a classifier) estimates the floor of simulations with these
+magnitudes. It is no bound: tracking takes the nearest action of each step, and may give itself away
+by that where a policy that acts like the animal would not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.told_apart import PART, followed
 from animarl_algos.evaluation.windows import comparison_smoothing, resting_step, window_features
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.resolution import rounded
+from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.magnitudes import joint_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.locomotion import Locomotion
@@ -25,24 +27,28 @@ from animarl_envs.locomotion import Locomotion
 TRIED = (1, 2, 3, 5, 8)
 LOW = 2 / 3  # a floor that needs no further magnitude
 GAIN = 0.05  # by which the floor must fall to be worth more actions
-PART = 15  # windows of one demonstration that make a group, where demonstrations are few
-FEW = 10
+FEW = 10  # with fewer demonstrations, parts of them are dealt to the classifier's folds
 
 
 def tracking_floor(
-    seen: Demonstrations, locomotion: Sequence[Locomotion], *, seed: int = 0
+    seen: Demonstrations,
+    locomotion: Sequence[Locomotion],
+    *,
+    arena: Arena | None = None,
+    seed: int = 0,
 ) -> Interval:
     """How well closed-loop tracking of ``seen`` is told from it: 0.5 where it is not.
 
-    Both sides are at the scale at which positions were stored and filtered.
+    Both sides are at the scale at which positions were stored and filtered. ``arena`` has the walls
+    that tracking meets, by default those of the world that ``seen`` makes, as in the verdict.
     """
     recorded = Rollouts.from_demonstrations(seen)
-    followed = rounded(track(seen, locomotion).positions, seen.resolution())
+    tracking = track(seen, locomotion, arena_of(seen) if arena is None else arena)
     still, smoothing = resting_step(recorded), comparison_smoothing(seen)
     block = PART if seen.num_episodes < FEW else None
     own, other = (
         window_features(each, seen.arena, block=block, still=still, smoothing=smoothing)
-        for each in (recorded, replace(recorded, positions=followed))
+        for each in (recorded, followed(seen, tracking))
     )
     if block is None:
         own, other = own.by_recording(seen), other.by_recording(seen)

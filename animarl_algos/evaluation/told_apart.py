@@ -44,6 +44,23 @@ class Tracked(Protocol):
         ...
 
 
+def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
+    """The demonstrations as tracking follows them, on the grid on which positions were stored.
+
+    Raises
+    ------
+    InputError
+        If the tracking is of other demonstrations.
+    """
+    if tracking.positions.shape != demos.positions.shape:
+        raise InputError(
+            f"the tracking has shape {tracking.positions.shape} and the demonstrations "
+            f"{demos.positions.shape}: track the evaluated ones"
+        )
+    stored = rounded(tracking.positions, demos.resolution())
+    return replace(Rollouts.from_demonstrations(demos), positions=stored)
+
+
 @dataclass(frozen=True, eq=False)
 class Classified:
     """What the classifier makes of the rollouts and of what they are read beside."""
@@ -81,14 +98,7 @@ class Classified:
             drawn = prepared.filtered(factual(random, demos))
             ceiling = tell_apart(own, windows(drawn), rng, deals=1).auc
         if floor is not None:
-            if floor.positions.shape != demos.positions.shape:
-                raise InputError(
-                    f"the tracking has shape {floor.positions.shape} and the demonstrations "
-                    f"{demos.positions.shape}: track the evaluated ones"
-                )
-            stored = rounded(floor.positions, demos.resolution())
-            followed = replace(Rollouts.from_demonstrations(demos), positions=stored)
-            tracked = tell_apart(own, windows(prepared.filtered(followed)), rng).auc
+            tracked = tell_apart(own, windows(prepared.filtered(followed(demos, floor))), rng).auc
         if references is None:
             among = among_themselves(own, null_rng)
         else:

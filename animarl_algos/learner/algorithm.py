@@ -30,7 +30,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions
 from animarl_algos.learner import checks, making, online, saving
 from animarl_algos.learner.collecting import Collector, Memory
-from animarl_algos.learner.demonstrations import DemonstrationData, OfflineDataset, refuse_foreign
+from animarl_algos.learner.demonstrations import (
+    DemonstrationData,
+    OfflineDataset,
+    demonstrated_windows,
+    refuse_foreign,
+)
 from animarl_algos.learner.exploration import (
     Exploration,
     LinearDecay,
@@ -53,6 +58,7 @@ from animarl_algos.learner.validation import demonstrated_values
 from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.recipe import OfflineLoss, Recipe
 from animarl_algos.networks.policies import GruPolicy
+from animarl_algos.networks.value_stream import into_logits
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -270,7 +276,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """
         assert self.env is not None
         check_environment(self.env, self.layout, self.recipe)
-        if self.offline_epochs and not self.offline_progress.done:
+        if self.recipe.inverse or (self.offline_epochs and not self.offline_progress.done):
             refuse_foreign(self, self.demonstration_data())
 
     # -- learn ------------------------------------------------------------------------------------
@@ -332,6 +338,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         run_offline_phase(self, data, progress_bar=progress_bar)
         if self.exploration == Exploration.BOLTZMANN:
             self.policy.temperature = self.fit_temperature(data.val)
+        if self.recipe.inverse:
+            into_logits(self.policy)
         return self.offline_progress
 
     def demonstration_data(self) -> DemonstrationData:
@@ -341,7 +349,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         own = getattr(self.env, "offline_data", None)
         if own is None:
             raise InputError(
-                f"recipe {self.recipe.name} has an offline phase and neither it nor its "
+                f"recipe {self.recipe.name} learns from demonstrations and neither it nor its "
                 "environment was given demonstrations: pass demonstrations="
             )
         data: DemonstrationData = own() if callable(own) else own
@@ -373,7 +381,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
             raise InputError(
                 "there is no environment to learn in: give env=, or call set_env first"
             )
-        check_environment(self.env, self.layout, self.recipe)
+        self.refuse_what_does_not_suit()
         if reset_num_timesteps or self._last_obs is None:
             self.memory = self.policy.initial_state(self.n_envs)
             assert self.replay_buffer is not None
@@ -413,7 +421,12 @@ class SequenceQLearning(OffPolicyAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
         self.updater.run(
-            self.replay_buffer, gradient_steps, batch_size, self.phase("online"), progress
+            self.replay_buffer,
+            gradient_steps,
+            batch_size,
+            self.phase("online"),
+            progress,
+            demonstrated_windows(self, gradient_steps, batch_size) if self.recipe.inverse else None,
         )
         self._n_updates += gradient_steps
 

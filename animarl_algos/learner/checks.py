@@ -125,6 +125,11 @@ def refuse_what_does_not_go_together(model: SequenceQLearning) -> None:
             f"policy_kwargs: n_quantiles is {quantiles!r}: only the learners on quantiles have "
             "it, and they need it: choose another class"
         )
+    if model.recipe.inverse and model.exploration != Exploration.BOLTZMANN:
+        raise InputError(
+            f"exploration is {model.exploration!r} and recipe {model.recipe.name} learns from "
+            "steps that its policy samples: set it to 'boltzmann'"
+        )
     if model.offline_epochs and not model.recipe.offline:
         raise InputError(
             f"recipe {model.recipe.name} learns without demonstrations: set offline_epochs to 0"

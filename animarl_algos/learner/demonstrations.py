@@ -14,6 +14,7 @@ from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
+    from animarl_algos.learner.algorithm import SequenceQLearning
     from animarl_algos.learner.offline_learner import OfflineLearner
 
 
@@ -96,3 +97,19 @@ def refuse_foreign(model: OfflineLearner, data: DemonstrationData) -> None:
                 f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
                 "their species"
             )
+
+
+def demonstrated_windows(
+    model: SequenceQLearning, updates: int, batch_size: int
+) -> Iterator[SequenceBatch]:
+    """As many training sequences, of the same form, as ``updates`` draw from the replay memory.
+
+    Drawn by the seed and the number of updates done, so that a resumed run draws the same.
+    """
+    buffer = model.replay_buffer
+    assert buffer is not None
+    generator = np.random.default_rng([model.root_seed, model._n_updates])
+    train = model.demonstration_data().train
+    return train.windows(
+        batch_size, updates, generator, length=buffer.stride, burn_in=buffer.burn_in
+    )

@@ -50,6 +50,8 @@ def make_policy(model: SequenceQLearning) -> GruPolicy:
         **kwargs,
     ).to(model.device)
     policy.epsilon = model.exploration_rate
+    if model.recipe.inverse:
+        policy.temperature = 1.0
     if model.acting_rule:
         policy.acting = Acting.from_json(model.acting_rule)
     return policy

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import torch
 
 from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.losses.losses import mean_recall, treatment_counts
 from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.terms import LossTerm
+from animarl_algos.losses.terms import LossTerm, MinibatchValues
 from animarl_algos.networks.policies import GruPolicy
+from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 
 
@@ -48,6 +49,7 @@ class Updater:
         batch_size: int,
         phase: Phase,
         progress: float,
+        shown: Iterator[SequenceBatch] | None = None,
     ) -> None:
         """Make ``updates`` on ``batch_size`` sequences per individual each.
 
@@ -57,21 +59,17 @@ class Updater:
             The numbers of the loss.
         progress
             Share of the training that is over, from 0 to 1; prioritised replay corrects by it.
+        shown
+            Demonstrated sequences, a minibatch for each update, for terms that ask for them.
         """
-        policy = self._policy
         totals: dict[str, torch.Tensor] = {}
         for _ in range(updates):
             batch = buffer.sample(batch_size, progress)
-            minibatch = minibatch_values(
-                batch,
-                phase,
-                policy.q_net,
-                policy.q_net_target,
-                policy.distribution,
-                needs_target=self._needs_target,
-            )
+            minibatch = self._values(batch, phase)
+            if shown is not None:
+                minibatch.demonstrated = self._values(next(shown), phase)
             result = update(
-                minibatch, self._terms, policy.optimizer, prioritized=buffer.prioritized
+                minibatch, self._terms, self._policy.optimizer, prioritized=buffer.prioritized
             )
             if result.priorities is not None:
                 buffer.update_priorities(batch.indices, result.priorities)
@@ -84,6 +82,17 @@ class Updater:
         for name, total in totals.items():
             before, number = self.losses.get(name, (torch.zeros_like(total), 0))
             self.losses[name] = (before + total, number + updates)
+
+    def _values(self, batch: SequenceBatch, phase: Phase) -> MinibatchValues:
+        policy = self._policy
+        return minibatch_values(
+            batch,
+            phase,
+            policy.q_net,
+            policy.q_net_target,
+            policy.distribution,
+            needs_target=self._needs_target,
+        )
 
     def means(self) -> dict[str, list[float]]:
         """Mean of each term over the updates since the last call, one for each individual.

@@ -8,13 +8,12 @@ Action values Q define a policy, ``softmax Q`` at temperature 1, its soft value
 What is minimised, over Q, is the worth of the reward to the policy minus its worth to the
 demonstrations, with a chi-squared regularisation of the reward::
 
-    -E_demo[r] + E_demo+own[V(s) - gamma V(s')] + 1/2 E_demo+own[r^2]
+    -E_demo[r] + E_both[V(s) - gamma V(s')] + 1/2 E_both[r^2]
 
-where "own" are rows that the policy collected itself. An episode that ended stays for ever in a
-state whose value is given, the same for demonstrations and own episodes: ending as the
-demonstrations do is worth something, leaving the arena is not.
-
-Axes: (individual, row, action); terms are means over rows, one number per individual.
+where "both" are demonstrated steps and the policy's own, half and half. Where an episode ends,
+V(s') is not the network's: an end that the task punishes (out of the arena) is worth 0, as all ends
+are in the authors' code; any other as much as the demonstrated states are on average, so that
+contact is neither sought nor avoided for its own sake.
 """
 
 from __future__ import annotations
@@ -22,6 +21,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
+from torch.nn import functional
+
+from animarl_algos.losses.losses import masked_mean
+from animarl_algos.losses.phase import Phase
+from animarl_algos.losses.terms import MinibatchValues
 
 
 def soft_value(q_values: torch.Tensor) -> torch.Tensor:
@@ -29,61 +33,38 @@ def soft_value(q_values: torch.Tensor) -> torch.Tensor:
     return q_values.logsumexp(-1)
 
 
-def value_after(next_q_values: torch.Tensor, absorbed: torch.Tensor) -> torch.Tensor:
-    """``V(s')``.
-
-    Parameters
-    ----------
-    next_q_values : Tensor (..., actions)
-    absorbed : Tensor (...)
-        The value of the state in which an ended episode stays; NaN where it goes on.
-    """
-    goes_on = absorbed.isnan()
-    return torch.where(goes_on, soft_value(next_q_values), absorbed)
+def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Tensor:
+    """``V(s')``, (K, T, B); ``end_value`` (K,) after an end that the task does not punish."""
+    batch = minibatch.batch
+    after = soft_value(minibatch.online.q_values[:, 1:])
+    at_end = torch.where(batch.rewards < 0, 0.0, end_value.view(-1, 1, 1))
+    return torch.where(batch.terminated > 0, at_end, after)
 
 
 @dataclass(frozen=True)
-class ImpliedRewards:
-    """What action values say about rows of demonstrations and of the policy's own.
+class InverseSoftQ:
+    """The loss above. A demonstrated step with a soft label counts for each action by its share."""
 
-    Attributes
-    ----------
-    q_values : Tensor (K, rows, actions)
-        Before the step.
-    actions : Tensor (K, rows) int64
-        Taken in it.
-    next_value : Tensor (K, rows)
-        ``V(s')``, from :func:`value_after`, with its gradient.
-    demonstrated : Tensor (rows,) bool
-        Whose row it is; some must be demonstrated.
-    gamma
-        Discount per step.
-    """
+    name: str = "iq"
+    needs_target: bool = False
 
-    q_values: torch.Tensor
-    actions: torch.Tensor
-    next_value: torch.Tensor
-    demonstrated: torch.Tensor
-    gamma: float
+    def weight(self, phase: Phase) -> float:
+        return 1.0
 
-    @property
-    def reward(self) -> torch.Tensor:
-        """``r = Q(s, a) - gamma V(s')``, (K, rows)."""
-        taken = self.q_values.gather(-1, self.actions.unsqueeze(-1)).squeeze(-1)
-        return taken - self.gamma * self.next_value
-
-    def demonstrated_reward(self) -> torch.Tensor:
-        """``-E_demo[r]``, (K,)."""
-        return -self.reward[:, self.demonstrated].mean(1)
-
-    def policy_worth(self) -> torch.Tensor:
-        """``E[V(s) - gamma V(s')]`` over all rows, (K,): telescopes to the value of the starts."""
-        return (soft_value(self.q_values) - self.gamma * self.next_value).mean(1)
-
-    def squared_reward(self) -> torch.Tensor:
-        """``1/2 E[r^2]`` over all rows, (K,)."""
-        return 0.5 * self.reward.square().mean(1)
-
-    def loss(self) -> torch.Tensor:
-        """The sum of the three, (K,)."""
-        return self.demonstrated_reward() + self.policy_worth() + self.squared_reward()
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        shown = minibatch.demonstrated
+        assert shown is not None
+        end_value = masked_mean(soft_value(shown.q_values), shown.valid).detach()
+        loss = torch.zeros_like(end_value)
+        for steps in (shown, minibatch):
+            shares = steps.batch.label_shares
+            if shares is None:
+                shares = functional.one_hot(steps.batch.actions, steps.q_values.shape[-1])
+            following = minibatch.phase.gamma * next_values(steps, end_value)
+            rewards = steps.q_values - following.unsqueeze(-1)
+            worth = soft_value(steps.q_values) - following
+            squares = 0.5 * (shares * rewards.square()).sum(-1)
+            loss = loss + 0.5 * masked_mean(worth + squares, steps.valid)
+            if steps is shown:
+                loss = loss - masked_mean((shares * rewards).sum(-1), steps.valid)
+        return loss

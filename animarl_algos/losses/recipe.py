@@ -41,6 +41,9 @@ class Recipe:
         Whether it must hand out ``aligned_action``.
     needs_condition
         Whether the last observation component must be the condition flag (treatment head).
+    inverse
+        Whether the online phase learns from demonstrated steps beside its own, action values being
+        the logits of the policy: it acts by ``softmax Q`` at temperature 1.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Recipe:
     needs_distance: bool = False
     needs_alignment: bool = False
     needs_condition: bool = False
+    inverse: bool = False
 
     def cloning(self) -> Recipe:
         """The same with an offline phase that clones, and keeps only the adversary of its own.

@@ -67,6 +67,8 @@ class MinibatchValues:
         The online network's, each ``(K, ...)``.
     errors
         ``(K, T, B)``, set by the temporal-difference terms: absolute errors, for priorities.
+    demonstrated
+        The same of demonstrated steps, beside the learner's own, where a recipe is ``inverse``.
     """
 
     batch: SequenceBatch
@@ -78,6 +80,7 @@ class MinibatchValues:
     treatment_logits: torch.Tensor | None
     parameters: Sequence[torch.Tensor]
     errors: torch.Tensor | None = field(default=None)
+    demonstrated: MinibatchValues | None = field(default=None)
 
     @property
     def values(self) -> torch.Tensor:

@@ -1,10 +1,11 @@
-"""Between cloning and temporal differences: forget the state values, keep the policy."""
+"""Between cloning and learning online: what the dueling head's values begin as."""
 
 from __future__ import annotations
 
 import torch
 
 from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.policies import GruPolicy
 
 
 @torch.no_grad()
@@ -18,3 +19,17 @@ def zero_value_stream(network: StackedQNetwork) -> None:
     value = network.dueling.value
     value.weight.zero_()
     value.bias.zero_()
+
+
+@torch.no_grad()
+def into_logits(policy: GruPolicy) -> None:
+    """Divide the action values by the temperatures of ``policy``, which are 1 from then on.
+
+    It acts as before: ``softmax Q``, for learners to whom action values are the policy's logits.
+    """
+    fitted = torch.tensor(policy.acting.temperature).view(-1, 1, 1)
+    for network in (policy.q_net, policy.q_net_target):
+        for layer in (network.dueling.value, network.dueling.advantage):
+            for parameter in (layer.weight, layer.bias):
+                parameter.div_(fitted.to(parameter))
+    policy.temperature = 1.0

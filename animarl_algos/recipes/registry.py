@@ -13,13 +13,14 @@ from animarl_algos.recipes.dqaas import DQAAS, QRDQAAS
 from animarl_algos.recipes.dqcil import DQCIL, QRDQCIL
 from animarl_algos.recipes.dqdil import DQDIL, QRDQDIL
 from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.iq_learn import IQLearn
 from animarl_algos.recipes.qrdqn import QRDQN
 from animarl_algos.recipes.soft_bc import QRSoftBC, SoftBC
 from animarl_envs.errors import InputError
 
 __all__ = [
     "BC", "DQAAS", "DQCIL", "DQDIL", "DQN", "QRBC", "QRDQAAS", "QRDQCIL", "QRDQDIL", "QRDQN",
-    "RECIPES", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
+    "RECIPES", "IQLearn", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
 ]  # fmt: skip
 
 
@@ -35,6 +36,7 @@ RECIPES: dict[str, NamedRecipe] = {
     "dqn": NamedRecipe(DQN, pretrained=False),
     "bc": NamedRecipe(BC, pretrained=True),
     "soft-bc": NamedRecipe(SoftBC, pretrained=True),
+    "iq-learn": NamedRecipe(IQLearn, pretrained=True),
     "dqaas": NamedRecipe(DQAAS, pretrained=True),
     "dqdil": NamedRecipe(DQDIL, pretrained=False),
     "dqdil-pt": NamedRecipe(DQDIL, pretrained=True),

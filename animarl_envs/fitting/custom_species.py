@@ -88,6 +88,12 @@ def species_of(
     )
 
 
+def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
+    """That of :func:`species_of`: the recorded field, with walls where its world has them."""
+    name = base or demos.species
+    return _arena(demos, get_species(name) if name in SPECIES else _plain_species(demos))
+
+
 def fitted_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
     """Joint fit of every individual on the training episodes (on all, if there are none).
 

@@ -1,9 +1,9 @@
 """Closed-loop tracking: how near the actions of a locomotion model can stay to recorded tracks.
 
 From the *simulated* state each individual takes, step by step, the action whose next state is
-nearest to the recorded one. The result is what a perfect learner of those actions would do: the
-floor of every comparison of a simulation with its recordings, and labels that suit the states which
-a simulation visits.
+nearest to the recorded one. The result estimates what a learner of those actions can do at best:
+a floor for comparisons of a simulation with its recordings, and labels that suit the states which a
+simulation visits.
 """
 
 from __future__ import annotations
@@ -89,7 +89,8 @@ def one_step_misses(
 ) -> Floats:
     """How far each action leads from where the animal went next, ``(frames, K, 12 M + 1)``.
 
-    The states are those of ``tracking``, by default the recorded ones. A miss is
+    The smallest miss is that of the action which inverse dynamics infers, for both compare the same
+    vectors. The states are those of ``tracking``, by default the recorded ones. A miss is
     ``dt sqrt((|p' - p_rec'|^2 / dt^2 + |v' - v_rec'|^2) / 2)`` [arena unit]: from a recorded state,
     where both terms are equal, the distance from the next recorded position. Zero at last frames.
     """

@@ -1,0 +1,105 @@
+"""What cannot become a faithful simulator is refused in one sentence, before any training."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import toys
+from pair_learners import demonstrations
+
+from animarl_algos.cli.main import main
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.iq_learn import IQLearn
+from animarl_algos.recipes.soft_bc import SoftBC
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.acting import acting_of
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_settings import RunSettings
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.errors import InputError
+from animarl_envs.species import FLY
+
+
+def is_one_sentence(said: str) -> bool:
+    return "\n" not in said and ". " not in said.replace("...", "")
+
+
+@pytest.mark.parametrize("recipe", [IQLearn, DQDIL])
+def test_a_recipe_that_needs_the_simulator_and_is_given_none(
+    recipe: type[SequenceQLearning], tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="no environment to learn in: give env=") as said:
+        recipe("MlpPolicy")
+    assert is_one_sentence(str(said.value))
+    settings: dict[str, Any] = {"demonstrations": demonstrations(), "buffer_size": 500}
+    recipe("MlpPolicy", toys.Pair(2), offline_epochs=1, **settings).save(tmp_path / "model")
+    loaded = recipe.load(tmp_path / "model", device="cpu")
+    with pytest.raises(InputError, match="no environment to learn in: give env="):
+        loaded.learn(10)
+    assert not loaded.offline_progress.epoch
+
+
+def test_a_recipe_that_needs_recordings_in_the_simulator_and_is_given_none() -> None:
+    bare = SlotVecEnv("fly", 2, demos=None)
+    for recipe, lacks in ((IQLearn, "has no demonstrations"), (DQDIL, "needs the distance to a")):
+        model = recipe("MlpPolicy", bare, offline_epochs=0, buffer_size=2000, device="cpu")
+        with pytest.raises(InputError, match=lacks) as said:
+            model.learn(10)
+        assert is_one_sentence(str(said.value)) and model.num_timesteps == 0
+
+
+def test_an_acting_rule_that_was_never_fitted(tmp_path: Path) -> None:
+    settings = RunSettings(
+        file="packaged", species="fly", algo="soft-bc", steps=1, copies=1, baselines=False
+    )
+    pipeline.open_run(settings, tmp_path / "run", "test", load_packaged("fly"))
+    with pytest.raises(
+        InputError, match=r"no acting rule was chosen yet: .* give --acting"
+    ) as said:
+        acting_of(RunFolder(tmp_path / "run"), "soft-bc")
+    assert is_one_sentence(str(said.value))
+
+
+def test_a_model_of_another_observation() -> None:
+    model = SoftBC(env=SlotVecEnv("fly", 2), device="cpu", seed=0)
+    paper = SlotVecEnv("fly", 2, observation="paper")
+    with pytest.raises(InputError, match="does not suit this learner: Observation spaces do not"):
+        model.set_env(paper)
+    model.demonstrations = paper.offline_data()
+    with pytest.raises(InputError, match="observation components, the environment") as said:
+        model.learn(1)
+    assert is_one_sentence(str(said.value)) and not model.offline_progress.epoch
+
+
+def test_a_model_of_other_thrust_magnitudes() -> None:
+    model = SoftBC(env=SlotVecEnv("fly", 2), device="cpu", seed=0)
+    three = tuple(replace(own, magnitudes=(1.5, 1.0, 0.5)) for own in FLY.locomotion)
+    richer = replace(FLY, locomotion=three)
+    with pytest.raises(InputError, match=r"13 actions learned and 37 here: .*same thrust magn"):
+        model.set_env(SlotVecEnv(richer, 2))
+    model.demonstrations = SlotVecEnv(richer, 2).offline_data()
+    with pytest.raises(InputError, match="the environment has 13") as said:
+        model.learn(1)
+    assert is_one_sentence(str(said.value)) and not model.offline_progress.epoch
+
+
+def test_demonstrations_too_few_to_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    demos = load_packaged("fly")
+    two = demos.select(episodes=[np.flatnonzero(demos.split == s)[0] for s in ("train", "val")])
+    file = two.save(tmp_path / "two.npz")
+    monkeypatch.setattr(sys, "argv", ["animarl", "run", str(file), "--out", str(tmp_path / "run")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err.strip()
+    assert ended.value.code == 2 and is_one_sentence(said)
+    assert "split 'test' holds no episode: split the file again" in said
+    assert not (tmp_path / "run").exists()
