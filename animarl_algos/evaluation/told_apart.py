@@ -113,7 +113,8 @@ class Classified:
 def auc_row(found: Classified) -> dict[str, Any]:
     auc, among = found.simulated.auc, found.among
     measure = Measure(AUC, f"Told apart by a classifier on {WINDOW:g} s (AUC)", "", "", "", "")
-    gap = Interval(*(part - among.estimate for part in (auc.estimate, auc.low, auc.high)))
+    low, high = auc.low - among.estimate, auc.high - among.estimate
+    gap = Interval(auc.estimate - among.estimate, low, high)
     tested = Tested(abs(auc.estimate - 0.5), abs(among.high - 0.5), math.nan)
     row = row_of(measure, RECORDED_SCALE, among.estimate, auc.estimate, gap, tested)
     if not math.isfinite(auc.estimate):

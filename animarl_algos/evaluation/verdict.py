@@ -122,7 +122,8 @@ class Verdict:
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
         for key in ("auc", "among", "floor", "ceiling"):
-            plain[key] = Interval(*(math.nan if end is None else end for end in plain[key]))
+            estimate, low, high = (math.nan if end is None else end for end in plain[key])
+            plain[key] = Interval(estimate, low, high)
         table = pd.read_csv(
             folder / "verdict.csv", float_precision="round_trip", keep_default_na=True
         )

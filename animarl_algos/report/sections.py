@@ -189,8 +189,8 @@ def _learning(inputs: ReportInputs) -> Iterator[Block]:
 def _braking(one: IndividualFit, dt: float) -> Interval:
     """Braking time with the interval that follows from that of d, with which it only falls."""
     low, high = (math.nan, math.nan) if one.damping_interval is None else one.damping_interval
-    ends = [dt / -math.log1p(-d) if 0 < d < 1 else math.nan for d in (high, low)]
-    return Interval(one.braking_time, *ends)
+    short, long = (dt / -math.log1p(-d) if 0 < d < 1 else math.nan for d in (high, low))
+    return Interval(one.braking_time, short, long)
 
 
 def _interval(value: float, ends: tuple[float, float] | None) -> Interval:

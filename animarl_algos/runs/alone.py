@@ -47,4 +47,4 @@ def holding(
         with alone(run.path):
             return stage(run, *args, **kwargs)
 
-    return held
+    return held  # type: ignore[return-value]

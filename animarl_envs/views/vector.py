@@ -138,7 +138,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         if not self._started:
             self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
             streams = self.world.random_state.copy()
-        self.world.seed([0 if s is None else stream_seed(s) for s in seed])
+        self.world.seed(np.array([stream_seed(s or 0) for s in seed]))
         self.world.random_state[kept] = streams[kept]
 
     def step(

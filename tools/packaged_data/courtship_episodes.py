@@ -139,7 +139,8 @@ def clear(species: ChaseSpecies, pool: Rollouts) -> NDArray[np.bool_]:
     apart = np.linalg.norm(pool.position[:, :, :-1] - pool.position[:, :, -1:], axis=3)
     near = np.abs(apart - species.contact_radius) < CLEAR
     lasts = np.arange(len(apart))[:, None] <= pool.steps
-    return ~(near.any(axis=2) & lasts).any(axis=0)
+    kept: NDArray[np.bool_] = ~(near.any(axis=2) & lasts).any(axis=0)
+    return kept
 
 
 def _lasting(

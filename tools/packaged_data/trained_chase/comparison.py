@@ -13,13 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import (
-    Cells,
-    Interval,
-    draw_weights,
-    percentile_interval,
-    resampled_means,
-)
+from animarl_algos.evaluation.statistics import Interval, percentile_interval
+from animarl_algos.evaluation.studentised import draw_weights
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -136,16 +131,12 @@ def measure(demos: Demonstrations) -> dict[str, Floats]:
     return {q.name: q.of(demos.outcome, durations, paths) for q in QUANTITIES}
 
 
-def _cells(values: Floats) -> Cells:
-    counted = np.isfinite(values)
-    return Cells(np.where(counted, values, 0.0)[None], counted[None].astype(np.float64))
-
-
 def _resampled(values: Floats, rng: np.random.Generator) -> tuple[float, Floats]:
-    """The mean over episodes, and over each of the resamples of episodes."""
-    data = _cells(values)
-    weights = draw_weights(rng, len(values))
-    return data.mean, resampled_means(data, np.ones((len(weights), 1)), weights)
+    """The mean over episodes that have a value, and over each of the resamples of episodes."""
+    weights, counts = draw_weights(rng, len(values)), np.isfinite(values)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        drawn = (weights @ np.where(counts, values, 0.0)) / (weights @ counts)
+    return float(values[counts].mean()) if counts.any() else np.nan, drawn
 
 
 def mean_interval(values: Floats, rng: np.random.Generator) -> Interval:
