@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +16,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import check_size, npz_members
+from animarl_envs.files import check_npz, npz_members
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.unpickle import count_leaves, load_object_npy
+from animarl_envs.importing.readers.unpickle import load_object_npy
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH
 
@@ -55,22 +54,12 @@ def _chase_defaults(species: Any) -> dict[str, Any]:
 
 def _objects(path: Path) -> dict[str, Any]:
     """Arrays of an archive, objects included, by name."""
-    found, total = {}, 0
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for member in archive.infolist():
-                total += member.file_size
-                check_size(path, total, "its content")
-                found[member.filename.removesuffix(".npy")] = load_object_npy(
-                    archive.read(member), path, member.filename
-                )
-    except (zipfile.BadZipFile, OSError, EOFError, zlib.error, NotImplementedError) as error:
-        raise InputError(
-            f"{path}: the archive is damaged or cut short ({error}): copy it again"
-        ) from None
-    for value in found.values():
-        count_leaves(value, path)
-    return found
+    check_npz(path)
+    with zipfile.ZipFile(path) as archive:
+        return {
+            member.removesuffix(".npy"): load_object_npy(archive.read(member), path, member)
+            for member in archive.namelist()
+        }
 
 
 def _nested(path: Path, value: Any, place: str) -> Any:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import guarded_npz, npz_members
+from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.tracks import Tracks
 
@@ -65,7 +65,7 @@ def read_termites(
     """Male and female in mm; ``kind`` ``"Cf"`` or ``"Rs"`` takes one species."""
     index = _index(path, "key")
     found = []
-    for key, array in guarded_npz(path).items():
+    for key, array in read_npz(path).items():
         if (kind and not key.startswith(kind)) or (recordings and key not in recordings):
             continue
         if array.ndim != 2 or array.shape[1] != 4 or key not in index:
@@ -99,7 +99,7 @@ def read_termites(
 def read_fly_groups(path: Path) -> list[Tracks]:
     """All flies of each recording; the arena is 120 units wide."""
     found = []
-    for key, array in guarded_npz(path).items():
+    for key, array in read_npz(path).items():
         if not key.endswith("__xy"):
             continue
         if array.ndim != 3 or array.shape[2] != 2:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.files import check_size
 from animarl_envs.importing.readers.hdf_texts import check_heaps, check_texts
 
 MAGIC = b"\x89HDF\r\n\x1a\n"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.files import check_size
 
 HEADER = 128  # [bytes]
 ENDIANS = {b"IM": "<", b"MI": ">"}  # as the file's last two bytes of the header

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import check_size, refuse_empty
+from animarl_envs.files import check_size
+from animarl_envs.importing.readers.guards import refuse_empty
 
 SUFFIXES = {".parquet", ".pq"}
 BUFFER = 2**20  # [bytes] read at a time from each column

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.files import check_size
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.lines import check_lines
 from animarl_envs.importing.readers.registry import register_track_reader

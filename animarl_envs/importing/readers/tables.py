@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.files import check_size
 from animarl_envs.importing.readers.clocks import even_rate, frames_at
-from animarl_envs.importing.readers.guards import check_size
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.tabular import column_names, pieces
 from animarl_envs.importing.tracks import Tracks
