@@ -8,6 +8,7 @@ refused before anything is allocated. Numbers count as float64, which all of the
 from __future__ import annotations
 
 import errno
+import os
 import stat
 import tempfile
 import zipfile
@@ -92,6 +93,24 @@ def refuse_special(path: Path) -> None:
         raise InputError(f"{path}: it is a folder: name a file in it")
     if not stat.S_ISREG(mode):
         raise InputError(f"{path}: it is a pipe or a device: copy its content into a file")
+
+
+def refuse_unfinished(path: Path) -> None:
+    """Refuse a text whose last line does not end, since it may be cut inside its last number."""
+    refuse_special(path)
+    with path.open("rb") as file:
+        if file.seek(0, os.SEEK_END):
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) not in b"\r\n":
+                raise unfinished(path)
+
+
+def unfinished(path: Path) -> InputError:
+    """What to say of a text whose last line does not end."""
+    return InputError(
+        f"{path}: its last line does not end, so that it may be cut within a number: copy the "
+        "file again, or add a line end if it is whole"
+    )
 
 
 def _is_loop(error: Exception) -> bool:

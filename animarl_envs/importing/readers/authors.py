@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.files import check_npz, npz_members
+from animarl_envs.files import check_npz, npz_members, refuse_unfinished
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.unpickle import load_object_npy
 from animarl_envs.importing.tracks import Tracks
@@ -235,6 +235,7 @@ def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64
 )
 def read_authors_silkmoth(path: Path) -> list[Tracks]:
     """No header: time, x, y [mm], angle, left odour, right odour, vision, wind sector; 30 Hz."""
+    refuse_unfinished(path)
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
     except (ValueError, UnicodeDecodeError) as error:
@@ -244,8 +245,16 @@ def read_authors_silkmoth(path: Path) -> list[Tracks]:
     bad = np.argwhere(~np.isfinite(table))
     if len(bad):
         raise InputError(f"{path}: line {bad[0][0] + 1} holds a value that is no number: mend it")
-    movie, stimulus = path.parent.name, path.parent.parent.name
     rate = SILKMOTH.recording.frame_rate
+    frames = table[:, 0] * rate
+    off = np.abs(np.diff(frames, prepend=frames[0] - 1.0) - 1.0) > 0.5
+    if off.any() or not -0.5 < frames[0] < 1.5:
+        line = int(off.argmax())
+        raise InputError(
+            f"{path}: line {line + 1} is at {table[line, 0]:g} s: give every frame, from the first "
+            f"at {rate:g} Hz"
+        )
+    movie, stimulus = path.parent.name, path.parent.parent.name
     return [
         Tracks(
             recording=f"{stimulus}/{movie}/{path.stem}",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.errors import InputError, MissingExtraError
 
 
@@ -18,6 +19,15 @@ def refuse_empty(path: Path, column: str, empty: NDArray[np.bool_], first_row: i
         raise InputError(
             f"{path}: row {first_row + int(empty.argmax()) + 1} has no {column}: fill it in, or "
             "leave the row out"
+        )
+
+
+def refuse_long(path: Path, column: str, length: int) -> None:
+    """Refuse a table whose text ``column`` has an entry of more characters than a name has."""
+    if length > LONGEST_NAME:
+        raise InputError(
+            f"{path}: column {column!r} has an entry of {length:,} characters: give names of at "
+            f"most {LONGEST_NAME}"
         )
 
 

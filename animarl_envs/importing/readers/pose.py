@@ -1,4 +1,4 @@
-"""SLEAP (``.slp``, analysis ``.h5``) and whatever the ``movement`` package loads."""
+"""SLEAP: projects (``.slp``) and analysis files (``.h5``)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import check_size
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
-from animarl_envs.importing.readers.lines import check_lines
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, separator_of
 from animarl_envs.importing.tracks import Tracks
 
 
@@ -112,58 +110,3 @@ def _analysis(path: Path, fps: float | None) -> list[Tracks]:
 
 def _text(value: Any) -> str:
     return value.decode() if isinstance(value, bytes) else str(value)
-
-
-@register_track_reader(
-    "movement",
-    "anything the movement package loads; option software, such as Anipose or LightningPose",
-    sniff=lambda path: False,
-    extensions=(),
-)
-def read_movement(
-    path: Path, software: str = "DeepLabCut", fps: float | None = None
-) -> list[Tracks]:
-    """Poses of a ``movement`` dataset; ``software`` is its ``source_software``."""
-    try:
-        from loguru import logger
-        from movement.io import load_dataset
-    except ImportError as error:
-        raise MissingExtraError("reading with movement", "tracking") from error
-    if path.suffix.lower() == ".csv":
-        check_lines(path, separator_of(path), len(column_names(path)))
-    elif path.suffix.lower() in {".h5", ".hdf5", ".nwb", ".slp"}:
-        open_hdf(path).close()  # which refuses damage that the library would trip over
-    logger.disable("movement")  # what it says is in the message already
-    try:
-        dataset = load_dataset(path, source_software=software, fps=fps)
-    finally:
-        logger.enable("movement")
-    array = dataset["position"]
-    keypoints: tuple[str, ...] = ("centroid",)
-    if "keypoint" in array.dims or "keypoints" in array.dims:
-        axis = "keypoint" if "keypoint" in array.dims else "keypoints"
-        keypoints = tuple(str(name) for name in array.coords[axis].values)
-    else:
-        axis = "keypoint"
-        array = array.expand_dims({axis: list(keypoints)})
-        dataset = dataset.assign(position=array)
-    who = "individual" if "individual" in array.dims else "individuals"
-    positions = array.transpose("time", who, axis, "space").values[..., :2]
-    confidence = None
-    if "confidence" in dataset:
-        weights = dataset["confidence"]
-        if axis not in weights.dims:
-            weights = weights.expand_dims({axis: list(keypoints)})
-        confidence = np.asarray(weights.transpose("time", who, axis).values, dtype=np.float64)
-    return [
-        Tracks(
-            recording=path.stem,
-            individuals=tuple(str(name) for name in array.coords[who].values),
-            keypoints=keypoints,
-            positions=np.asarray(positions, dtype=np.float64),
-            frame_rate=fps,
-            y_down=True,
-            confidence=confidence,
-            provenance={"file": path.name, "tracker": software, "read_by": "movement"},
-        )
-    ]
