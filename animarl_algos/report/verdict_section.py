@@ -83,19 +83,19 @@ def verdict_table(verdict: Verdict) -> TerminalTable:
     """
     try:
         from rich.box import SIMPLE_HEAD
-        from rich.markup import escape
         from rich.table import Table as TerminalTable
+        from rich.text import Text
     except ImportError as error:
         raise MissingExtraError("the table", "algos") from error
     table = TerminalTable(
-        title=escape(verdict_sentence(verdict)), caption=escape(_caption(verdict)),
+        title=Text(verdict_sentence(verdict)), caption=Text(_caption(verdict)),
         box=SIMPLE_HEAD, padding=(0, 1),
     )  # fmt: skip
     for i, heading in enumerate((COLUMNS[0], "Demonstrated", *COLUMNS[2:])):
         words = i in (0, len(COLUMNS) - 1)
         table.add_column(heading, justify="left" if words else "right", no_wrap=not words)
     for row, cells in _lines(verdict):
-        table.add_row(*(escape(cell) for cell in cells), style="" if row["alike"] else "bold")
+        table.add_row(*(Text(cell) for cell in cells), style="" if row["alike"] else "bold")
     return table
 
 

@@ -6,6 +6,7 @@ Their ``.npz`` files hold Python objects; they are opened by the restricted unpi
 from __future__ import annotations
 
 import math
+import os
 import re
 import zipfile
 from pathlib import Path
@@ -254,7 +255,7 @@ def read_authors_silkmoth(path: Path) -> list[Tracks]:
             f"{path}: line {line + 1} is at {table[line, 0]:g} s: give every frame, from the first "
             f"at {rate:g} Hz"
         )
-    movie, stimulus = path.parent.name, path.parent.parent.name
+    movie, stimulus = Path(os.path.normpath(path.absolute())).parts[-2:-4:-1]
     return [
         Tracks(
             recording=f"{stimulus}/{movie}/{path.stem}",
