@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tracker_files import (
+
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers import available_readers, find_reader, follow, read, read_tracks
+from tools.fuzz.layouts import (
     BODIES,
     KINDS,
     NAMES,
@@ -28,9 +31,6 @@ from tracker_files import (
     write_termites,
     write_trex,
 )
-
-from animarl_envs.errors import InputError
-from animarl_envs.importing.readers import available_readers, find_reader, follow, read, read_tracks
 
 HOLDING = {holds: [k for k in KINDS if KINDS[k].holds == holds] for holds in ("bodies", "poses")}
 FOUND = [kind for kind in KINDS if kind != "movement"]  # which is only used when it is named

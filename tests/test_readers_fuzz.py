@@ -21,13 +21,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tracker_files import KINDS, Kind
 
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import get_reader, read, read_tracks
 from animarl_envs.importing.readers.guards import ALLOWANCE, EXPANSION
 from animarl_envs.importing.tracks import Tracks
+from tools.fuzz.layouts import KINDS, Kind
 
 FEW, MANY = 8, 80  # damaged files of each kind in the normal and in the slow run
 PACKED = 3  # numbers that share a byte, where a table stores places in a list of values

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import refuse_special
 
-LONGEST = 256 * 2**10  # [bytes]
+LONGEST = 64 * 2**10  # [bytes]
 MOST_ALIASES = 32  # repeated within each other, a few dozen make a text of any size
+ALIAS = re.compile(r"(?:^|[\s,\[\]{}])\*[^\s,\[\]{}]")
+DEEPEST = 50  # brackets within brackets, for which the parser takes the square of the time
 
 
 def read_yaml(path: Path) -> Any:
@@ -36,10 +40,11 @@ def parse_yaml(text: str, place: str) -> Any:
         import yaml
     except ImportError as error:
         raise MissingExtraError("settings in YAML", "data") from error
+    if len(ALIAS.findall(text)) > MOST_ALIASES:
+        raise InputError(f"{place}: it repeats itself by more than {MOST_ALIASES} aliases")
+    if _depth(text) > DEEPEST:
+        raise InputError(f"{place}: its brackets nest deeper than {DEEPEST}: flatten it")
     try:
-        events = yaml.parse(text, Loader=yaml.SafeLoader)
-        if sum(isinstance(event, yaml.AliasEvent) for event in events) > MOST_ALIASES:
-            raise InputError(f"{place}: it repeats itself by more than {MOST_ALIASES} aliases")
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
@@ -48,3 +53,9 @@ def parse_yaml(text: str, place: str) -> Any:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{place}: it is not valid YAML ({error}): mend it") from None
+
+
+def _depth(text: str) -> int:
+    """Most brackets that are open at once, those in quotes included."""
+    steps = ((c in "[{") - (c in "]}") for c in text)
+    return max(accumulate(steps, initial=0))

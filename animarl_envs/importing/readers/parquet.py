@@ -7,6 +7,7 @@ known to be short: written out, a few hundred kilobytes of it can become gigabyt
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -52,10 +53,11 @@ def parquet_pieces(
     """
     with _open(path) as file:
         names = [str(name) for name in file.schema_arrow.names]
+        times = Counter(names)
         for name in columns:
-            if names.count(name) != 1:
+            if times[name] != 1:
                 raise InputError(
-                    f"{path}: it has {names.count(name)} columns {name!r} "
+                    f"{path}: it has {times[name]} columns {name!r} "
                     f"({', '.join(names)[:200]}): name the column by an option"
                 )
             _check_type(path, name, file.schema_arrow.field(name).type, as_text=name in text)

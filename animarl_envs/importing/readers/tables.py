@@ -19,7 +19,13 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import check_size
 from animarl_envs.importing.readers.clocks import even_rate, frames_at, refuse_uneven_frames
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, numbered, pieces
+from animarl_envs.importing.readers.tabular import (
+    MOST_COLUMNS,
+    check_header,
+    column_names,
+    numbered,
+    pieces,
+)
 from animarl_envs.importing.tracks import Tracks
 
 LONE = "individual_0"  # of a table with one x and one y
@@ -174,7 +180,7 @@ def _spread(
 @register_track_reader(
     "wide-table",
     "a row per frame (CSV, TSV, Parquet); columns x_NAME and y_NAME, or pairs by option",
-    sniff=lambda path: len(_wide_columns(column_names(path))) > 0,
+    sniff=lambda path: len(_wide_columns(column_names(path)[:MOST_COLUMNS])) > 0,
     extensions=EXTENSIONS,
     generic=True,
 )
@@ -195,6 +201,7 @@ def read_wide_table(
     must rise by one from row to row.
     """
     header = column_names(path)
+    check_header(path, header)
     if columns is None:
         _refuse_lone(path, header)
     found = columns or _wide_columns(header)
@@ -228,16 +235,17 @@ def read_wide_table(
 
 def _refuse_lone(path: Path, names: list[str]) -> None:
     """Refuse an x without its y, whose animal would be left out silently."""
+    known = set(names)
     pairs = _wide_columns(names).values()
     joined = any(re.match(r"x[^\W\d_]", x) for x, _ in pairs)  # as xmale, ymale
     after = r"(?=.)" if joined else r"(?=[_ .]|\d+$)"
     for name in names:
         for own, other in ("xy", "yx"):
             partner = re.sub(f"^{own}{after}", other, name)
-            if partner not in names:
+            if partner not in known:
                 raise _lone(path, name, partner)
         ending = re.fullmatch(r"(.+[_ .])([xy])", name)
-        if ending and (partner := ending[1] + ("y" if ending[2] == "x" else "x")) not in names:
+        if ending and (partner := ending[1] + ("y" if ending[2] == "x" else "x")) not in known:
             raise _lone(path, name, partner)
 
 
@@ -251,6 +259,7 @@ def _lone(path: Path, name: str, partner: str) -> InputError:
 def _wide_columns(names: list[str]) -> dict[str, list[str]]:
     """Pairs of columns that differ in an x and a y."""
     found: dict[str, list[str]] = {}
+    known = set(names)
     for name in names:
         for pattern in (r"^x[_ .]?(.+)$", r"^(.+)[_ .]x$"):
             match = re.match(pattern, name)
@@ -258,10 +267,10 @@ def _wide_columns(names: list[str]) -> dict[str, list[str]]:
                 continue
             start = name.startswith("x")
             partner = "y" + name[1:] if start and pattern.startswith("^x") else name[:-1] + "y"
-            if partner in names and partner != name:
+            if partner in known and partner != name:
                 found[match.group(1)] = [name, partner]
                 break
-    return found or ({LONE: ["x", "y"]} if {"x", "y"} <= set(names) else {})
+    return found or ({LONE: ["x", "y"]} if {"x", "y"} <= known else {})
 
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -120,13 +121,15 @@ def _text_pieces(
     refuse_special(path)
     header, separator = column_names(path), separator_of(path)
     check_header(path, header)
+    times = Counter(header)
     for name in columns:
-        if header.count(name) != 1:
+        if times[name] != 1:
             raise InputError(
-                f"{path}: it has {header.count(name)} columns {name!r} (header: "
+                f"{path}: it has {times[name]} columns {name!r} (header: "
                 f"{', '.join(header)[:200]}): name the column by an option"
             )
-    place = {name: header.index(name) for name in columns}
+    where = {name: at for at, name in enumerate(header)}
+    place = {name: where[name] for name in columns}
     kinds = {at: str if name in text else np.float64 for name, at in place.items()}
     size, row = max(path.stat().st_size, 1), 0
     try:
