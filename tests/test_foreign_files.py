@@ -37,6 +37,7 @@ from tools.fuzz.layouts import (
     write_native,
 )
 
+
 class Planted:
     """Touches a file when it is unpickled."""
 

@@ -1,4 +1,4 @@
-"""Damage to files: cuts, losses, repeats, other bytes, other lines, other content in sound archives.
+"""Damage to files: cuts, losses, repeats, other bytes and lines, other content in sound archives.
 
 Every mutation is drawn from a generator, so that a seed names it.
 """
