@@ -4,7 +4,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, printable
+
+__all__ = ["check_names", "is_number", "is_whole", "printable"]
 
 LONGEST_NAME = 200  # characters
 FORMULA = "=+-@"  # with which a spreadsheet begins to compute
@@ -56,13 +58,3 @@ def check_names(place: str, what: str, names: Iterable[object]) -> None:
 
 def _is_negative(name: str) -> bool:
     return name[0] == "-" and name[1:].replace(".", "", 1).isdecimal()
-
-
-def printable(text: str) -> str:
-    """The text with everything that cannot be printed written out, line ends apart."""
-    if text.isprintable():
-        return text
-    return "".join(
-        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode("ascii")
-        for c in text
-    )
