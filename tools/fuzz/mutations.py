@@ -18,7 +18,7 @@ TEXTS = (b",", b"\n", b"\r\n", b'"', b"nan", b"inf", b"-", b"1e308", b"\0", b"="
 
 @dataclass(frozen=True)
 class Damage:
-    """Bytes after the damage, and how many were overwritten (0: lost, repeated, moved, cut off).
+    """Bytes after the damage, and how many were overwritten (0: lost, repeated or cut off).
 
     ``sealed``: the checksums around the damage were made anew.
     """
@@ -46,7 +46,8 @@ def _anywhere(raw: bytes, rng: np.random.Generator) -> Damage:
     if how == 2:
         return Damage(bytes(data[:place] + data[place + int(rng.integers(1, 64)) :]), 0)
     if how == 3:
-        return Damage(_other_lines(raw, rng), 0)
+        moved = _other_lines(raw, rng)
+        return Damage(moved, _differing(raw, moved) if len(moved) == len(raw) else 0)
     if how == 4:
         piece = TEXTS[int(rng.integers(len(TEXTS)))]
         return Damage(bytes(data[:place] + piece + data[place:]), 0)
@@ -60,6 +61,11 @@ def _anywhere(raw: bytes, rng: np.random.Generator) -> Damage:
         else:
             data[at] = int(rng.integers(256))
     return Damage(bytes(data), count)
+
+
+def _differing(one: bytes, other: bytes) -> int:
+    """Places at which two equally long files differ: what swapped lines have overwritten."""
+    return int(np.count_nonzero(np.frombuffer(one, np.uint8) != np.frombuffer(other, np.uint8)))
 
 
 def _other_lines(raw: bytes, rng: np.random.Generator) -> bytes:
