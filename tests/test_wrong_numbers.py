@@ -173,3 +173,25 @@ def test_wrong_number_kinds_of_matlab_are_refused(tmp_path: Path) -> None:
     path.write_bytes(raw[:flags] + bytes([14]) + raw[flags + 1 :])
     with pytest.raises(InputError, match="stored as f8"):
         read_tracks(path)
+
+
+@pytest.mark.parametrize(
+    "table, field, message",
+    [
+        ("instances", "instance_id", "two of its instances have one number"),
+        ("frames", "frame_id", "two of its frames have one number"),
+        ("instances", "frame_id", "an instance is of no frame"),
+    ],
+)
+def test_wrong_number_of_a_sleap_instance_is_refused(
+    table: str, field: str, message: str, tmp_path: Path
+) -> None:
+    import h5py
+
+    path = KINDS["slp"].write(tmp_path)
+    with h5py.File(path, "r+") as file:
+        rows = file[table][()]
+        rows[field][30] = rows[field][0] if "two" in message else 10**6
+        file[table][...] = rows
+    with pytest.raises(InputError, match=message):
+        read_tracks(path)

@@ -67,6 +67,11 @@ def _check_places(path: Path, tables: dict[str, NDArray[Any]]) -> None:
     if len(frames):
         last = int(frames["frame_idx"].max())
         check_size(path, (last + 1) * 16, f"frame number {last}")
+    for what, ids in (("instances", instances["instance_id"]), ("frames", frames["frame_id"])):
+        if len(np.unique(ids)) != len(ids):
+            raise InputError(f"{path}: two of its {what} have one number: copy the file again")
+    if not np.isin(instances["frame_id"], frames["frame_id"]).all():
+        raise InputError(f"{path}: an instance is of no frame: copy the file again")
     points = {0: "points", 1: "pred_points"}  # of user's and predicted instances
     claims = [("instances", frames["instance_id_start"], frames["instance_id_end"])]
     for kind, key in points.items():
