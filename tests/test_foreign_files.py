@@ -101,6 +101,21 @@ def test_movement_takes_no_other_software_for_a_foreign_table(tmp_path: Path) ->
         assert "writes no table" in refused(path, "movement", software=software)
 
 
+@pytest.mark.parametrize("exponent", ["e308545519708834", "E-99999999999", "e+2147483648"])
+def test_a_long_exponent_of_a_foreign_table_does_not_end_the_process(
+    exponent: str, tmp_path: Path
+) -> None:
+    """It did, in the parser of pandas that movement uses; the project's own makes it a gap."""
+    path = write_dlc_csv(tmp_path)
+    lines = path.read_text().splitlines()
+    cells = lines[9].split(",")
+    lines[9] = ",".join([cells[0], f"1{exponent}", *cells[2:]])
+    path.write_text("\n".join(lines) + "\n")
+    assert "with the exponent" in refused(path, "movement", fps=25.0)
+    (tracks,) = read_tracks(path, "deeplabcut")
+    assert tracks.positions[5, 0, 0, 0] == 0.0 or np.isnan(tracks.positions[5, 0, 0, 0])
+
+
 def planted_npy(marker: Path) -> bytes:
     stream = io.BytesIO()
     np.save(stream, np.array([Planted(marker)], dtype=object), allow_pickle=True)

@@ -7,6 +7,8 @@ describes. The readers of this project open such files without either.
 
 from __future__ import annotations
 
+import mmap
+import re
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +29,8 @@ from animarl_envs.importing.readers.tabular import (
 from animarl_envs.importing.tracks import Tracks
 
 SOFTWARE = ("DeepLabCut", "LightningPose", "Anipose", "VIA-tracks")  # those of tables
+LONG_EXPONENT = re.compile(rb"[0-9.][eE][-+]?[0-9]{5,}")
+"""Of ten digits and more; with it the parser of pandas that movement uses ends the process."""
 FRAMES = {"Anipose": "fnum"}  # column of frame numbers, which movement ignores
 
 
@@ -97,6 +101,14 @@ def _check(path: Path, software: str) -> None:
             f"{path}: software {software!r} writes no table: choose one of {', '.join(SOFTWARE)}"
         )
     refuse_unfinished(path)
+    with path.open("rb") as file:
+        if path.stat().st_size:
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                if found := LONG_EXPONENT.search(data):
+                    raise InputError(
+                        f"{path}: it holds a number with the exponent {found[0][1:20].decode()}: "
+                        "mend it"
+                    )
     header = column_names(path)
     if software in ("DeepLabCut", "LightningPose"):
         read_deeplabcut_csv(path)  # its header and frames are refused there
