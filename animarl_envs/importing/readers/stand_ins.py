@@ -11,7 +11,7 @@ import math
 import pickle
 import re
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -25,7 +25,7 @@ LARGEST_KEY = 2**60  # larger whole numbers could be chosen to collide in a dict
 _PLAIN = (str, bytes, int, float, bool, type(None))
 
 
-def refuse(what: str) -> None:
+def refuse(what: str) -> NoReturn:
     """End the reading of a pickle."""
     raise pickle.UnpicklingError(what)
 
@@ -100,7 +100,6 @@ class ArrayStandIn:
         """A new array; of objects it has to be filled."""
         if self.kind is None:
             refuse("an array is made and never filled")
-        assert self.kind is not None
         dtype = self.kind.dtype
         if dtype.hasobject:
             return np.empty(self.shape, dtype=object)
