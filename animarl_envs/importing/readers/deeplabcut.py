@@ -85,7 +85,7 @@ def read_deeplabcut_csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
                 "bodyparts, coords: check --source"
             )
         columns = _columns(path, [row[1:] for row in header[1:]])
-        values = []
+        values: list[list[float]] = []
         for number, row in enumerate(rows, start=len(header) + 1):
             if len(row) != len(columns) + 1:
                 raise InputError(

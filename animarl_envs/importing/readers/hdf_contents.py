@@ -71,7 +71,7 @@ def _checked_dataset(path: Path, place: str, dataset: Any) -> int:
     size = max(kind.get_size(), NUMBER)
     if layout == h5py.h5d.CHUNKED:
         check_size(path, math.prod(settings.get_chunk()) * size, f"a chunk of {place}")
-    return math.prod(dataset.shape) * size
+    return int(math.prod(dataset.shape) * size)
 
 
 def _check_attributes(path: Path, place: str, thing: Any) -> None:
