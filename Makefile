@@ -2,6 +2,7 @@
 # make test   lint, types, tests with coverage
 # make slow   the tests that take minutes
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
+# make fuzz [N=20000] [SEED=0]   damaged files through every reader, see SECURITY.md
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -9,7 +10,10 @@ STAMP := $(VENV)/.installed
 # Two files of tests at a time; the tests of one file share what they make.
 PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-.PHONY: demo test slow mutants lint types clean
+N ?= 20000
+SEED ?= 0
+
+.PHONY: demo test slow mutants fuzz lint types clean
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
@@ -22,6 +26,9 @@ slow: $(STAMP)
 
 mutants: $(STAMP)
 	$(BIN)/python tools/mutants.py $(MODULES) $(if $(SAMPLE),--sample $(SAMPLE))
+
+fuzz: $(STAMP)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz -n $(N) --seed $(SEED)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

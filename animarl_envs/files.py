@@ -1,18 +1,35 @@
-"""Files: written whole or not at all, arrays read without pickle."""
+"""Files: written whole or not at all; read without pickle and within the memory that they may ask.
+
+The rule: a file may ask for at most ``EXPANSION`` times its own size up to ``FREELY``, beyond that
+for ``LARGE_EXPANSION`` times, and for ``ALLOWANCE`` in any case. A header that asks for more is
+refused before anything is allocated. Numbers count as float64, which all of them become.
+"""
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 import tempfile
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+
+EXPANSION = 64
+FREELY = 256 * 2**20  # [bytes]
+LARGE_EXPANSION = 16
+ALLOWANCE = 16 * 2**20  # [bytes]
+MOST_MEMBERS = 10_000  # of an archive
+HIGHEST_CHARACTER = 0x10FFFF
+PLAIN_KINDS = "biufSU"  # truth values, whole numbers, floats, bytes, text
+PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # others allocate what a header says
 
 
 @contextmanager
@@ -63,31 +80,157 @@ def _unwritable(path: Path, error: OSError) -> InputError:
     )
 
 
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an ``.npz`` without pickle, or one sentence that says why not."""
+def refuse_special(path: Path) -> None:
+    """Refuse what is no regular file, before opening it waits for ever: pipes, devices, links."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(
-                    f"{path}: it is a single array, not an npz archive: save it with np.savez"
-                )
-            return {key: archive[key] for key in archive.files}
-    except InputError:
-        raise
+        mode = path.stat().st_mode
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file: check the path") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: it is a folder: name a file in it") from None
-    except (zipfile.BadZipFile, EOFError, OSError, zipfile.LargeZipFile) as error:
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        what = "its links lead in a circle" if _is_loop(error) else f"it cannot be opened ({error})"
+        raise InputError(f"{path}: {what}: name the file itself") from None
+    if stat.S_ISDIR(mode):
+        raise InputError(f"{path}: it is a folder: name a file in it")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: it is a pipe or a device: copy its content into a file")
+
+
+def refuse_unfinished(path: Path) -> None:
+    """Refuse a text whose last line does not end, since it may be cut inside its last number."""
+    refuse_special(path)
+    with path.open("rb") as file:
+        if file.seek(0, os.SEEK_END):
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) not in b"\r\n":
+                raise unfinished(path)
+
+
+def unfinished(path: Path) -> InputError:
+    """What to say of a text whose last line does not end."""
+    return InputError(
+        f"{path}: its last line does not end, so that it may be cut within a number: copy the "
+        "file again, or add a line end if it is whole"
+    )
+
+
+def _is_loop(error: Exception) -> bool:
+    return isinstance(error, OSError) and error.errno == errno.ELOOP
+
+
+def allowed_bytes(size: int) -> int:
+    """Most bytes that arrays read from a file of ``size`` bytes may take."""
+    return max(min(EXPANSION * size, FREELY), LARGE_EXPANSION * size) + ALLOWANCE
+
+
+def check_size(path: Path, size: int, what: str) -> None:
+    """Refuse ``size`` bytes of ``what`` if the file is too small to mean it."""
+    own = path.stat().st_size
+    if size > allowed_bytes(own):
         raise InputError(
-            f"{path}: the archive is damaged or cut short ({error}): copy it again"
+            f"{path}: {what} would take {size / 2**20:,.0f} MiB, more than {EXPANSION} times the "
+            f"file of {own / 2**20:,.1f} MiB may ask for: its header is damaged, copy it again"
+        )
+
+
+def npz_members(path: Path) -> set[str]:
+    """Names inside a zip archive; empty if it is none or damaged."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return set(archive.namelist())
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return set()
+
+
+def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
+    """Shape, dtype and the bytes to hold it, of an ``.npy`` stream that is at its start.
+
+    Raises
+    ------
+    InputError
+        If the array is of no plain kind (objects are, for the restricted unpickler), or too large.
+    """
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
+    else:
+        raise InputError(f"{path}: npy version {version} is unknown: save it with np.save")
+    if dtype.kind not in PLAIN_KINDS + "O" or dtype.fields is not None:
+        raise InputError(f"{path}: an array is of kind {dtype}: save plain numbers or text")
+    count = int(np.prod([int(n) for n in shape], dtype=object))
+    return tuple(int(n) for n in shape), dtype, count * dtype.itemsize
+
+
+def check_npz(path: Path) -> None:
+    """Refuse an archive whose members, or the arrays their headers announce, are too large."""
+    refuse_special(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            if len(members) > MOST_MEMBERS or len({m.filename for m in members}) < len(members):
+                raise InputError(
+                    f"{path}: it holds {len(members):,} arrays, too many or two of one name: "
+                    "cut it in parts"
+                )
+            total = 0
+            for member in members:
+                total += _checked_member(path, archive, member)
+                check_size(path, total, "its content")
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"{path}: it is not a plain npz archive, or damaged or cut short "
+            f"({type(error).__name__}): copy it again"
         ) from None
+
+
+def _checked_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
+    """Bytes that the array will take."""
+    check_size(path, member.file_size, member.filename)
+    if member.compress_type not in PACKINGS:
+        raise InputError(f"{path}: {member.filename} is packed unusually: save it with np.savez")
+    with archive.open(member) as file:
+        _, dtype, size = npy_header(path, file)
+        held = member.file_size - file.tell()
+    if dtype.hasobject:
+        return member.file_size
+    if size != held:
+        raise InputError(
+            f"{path}: {member.filename} announces {size:,} bytes and holds {held:,}: "
+            "copy the file again"
+        )
+    return size if dtype.kind in "SU" else max(size, size // dtype.itemsize * 8)
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """All arrays of an ``.npz`` without pickle, or one sentence that says why not."""
+    check_npz(path)
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return {key: checked_text(path, archive[key]) for key in archive.files}
+    except InputError:
+        raise
     except ValueError as error:
-        if "pickle" in str(error).lower():
+        if "pickle" in str(error).lower() or "object" in str(error).lower():
             raise InputError(
-                f"{path}: it is not a plain npz archive or holds a pickle, which is never opened "
-                "here: save plain arrays with np.savez"
+                f"{path}: it holds a pickle, which is never opened here: save plain arrays with "
+                "np.savez"
             ) from None
         raise InputError(
             f"{path}: it cannot be read ({error}): save it again with np.savez"
         ) from None
+    except Exception as error:  # whatever zipfile and its decompressors raise
+        raise InputError(
+            f"{path}: the archive is damaged or cut short ({error}): copy it again"
+        ) from None
+
+
+def checked_text(path: Path, array: NDArray[Any]) -> NDArray[Any]:
+    """The array, unless it is of text with characters that do not exist."""
+    if array.dtype.kind == "U" and array.size and array.dtype.itemsize:
+        codes = np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), np.uint32)
+        if int(codes.max()) > HIGHEST_CHARACTER:
+            raise InputError(f"{path}: a text holds characters that do not exist: copy it again")
+    return array

@@ -260,7 +260,7 @@ def test_recipes_survive_yaml_and_refuse_unknown_entries(tmp_path: Path) -> None
     with pytest.raises(InputError, match="entry 'smothing' is unknown"):
         ImportRecipe.from_dict({"cleaning": {"smothing": 2}})
     (tmp_path / "bad.yaml").write_text("a: [1\n")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not valid YAML"):
         ImportRecipe.load(tmp_path / "bad.yaml")
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from tracker_files import write_agents, write_long, write_native, write_slp, write_trex
 from typer.testing import CliRunner
 
 from animarl_algos.cli import data
@@ -20,6 +19,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read
+from tools.fuzz.layouts import write_agents, write_long, write_native, write_slp, write_trex
 
 APP = typer.Typer()
 APP.command("import")(import_command)

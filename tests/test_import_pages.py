@@ -12,9 +12,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 from test_import import animarl
-from tracker_files import KINDS, POSE, write_slp
 
 from animarl_envs.importing.readers import registry
+from tools.fuzz.layouts import KINDS, POSE, write_slp
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = DOCS / "data"

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tracker_files import (
+
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers import available_readers, find_reader, follow, read, read_tracks
+from tools.fuzz.layouts import (
     BODIES,
     KINDS,
     NAMES,
@@ -28,9 +31,6 @@ from tracker_files import (
     write_termites,
     write_trex,
 )
-
-from animarl_envs.errors import InputError
-from animarl_envs.importing.readers import available_readers, find_reader, follow, read, read_tracks
 
 HOLDING = {holds: [k for k in KINDS if KINDS[k].holds == holds] for holds in ("bodies", "poses")}
 FOUND = [kind for kind in KINDS if kind != "movement"]  # which is only used when it is named
@@ -72,7 +72,7 @@ def test_reader_of_deeplabcut_keeps_likelihood_and_single_animals(tmp_path: Path
         "coords," + ",".join(coordinate for _, coordinate in single.columns),
         *(f"{t}," + ",".join(map(repr, row)) for t, row in enumerate(single.to_numpy().tolist())),
     ]
-    (tmp_path / "single.csv").write_text("\n".join(lines))
+    (tmp_path / "single.csv").write_text("\n".join(lines) + "\n")
     (alone,) = read_tracks(tmp_path / "single.csv")
     np.testing.assert_allclose(alone.positions[:, 0], POSE[:, 0])
 
@@ -86,7 +86,7 @@ def test_movement_loads_what_this_project_has_no_reader_for(tmp_path: Path) -> N
         "coords," + ",".join(coordinate for _, coordinate in frame.columns),
         *(f"{t}," + ",".join(map(repr, row)) for t, row in enumerate(frame.to_numpy().tolist())),
     ]
-    (tmp_path / "pose.csv").write_text("\n".join(lines))
+    (tmp_path / "pose.csv").write_text("\n".join(lines) + "\n")
     (tracks,) = read_tracks(tmp_path / "pose.csv", "movement", software="LightningPose", fps=25.0)
     np.testing.assert_allclose(tracks.positions[:, 0], POSE[:, 0])
     assert tracks.frame_rate == 25.0 and tracks.keypoints == NODES
@@ -130,7 +130,7 @@ def test_a_hit_counts_in_the_step_of_its_frame_and_in_no_other(tmp_path: Path) -
     for t in range(91):
         columns = lines[t + 1].split(",")
         lines[t + 1] = ",".join([*columns[:4], hits.get(t, "N"), *columns[5:]])
-    path.write_text("\n".join(lines))
+    path.write_text("\n".join(lines) + "\n")
     demos = read(path)
     assert demos.signals["odour_left"].tolist() == [False, True, False, False, False, True]
     assert demos.signals["odour_right"].tolist() == [False, True, True, False, False, True]
@@ -138,7 +138,7 @@ def test_a_hit_counts_in_the_step_of_its_frame_and_in_no_other(tmp_path: Path) -
 
 def test_silkmoth_keeps_the_final_frame(tmp_path: Path) -> None:
     path = write_mothvr(tmp_path)
-    path.write_text("\n".join(path.read_text().splitlines()[:-3]))
+    path.write_text("\n".join(path.read_text().splitlines()[:-3]) + "\n")
     assert read(path).positions[-1, 0, 0] == pytest.approx(0.3 - 0.25 * 87 / 90)
 
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tracker_files import agents_arrays, write_native, write_npy
 
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import read, read_tracks
 from animarl_envs.importing.readers.unpickle import load_object_npy, load_plain
+from tools.fuzz.layouts import agents_arrays, write_native, write_npy
 
 
 def _spoilt(tmp_path: Path, **changes: Any) -> Path:

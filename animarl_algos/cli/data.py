@@ -9,10 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from animarl_algos.cli.describing import Row, demonstrations_at_a_glance, hints
+from animarl_algos.cli.screen import PlainConsole
+from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import Splitting, deal
@@ -231,15 +233,15 @@ def show(demos: Demonstrations) -> None:
 
 def show_rows(title: str, rows: list[Row]) -> None:
     """Print a table of names and words."""
-    table = Table(title=title, show_header=False, box=SIMPLE_HEAD, title_justify="left")
+    table = Table(
+        title=Text(printable(title)), show_header=False, box=SIMPLE_HEAD, title_justify="left"
+    )
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for name, words in rows:
-        table.add_row(name, words)
+        table.add_row(name, Text(printable(str(words))))
     wide_console().print(table, highlight=False)
 
 
-def wide_console() -> Console:
-    console = Console()
-    console.width = max(console.width, 100)
-    return console
+def wide_console() -> PlainConsole:
+    return PlainConsole(least_width=100)

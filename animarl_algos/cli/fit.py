@@ -9,10 +9,11 @@ from typing import Annotated, get_args
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from animarl_algos.cli.data import load
+from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.cli.thrusts import (
     format_thrust_table,
     parse_thrusts,
@@ -90,8 +91,7 @@ def fit_command(
     demos = load(file, source)
     if species is not None and onset_threshold is None:
         onset_threshold = get_species(species).recording.onset_threshold
-    console = Console()
-    console.width = max(console.width, TABLE_WIDTH)
+    console = PlainConsole(least_width=TABLE_WIDTH)
     chosen = None if split == "all" else split
     if thrusts:
         if method is not MethodChoice.joint:
@@ -129,7 +129,7 @@ def compare_thrusts(
     numbers: tuple[int, ...],
     split: str | None,
     seed: int,
-    console: Console,
+    console: PlainConsole,
     out: Path | None,
 ) -> None:
     """Fit each number of thrust magnitudes and print how closely it follows the episodes.
@@ -183,7 +183,7 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
         table.add_column(heading, justify="right", no_wrap=True)
     for one in fit.individuals:
         table.add_row(
-            one.name,
+            Text(one.name),
             _with_interval(one.damping, one.damping_interval),
             _with_interval(one.thrust, one.thrust_interval),
             f"{one.velocity_rmse:.2g}",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 
+from animarl_envs.checks import printable
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import unreadable_or_unwritable
 
@@ -55,13 +56,11 @@ def main() -> None:
     try:
         app()
     except (InputError, MissingExtraError) as error:
-        print(f"animarl: {error}", file=sys.stderr)
+        print(f"animarl: {printable(str(error))}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        print(
-            f"animarl: {unreadable_or_unwritable(error)}; finished stages and checkpoints are kept",
-            file=sys.stderr,
-        )
+        what = printable(unreadable_or_unwritable(error))
+        print(f"animarl: {what}; finished stages and checkpoints are kept", file=sys.stderr)
         sys.exit(2)
     except SystemExit as ended:
         if ended.code in INTERRUPTED:

@@ -10,10 +10,11 @@ from typing import Annotated, Any
 
 import typer
 import yaml
-from rich.console import Console
+from rich.text import Text
 
 from animarl_algos.cli.fit import format_fit_table
 from animarl_algos.cli.run_options import with_run_options
+from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.terminal import evaluation_table
 from animarl_algos.report.verdict_section import verdict_table
@@ -59,7 +60,7 @@ def run_command(
     _say(console, "4/4", "writing the report")
     page = pipeline.report(run)
     console.print(verdict_table(evaluation.verdict))
-    console.print(f"\nOpen [bold]{page}[/bold]", soft_wrap=True, highlight=False)
+    console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
 
 
 @with_run_options(before="source")
@@ -200,11 +201,9 @@ def _refuse_beside_resume(context: typer.Context) -> None:
             )
 
 
-def _console() -> Console:
-    console = Console()
-    console.width = max(console.width, 128)
-    return console
+def _console() -> PlainConsole:
+    return PlainConsole(least_width=128)
 
 
-def _say(console: Console, number: str, what: str) -> None:
-    console.print(f"\n[bold]{number}[/bold] {what}")
+def _say(console: PlainConsole, number: str, what: str) -> None:
+    console.print(Text.assemble("\n", (number, "bold"), f" {what}"))

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from animarl_algos.evaluation.thrust_choice import tracking_floor
 from animarl_envs.demos import Demonstrations
@@ -104,7 +105,7 @@ def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: 
         table.add_column(heading, justify="right")
     for row in rows:
         table.add_row(
-            str(row.thrusts), row.individual, f"{row.damping:.4f}", f"{row.thrust:.3g}",
+            str(row.thrusts), Text(row.individual), f"{row.damping:.4f}", f"{row.thrust:.3g}",
             " ".join(f"{m:.2f}" for m in row.magnitudes),
             f"{row.tracking_error:.2g}", f"{row.speed_distance:.1%}",
             f"{row.terminal_speed:.3g}", f"{row.fast_speed:.3g}",

@@ -11,9 +11,9 @@ import gymnasium as gym
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import Progress
 
+from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.cli.watch_actors import (
     Actor,
     idle_actor,
@@ -117,7 +117,7 @@ def watch_command(
     )
     renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
     world.seed([seed])
-    console = Console()
+    console = PlainConsole()
     endings: list[str] = []
     with Progress(console=console, transient=True) as progress:
         total = episodes * min(steps or world.scenario.species.time_limit, 10**6)

@@ -117,7 +117,7 @@ def known_settings() -> dict[str, Any]:
 
 def beneath() -> dict[str, Any]:
     """All settings of a learner, each as it is where no preset says another: plain data."""
-    settings: dict[str, Any] = parsed(BENEATH.read_text(encoding="utf-8"))
+    settings: dict[str, Any] = parsed(BENEATH.read_text(encoding="utf-8"), str(BENEATH))
     return settings
 
 

@@ -16,10 +16,9 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from animarl_algos.learner.settings import POLICIES, checked_value
 from animarl_envs.errors import InputError
+from animarl_envs.importing.plain_yaml import parse_yaml
 
 CONFIGS = resources.files("zoo_configs")
 PRESETS = ("paper", "default")
@@ -91,12 +90,11 @@ def read_file(config: str | Path, known: Mapping[str, Any]) -> tuple[list[str], 
     file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
     name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"
     try:
-        content = parsed(file.read_text(encoding="utf-8"))
+        content = parsed(file.read_text(encoding="utf-8"), name)
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"{name}: there is no such configuration") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        first_line = str(error).splitlines()[0]
-        raise InputError(f"{name}: it is not valid YAML ({first_line}): mend it") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: it is not valid YAML ({error}): mend it") from None
     if not isinstance(content, dict):
         raise InputError(f"{name}: it holds no sections: write one per environment id")
     base = content.pop("base", [])
@@ -109,15 +107,15 @@ def read_file(config: str | Path, known: Mapping[str, Any]) -> tuple[list[str], 
     }
 
 
-def parsed(text: str) -> Any:
+def parsed(text: str, place: str) -> Any:
     """The data in a YAML text; its caller may change it."""
-    return deepcopy(_parsed_once(text))
+    return deepcopy(_parsed_once(text, place))
 
 
 @lru_cache
-def _parsed_once(text: str) -> Any:
+def _parsed_once(text: str, place: str) -> Any:
     """Every learner that is made reads the same few files, and parsing takes milliseconds each."""
-    return yaml.safe_load(text)
+    return parse_yaml(text, place)
 
 
 def _checked_section(

@@ -37,8 +37,8 @@ def evaluation_table(
     """
     try:
         from rich.box import SIMPLE_HEAD
-        from rich.markup import escape
         from rich.table import Table
+        from rich.text import Text
     except ImportError as error:
         raise MissingExtraError("the table", "algos") from error
     comparison = evaluation.comparison
@@ -68,9 +68,9 @@ def evaluation_table(
         cells.append("" if own is None else with_interval(interval(own, "within")))
         count = comparison_row(comparison, str(name), PATH_LENGTH, counting)
         table.add_row(
-            "demonstrated" if name == RECORDED else escape(method_label(str(name))),
+            "demonstrated" if name == RECORDED else Text(method_label(str(name))),
             "" if count is None else str(int(count["rollouts"])),
-            *(escape(cell.replace(" [", "\n[")) for cell in cells),
+            *(Text(cell.replace(" [", "\n[")) for cell in cells),
             style="bold" if name == learner else "",
         )
     return table

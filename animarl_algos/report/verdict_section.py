@@ -138,13 +138,13 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
     """
     try:
         from rich.box import SIMPLE_HEAD
-        from rich.markup import escape
         from rich.table import Table as TerminalTable
+        from rich.text import Text
     except ImportError as error:
         raise MissingExtraError("the table", "algos") from error
     table = TerminalTable(
-        title=escape(verdict_sentence(verdict, words)),
-        caption=escape(words.say(_caption(verdict))),
+        title=Text(verdict_sentence(verdict, words)),
+        caption=Text(words.say(_caption(verdict))),
         box=SIMPLE_HEAD, padding=(0, 1),
     )  # fmt: skip
     for i, heading in enumerate(COLUMNS):
@@ -153,7 +153,7 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
             words.say(heading), justify="left" if wide else "right", no_wrap=not wide
         )  # fmt: skip
     for row, cells in _lines(verdict, words):
-        table.add_row(*(escape(cell) for cell in cells), style="" if row["alike"] else "bold")
+        table.add_row(*(Text(cell) for cell in cells), style="" if row["alike"] else "bold")
     return table
 
 

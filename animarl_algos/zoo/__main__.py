@@ -23,6 +23,7 @@ from animarl_algos.zoo.enjoy import enjoy
 from animarl_algos.zoo.environments import species_of_id
 from animarl_algos.zoo.manager import EVAL_BY_LENGTH, AnimalExperimentManager
 from animarl_algos.zoo.samplers import converted, sampler
+from animarl_envs.checks import printable
 from animarl_envs.errors import InputError
 from animarl_envs.files import unreadable_or_unwritable
 
@@ -164,7 +165,7 @@ def main() -> None:
         register()
         COMMANDS[arguments[0]](arguments[1:])
     except InputError as error:
-        print(f"animarl_algos.zoo: {error}", file=sys.stderr)
+        print(f"animarl_algos.zoo: {printable(str(error))}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
         print(f"animarl_algos.zoo: {unreadable_or_unwritable(error)}", file=sys.stderr)

@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import yaml
 from huggingface_sb3 import EnvironmentName
 from rl_zoo3.utils import get_model_path
 from stable_baselines3.common.vec_env import VecEnv
@@ -23,6 +22,7 @@ from animarl_algos.zoo.environments import slot_environment, species_of_id
 from animarl_algos.zoo.models import check_fit, load_model
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.errors import InputError
+from animarl_envs.importing.plain_yaml import read_yaml
 
 
 def enjoy(arguments: list[str]) -> None:
@@ -124,8 +124,10 @@ def find_model(asked: argparse.Namespace) -> tuple[Path, dict[str, Any]]:
     config = folder / name / "config.yml"
     if not config.is_file():
         return path, {}
-    settings = yaml.safe_load(config.read_text())
-    options = settings.get("env_kwargs") or {}
+    settings = read_yaml(config)
+    options = settings.get("env_kwargs") or {} if isinstance(settings, dict) else None
+    if not isinstance(options, dict):
+        raise InputError(f"{config}: it holds no settings of a training: name another --model")
     if species_of_id(name.gym_id) is not None:
         options = {"observation": "paper"} | options  # all there was before it was written down
     return path, options

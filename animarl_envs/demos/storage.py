@@ -17,6 +17,7 @@ from animarl_envs.files import read_npz, write_then_rename
 
 FORMAT = "animarl-demonstrations"
 FORMAT_VERSION = 1
+_DAMAGE = (LookupError, TypeError, ValueError, AttributeError, RecursionError, OverflowError)
 
 
 def save(
@@ -92,7 +93,14 @@ def refusing_damage(path: str | Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        RecursionError,
+        OverflowError,
+    ) as error:
         raise InputError(
             f"{path}: its content is damaged ({type(error).__name__}: {error}): "
             "make it again with 'animarl import'"

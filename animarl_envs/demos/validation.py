@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
+from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import INTERVAL, SPLITS, UNFINISHED
 from animarl_envs.errors import InputError
 
@@ -40,6 +41,10 @@ def _check_individuals(demos: Demonstrations) -> None:
         _refuse(demos, f"individual {twice!r} appears twice: give each individual its own name")
     if len(demos.roles) != num or set(demos.roles) - {"pursuer", "target", "searcher"}:
         _refuse(demos, f"roles {demos.roles} do not fit: give pursuer, target or searcher to each")
+    check_names(demos.name, "an individual", names)
+    check_names(demos.name, "a species", [demos.species])
+    check_names(demos.name, "a recording", map(str, np.unique(demos.recording)))
+    check_names(demos.name, "a signal", demos.signals)
     targets = demos.roles.count("target")
     if targets > 1 or (targets and demos.roles[-1] != "target"):
         _refuse(demos, f"roles are {demos.roles}: there is one target at most and it comes last")

@@ -31,9 +31,16 @@ def plot_summary(demos: Demonstrations, path: str | Path) -> Path:
     what the cleaning found.
     """
     try:
-        from matplotlib.figure import Figure
+        from matplotlib import rc_context
     except ImportError as error:
         raise MissingExtraError("the summary figure", "algos") from error
+    with rc_context({"text.parse_math": False}):  # a name with dollar signs is a name
+        return _plot(demos, Path(path))
+
+
+def _plot(demos: Demonstrations, path: Path) -> Path:
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(13, 9.5), layout="constrained")
     parts: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.25))
     above, below = parts

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
+from animarl_envs.files import refuse_unfinished
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import runs
 
@@ -199,6 +200,7 @@ def _from_table(
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
+    refuse_unfinished(path)
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))

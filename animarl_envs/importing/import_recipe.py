@@ -13,6 +13,7 @@ from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.cleaning import Cleaning
 from animarl_envs.importing.cutting import Cutting
+from animarl_envs.importing.plain_yaml import read_yaml
 from animarl_envs.importing.scaling import Scaling
 from animarl_envs.species import CUSTOM, SPECIES
 
@@ -106,12 +107,7 @@ class ImportRecipe:
     @classmethod
     def load(cls, path: str | Path) -> ImportRecipe:
         """Read YAML written by :meth:`save`."""
-        yaml = _yaml()
-        try:
-            record = yaml.safe_load(Path(path).read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            first = str(error).splitlines()[0]
-            raise InputError(f"{path}: the recipe cannot be read ({first}): check it") from None
+        record = read_yaml(Path(path))
         if not isinstance(record, dict):
             raise InputError(
                 f"{path}: it is no recipe: give one that 'animarl import' wrote beside its --out"

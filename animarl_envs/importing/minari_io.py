@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
+from animarl_envs.demos.storage import refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import refuse_special
 from animarl_envs.locomotion import NUM_ACTIONS
 
 DATA_FILE = "main_data.hdf5"
@@ -78,42 +80,70 @@ def _write(demos: Demonstrations, actions: NDArray[np.int8], origin: str, folder
 
 
 def import_minari(folder: str | Path) -> Demonstrations:
-    """Read what :func:`export_minari` wrote.
+    """Read what :func:`export_minari` wrote; the package Minari is not needed for it.
 
     Raises
     ------
     InputError
         If it is no Minari dataset, or one that this project did not write.
     """
-    _minari()
-    from minari import MinariDataset
-
-    from animarl_envs.importing.readers.hdf import open_hdf
-
     folder = Path(folder).resolve()
-    if not (folder / "data" / DATA_FILE).is_file():
+    file = folder / "data" / DATA_FILE
+    if not file.is_file():
         raise InputError(f"{folder}: it holds no data/{DATA_FILE}: name the dataset's folder")
-    open_hdf(folder / "data" / DATA_FILE).close()  # refuses damage that the library trips over
+    meta = _stored_metadata(folder)
+    with refusing_damage(folder):
+        return _rebuilt(folder, meta, file)
+
+
+def _stored_metadata(folder: Path) -> dict[str, Any]:
+    file = folder / "data" / "metadata.json"
+    refuse_special(file)
     try:
-        dataset = MinariDataset(folder / "data")
-        meta = json.loads(dataset.storage.metadata[METADATA_KEY])
+        record = json.loads(file.read_text(encoding="utf-8"))
+        return dict(json.loads(record[METADATA_KEY]))
     except KeyError:
         raise InputError(
             f"{folder}: it is a Minari dataset of another project, which does not say which entry "
             "is a position: convert it to a table or array first"
         ) from None
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         raise InputError(
             f"{folder}: the Minari dataset is damaged ({error}): copy it again"
         ) from None
-    names = meta["individuals"]
-    states, actions, infos = [], [], []
-    for episode in dataset.iterate_episodes():
-        states.append(np.stack([episode.observations[name] for name in names], axis=1))
-        taken = np.full(states[-1].shape[:2], -1, dtype=np.int8)
-        taken[:-1] = np.stack([episode.actions[name] for name in names], axis=1)
-        actions.append(taken)
-        infos.append(episode.infos)
+
+
+def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
+    """Demonstrations from the arrays of the file; Minari itself does not open it.
+
+    Its own reader follows what the file says (formats, spaces, the environment it was made with).
+    """
+    from animarl_envs.importing.readers.hdf import open_hdf, read_dataset
+
+    names = [str(name) for name in meta["individuals"]]
+    states, actions = [], []
+    infos: list[dict[str, NDArray[Any]]] = []
+    with open_hdf(path) as file:
+        count = len(meta["recording"])
+        if len(file) != count:
+            raise InputError(
+                f"{folder}: it holds {len(file)} episodes, its metadata {count}: copy it again"
+            )
+        for number in range(count):
+            place = f"episode_{number}"
+            states.append(
+                np.stack(
+                    [read_dataset(path, file, f"{place}/observations/{n}") for n in names], axis=1
+                )
+            )
+            taken = np.full(states[-1].shape[:2], -1, dtype=np.int8)
+            taken[:-1] = np.stack(
+                [read_dataset(path, file, f"{place}/actions/{n}") for n in names], axis=1
+            )
+            actions.append(taken)
+            infos.append(
+                {key: read_dataset(path, file, f"{place}/infos/{key}") for key in meta["signals"]}
+            )
     signals: dict[str, NDArray[Any]] = {
         key: np.concatenate([info[key] for info in infos]).astype(kind)
         for key, kind in meta["signals"].items()

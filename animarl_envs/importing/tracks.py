@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import check_names
 from animarl_envs.errors import InputError
 
 CENTROID = "centroid"
@@ -72,6 +73,9 @@ class Tracks:
                 f"{self.recording}: individuals {self.individuals} are not all different: "
                 "give each its own name"
             )
+        check_names(f"{self.recording:.80}", "a recording", [self.recording])
+        check_names(self.recording, "an individual", self.individuals)
+        check_names(self.recording, "a keypoint", self.keypoints)
         if self.frame_rate is not None and not 0 < self.frame_rate < float("inf"):
             raise InputError(
                 f"{self.recording}: the frame rate is {self.frame_rate} Hz: it must be positive"

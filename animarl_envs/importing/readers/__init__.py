@@ -7,6 +7,7 @@ from animarl_envs.importing.readers import (
     collections,
     deeplabcut,
     mothvr,
+    movement_tables,
     own,
     pose,
     tables,
@@ -27,6 +28,6 @@ from animarl_envs.importing.readers.registry import (
 
 __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
-    "default_recipe", "find_reader", "follow", "get_reader", "mothvr", "own", "pose",
-    "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
+    "default_recipe", "find_reader", "follow", "get_reader", "mothvr", "movement_tables", "own",
+    "pose", "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
 ]  # fmt: skip

@@ -24,7 +24,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import guarded_npz, npz_members
+from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.registry import register_reader
 from animarl_envs.locomotion import NUM_ACTIONS
 
@@ -45,7 +45,7 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
 
     Episodes start at rest. Four fifths are for training, a tenth each for validation and test.
     """
-    arrays = guarded_npz(path)
+    arrays = read_npz(path)
     missing = sorted(m[:-4] for m in _MEMBERS if m[:-4] not in arrays)
     if missing:
         raise InputError(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import guarded_npz, npz_members
+from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf, read_dataset
 from animarl_envs.importing.readers.matlab import read_mat5
 from animarl_envs.importing.readers.registry import register_track_reader
@@ -44,7 +44,7 @@ def read_numpy(
 ) -> list[Tracks]:
     """One recording, or every array of an archive as one where ``key`` is ``"*"``."""
     if path.suffix.lower() == ".npz":
-        arrays = guarded_npz(path)
+        arrays = read_npz(path)
     else:
         loaded = load_object_npy(path.read_bytes(), path)
         if not isinstance(loaded, np.ndarray) or loaded.dtype.hasobject:

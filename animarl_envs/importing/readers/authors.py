@@ -6,9 +6,9 @@ Their ``.npz`` files hold Python objects; they are opened by the restricted unpi
 from __future__ import annotations
 
 import math
+import os
 import re
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import check_size, npz_members
+from animarl_envs.files import check_npz, npz_members, refuse_unfinished
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.unpickle import count_leaves, load_object_npy
+from animarl_envs.importing.readers.unpickle import load_object_npy
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH
 
@@ -55,22 +55,12 @@ def _chase_defaults(species: Any) -> dict[str, Any]:
 
 def _objects(path: Path) -> dict[str, Any]:
     """Arrays of an archive, objects included, by name."""
-    found, total = {}, 0
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for member in archive.infolist():
-                total += member.file_size
-                check_size(path, total, "its content")
-                found[member.filename.removesuffix(".npy")] = load_object_npy(
-                    archive.read(member), path, member.filename
-                )
-    except (zipfile.BadZipFile, OSError, EOFError, zlib.error, NotImplementedError) as error:
-        raise InputError(
-            f"{path}: the archive is damaged or cut short ({error}): copy it again"
-        ) from None
-    for value in found.values():
-        count_leaves(value, path)
-    return found
+    check_npz(path)
+    with zipfile.ZipFile(path) as archive:
+        return {
+            member.removesuffix(".npy"): load_object_npy(archive.read(member), path, member)
+            for member in archive.namelist()
+        }
 
 
 def _nested(path: Path, value: Any, place: str) -> Any:
@@ -246,6 +236,7 @@ def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64
 )
 def read_authors_silkmoth(path: Path) -> list[Tracks]:
     """No header: time, x, y [mm], angle, left odour, right odour, vision, wind sector; 30 Hz."""
+    refuse_unfinished(path)
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
     except (ValueError, UnicodeDecodeError) as error:
@@ -255,8 +246,16 @@ def read_authors_silkmoth(path: Path) -> list[Tracks]:
     bad = np.argwhere(~np.isfinite(table))
     if len(bad):
         raise InputError(f"{path}: line {bad[0][0] + 1} holds a value that is no number: mend it")
-    movie, stimulus = path.parent.name, path.parent.parent.name
     rate = SILKMOTH.recording.frame_rate
+    frames = table[:, 0] * rate
+    off = np.abs(np.diff(frames, prepend=frames[0] - 1.0) - 1.0) > 0.5
+    if off.any() or not -0.5 < frames[0] < 1.5:
+        line = int(off.argmax())
+        raise InputError(
+            f"{path}: line {line + 1} is at {table[line, 0]:g} s: give every frame, from the first "
+            f"at {rate:g} Hz"
+        )
+    movie, stimulus = Path(os.path.normpath(path.absolute())).parts[-2:-4:-1]
     return [
         Tracks(
             recording=f"{stimulus}/{movie}/{path.stem}",

@@ -28,6 +28,17 @@ def even_rate(path: Path, time: NDArray[np.float64]) -> float:
     return round(1.0 / float(step.mean()), 6)
 
 
+def refuse_uneven_frames(path: Path, frames: NDArray[np.float64]) -> None:
+    """Refuse frame numbers that do not rise by one from row to row."""
+    wrong = np.flatnonzero(np.diff(frames) != 1)  # NaN too
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"{path}: row {row + 2} is of frame {frames[row + 1]:g} after {frames[row]:g}: give "
+            "every frame in order, or make a long table, where frames may be missing"
+        )
+
+
 def frames_at(
     path: Path, time: NDArray[np.float64], rate: float | None
 ) -> tuple[float, NDArray[np.int32]]:

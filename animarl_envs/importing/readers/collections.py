@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import guarded_npz, npz_members
+from animarl_envs.files import npz_members, read_npz, refuse_unfinished
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.tracks import Tracks
 
@@ -40,6 +40,7 @@ FLY_DEFAULTS = {
 
 def _index(path: Path, key: str) -> dict[str, dict[str, str]]:
     index = path.parent / "index.csv"
+    refuse_unfinished(index)
     try:
         with index.open(newline="") as file:
             rows = list(csv.DictReader(file))
@@ -50,6 +51,17 @@ def _index(path: Path, key: str) -> dict[str, dict[str, str]]:
     if not rows or key not in rows[0]:
         raise InputError(f"{index}: it lacks the column {key!r}: keep the one of {path.name}")
     return {row[key]: row for row in rows}
+
+
+def _scale_of(path: Path, row: dict[str, str]) -> float:
+    """Millimetres per pixel, which the key's row gives."""
+    try:
+        scale = float(row["mm_per_px_est"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path.parent / 'index.csv'}: a scale is no number ({error})") from None
+    if not 0 < scale < np.inf:
+        raise InputError(f"{path.parent / 'index.csv'}: a scale is {scale}: mend it")
+    return scale
 
 
 @register_track_reader(
@@ -65,12 +77,12 @@ def read_termites(
     """Male and female in mm; ``kind`` ``"Cf"`` or ``"Rs"`` takes one species."""
     index = _index(path, "key")
     found = []
-    for key, array in guarded_npz(path).items():
+    for key, array in read_npz(path).items():
         if (kind and not key.startswith(kind)) or (recordings and key not in recordings):
             continue
         if array.ndim != 2 or array.shape[1] != 4 or key not in index:
             raise InputError(f"{path}: {key} has shape {array.shape} or no index: check the file")
-        mm = float(index[key]["mm_per_px_est"])
+        mm = _scale_of(path, index[key])
         pixels = array.astype(np.float64) / TERMITE_STEPS
         female, male = pixels[:, :2] * mm, pixels[:, 2:] * mm
         found.append(
@@ -99,7 +111,7 @@ def read_termites(
 def read_fly_groups(path: Path) -> list[Tracks]:
     """All flies of each recording; the arena is 120 units wide."""
     found = []
-    for key, array in guarded_npz(path).items():
+    for key, array in read_npz(path).items():
         if not key.endswith("__xy"):
             continue
         if array.ndim != 3 or array.shape[2] != 2:

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
+from animarl_envs.files import refuse_unfinished
+from animarl_envs.importing.readers.hdf import (
+    hdf_keys,
+    open_hdf,
+    read_bytes_attribute,
+    read_dataset,
+)
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.tabular import column_names
 from animarl_envs.importing.readers.unpickle import load_plain
@@ -38,7 +44,7 @@ Column = tuple[str, str, str]  # individual, body part, coordinate
 def read_deeplabcut(path: Path, fps: float | None = None) -> list[Tracks]:
     """All body parts with their likelihood, in pixels; the files hold no frame rate."""
     if path.suffix.lower() == ".csv":
-        columns, values = _csv(path)
+        columns, values = read_deeplabcut_csv(path)
     else:
         columns, values = _hdf(path)
     individuals = tuple(dict.fromkeys(column[0] for column in columns))
@@ -59,7 +65,9 @@ def read_deeplabcut(path: Path, fps: float | None = None) -> list[Tracks]:
     ]  # fmt: skip
 
 
-def _csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
+def read_deeplabcut_csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
+    """Columns and values ``(frames, columns)`` of a table whose rows are frames 0, 1, 2 ..."""
+    refuse_unfinished(path)
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file)
         header: list[list[str]] = []
@@ -77,7 +85,7 @@ def _csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
                 "bodyparts, coords: check --source"
             )
         columns = _columns(path, [row[1:] for row in header[1:]])
-        values = []
+        values: list[list[float]] = []
         for number, row in enumerate(rows, start=len(header) + 1):
             if len(row) != len(columns) + 1:
                 raise InputError(
@@ -85,12 +93,24 @@ def _csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
                     "copy the file again"
                 )
             try:
+                check_frame(path, number, _number(row[0]), len(values))
                 values.append([_number(cell) for cell in row[1:]])
+            except InputError:
+                raise
             except ValueError as error:
                 raise InputError(f"{path}: line {number}: {error}: mend it") from None
     if not values:
         raise InputError(f"{path}: it has a header but no rows: check the file")
     return columns, np.array(values)
+
+
+def check_frame(path: Path, line: int, frame: float, expected: int) -> None:
+    """Refuse a row that is not the next frame: a gap or a swap would shift time silently."""
+    if frame != expected:
+        raise InputError(
+            f"{path}: line {line} is of frame {frame:g}, not {expected}: give every frame from 0, "
+            "in order, with empty cells where nothing was tracked"
+        )
 
 
 def _number(cell: str) -> float:
@@ -108,8 +128,7 @@ def _hdf(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
                 f"{path}: it is not stored as a table: export the predictions as .csv instead"
             )
         table = read_dataset(path, file, f"{group}/table")
-        raw = file[group].attrs["non_index_axes"]
-        labels = load_plain(bytes(raw), str(path))
+        labels = load_plain(read_bytes_attribute(path, file[group], "non_index_axes"), str(path))
     try:
         names = [tuple(str(part) for part in column) for column in labels[0][1]]
         levels = [list(level) for level in zip(*names, strict=True)][1:]
@@ -121,6 +140,10 @@ def _hdf(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
         raise InputError(
             f"{path}: {len(names)} names for {values.shape[1]} columns: export it as .csv instead"
         )
+    if values.dtype.kind not in "iuf":
+        raise InputError(f"{path}: its table holds {values.dtype}, not numbers: check --source")
+    for row, frame in enumerate(np.asarray(table["index"], dtype=np.float64).ravel().tolist()):
+        check_frame(path, row + 1, frame, row)
     return _columns(path, levels), values.astype(np.float64)
 
 
@@ -133,4 +156,13 @@ def _columns(path: Path, levels: Sequence[Sequence[str]]) -> list[Column]:
     columns = [(a, b, c) for a, b, c in zip(*levels, strict=True)]
     if len(set(columns)) != len(columns):
         raise InputError(f"{path}: a column appears twice in its header: drop the duplicate")
+    found: dict[tuple[str, str], set[str]] = {}
+    for who, part, coordinate in columns:
+        found.setdefault((who, part), set()).add(coordinate)
+    for (who, part), coordinates in found.items():
+        if not {"x", "y"} <= coordinates <= {"x", "y", "likelihood"}:
+            raise InputError(
+                f"{path}: {part!r} of {who!r} has columns {', '.join(sorted(coordinates))}, not x, "
+                "y and likelihood: mend the header"
+            )
     return columns

@@ -1,39 +1,16 @@
-"""What stands between a file and memory: absurd headers, zip bombs, pickles, broken libraries.
-
-The rule: a file may ask for at most ``EXPANSION`` times its own size, plus ``ALLOWANCE``; a header
-that asks for more is refused before anything is allocated.
-"""
+"""What readers share: rows without a name, and libraries that trip over a damaged file."""
 
 from __future__ import annotations
 
 import contextlib
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.files import read_npz
-
-EXPANSION = 64
-ALLOWANCE = 16 * 2**20  # [bytes]
-
-
-def allowed_bytes(path: Path) -> int:
-    """Most bytes that arrays read from ``path`` may take."""
-    return EXPANSION * path.stat().st_size + ALLOWANCE
-
-
-def check_size(path: Path, size: int, what: str) -> None:
-    """Refuse ``size`` bytes of ``what`` if the file is too small to mean it."""
-    if size > allowed_bytes(path):
-        raise InputError(
-            f"{path}: {what} would take {size / 2**20:,.0f} MiB, more than {EXPANSION} times the "
-            "file: its header is damaged, copy it again"
-        )
 
 
 def refuse_empty(path: Path, column: str, empty: NDArray[np.bool_], first_row: int) -> None:
@@ -42,6 +19,15 @@ def refuse_empty(path: Path, column: str, empty: NDArray[np.bool_], first_row: i
         raise InputError(
             f"{path}: row {first_row + int(empty.argmax()) + 1} has no {column}: fill it in, or "
             "leave the row out"
+        )
+
+
+def refuse_long(path: Path, column: str, length: int) -> None:
+    """Refuse a table whose text ``column`` has an entry of more characters than a name has."""
+    if length > LONGEST_NAME:
+        raise InputError(
+            f"{path}: column {column!r} has an entry of {length:,} characters: give names of at "
+            f"most {LONGEST_NAME}"
         )
 
 
@@ -64,60 +50,3 @@ def refusing(path: Path, source: str) -> Iterator[None]:
             f"{path}: it cannot be read as {source} ({type(error).__name__}: {first}): "
             "check --source, or copy the file again"
         ) from error
-
-
-def npz_members(path: Path) -> set[str]:
-    """Names inside a zip archive; empty if it is none or damaged."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return set(archive.namelist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return set()
-
-
-def check_npz(path: Path) -> None:
-    """Refuse an archive whose members, or the arrays their headers announce, are too large."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            total = 0
-            for member in archive.infolist():
-                total += member.file_size
-                check_size(path, total, "its content")
-                with archive.open(member) as file:
-                    shape, dtype = npy_header(path, file)
-                    held = member.file_size - file.tell()
-                if dtype.hasobject:
-                    continue
-                size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-                if size != held:
-                    raise InputError(
-                        f"{path}: {member.filename} announces {size:,} bytes and holds {held:,}: "
-                        "copy the file again"
-                    )
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(
-            f"{path}: it is not a plain npz archive, or damaged or cut short "
-            f"({type(error).__name__}): copy it again"
-        ) from None
-
-
-def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and dtype that an ``.npy`` stream announces."""
-    version = np.lib.format.read_magic(file)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
-    else:
-        raise InputError(f"{path}: npy version {version} is unknown: save it with np.save")
-    return shape, dtype
-
-
-def guarded_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an ``.npz`` without pickle, within the memory that its size allows."""
-    if not path.is_file():
-        return read_npz(path)
-    check_npz(path)
-    return read_npz(path)

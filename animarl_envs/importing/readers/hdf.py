@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.importing.readers.hdf_contents import check_contents
 from animarl_envs.importing.readers.hdf_texts import check_heaps, check_texts
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -30,7 +30,27 @@ def is_hdf(path: Path) -> bool:
 
 
 def open_hdf(path: Path) -> Any:
-    """An open ``h5py.File``, or one sentence that says why not."""
+    """An open ``h5py.File`` all of whose content was looked at, or one sentence that says why not.
+
+    Raises
+    ------
+    InputError
+        If it is none, is damaged, or is refused by
+        :func:`~animarl_envs.importing.readers.hdf_contents.check_contents`.
+    """
+    file = _opened(path)
+    try:
+        check_contents(path, file)
+    except InputError:
+        file.close()
+        raise
+    except Exception as error:  # what h5py raises over damage is of no one kind
+        file.close()
+        raise _damaged(path, error) from None
+    return file
+
+
+def _opened(path: Path) -> Any:
     try:
         import h5py
     except ImportError as error:
@@ -42,8 +62,12 @@ def open_hdf(path: Path) -> Any:
     try:
         return h5py.File(path, "r")
     except (OSError, RuntimeError, ValueError) as error:
-        first = str(error).splitlines()[0][:160]
-        raise InputError(f"{path}: the HDF5 file is damaged ({first}): copy it again") from None
+        raise _damaged(path, error) from None
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    first = (str(error).splitlines() or [type(error).__name__])[0][:160]
+    return InputError(f"{path}: the HDF5 file is damaged ({first}): copy it again")
 
 
 def _check_end(path: Path) -> None:
@@ -66,20 +90,26 @@ def hdf_keys(path: Path) -> set[str]:
     if not is_hdf(path):
         return set()
     try:
-        with open_hdf(path) as file:
+        with _opened(path) as file:
             return set(file.keys())
     except (InputError, MissingExtraError, OSError, RuntimeError, KeyError, ValueError):
         return set()
 
 
 def read_dataset(path: Path, file: Any, key: str) -> NDArray[Any]:
-    """One dataset, refused before allocation if it is absurdly large."""
+    """One dataset of a file from :func:`open_hdf`, which has looked at its size."""
     if key not in file:
         raise InputError(f"{path}: it has no dataset {key!r}: check --source")
     dataset = file[key]
     if not hasattr(dataset, "shape"):
         raise InputError(f"{path}: {key!r} is a group, not an array: name an array")
-    size = int(np.prod([int(n) for n in dataset.shape], dtype=object)) * dataset.dtype.itemsize
-    check_size(path, size, f"dataset {key!r}")
     check_texts(path, key, dataset)
     return np.asarray(dataset[()])
+
+
+def read_bytes_attribute(path: Path, thing: Any, name: str) -> bytes:
+    """An attribute that is one text of fixed length, as its bytes."""
+    value = thing.attrs.get(name)
+    if not isinstance(value, bytes):
+        raise InputError(f"{path}: it has no text {name!r}: check --source")
+    return bytes(value)

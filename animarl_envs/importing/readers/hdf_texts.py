@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import allowed_bytes, check_size
+from animarl_envs.files import allowed_bytes, check_size
 
 HEAP = b"GCOL"
 HEAP_HEADER, OBJECT_HEADER = 16, 16  # [bytes]
@@ -84,7 +84,7 @@ def _stored(path: Path, key: str, dataset: Any) -> list[bytes]:
         place = dataset.id.get_chunk_info(number).chunk_offset
         mask, raw = dataset.id.read_direct_chunk(place)
         if kinds and mask == 0:
-            raw = zlib.decompressobj().decompress(raw, allowed_bytes(path))
+            raw = zlib.decompressobj().decompress(raw, allowed_bytes(path.stat().st_size))
         found.append(raw)
     return found
 

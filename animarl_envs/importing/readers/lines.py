@@ -2,7 +2,7 @@
 
 Parsers fill short lines with nothing and drop what a long one has too much; after a cut or a lost
 piece that shifts numbers into the wrong columns without a word. Here every line must have as many
-cells as the header.
+cells as the header, and the last one must end: cut within its last number it would be another.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.files import unfinished
 
 BLOCK = 2**20  # [bytes]
 _NUL, _LINE_FEED, _RETURN, _QUOTE = 0, 10, 13, 34
@@ -48,6 +49,7 @@ class CheckedLines(io.RawIOBase):
             raise InputError(f"{self._path}: a quote is never closed: mend the file")
         elif self._length:
             self._refuse_unless(self._separators + 1)
+            raise unfinished(self._path)
         buffer[: len(data)] = data
         self.seen += len(data)
         return len(data)

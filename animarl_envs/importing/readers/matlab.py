@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.files import check_size
 
 HEADER = 128  # [bytes]
 ENDIANS = {b"IM": "<", b"MI": ">"}  # as the file's last two bytes of the header
@@ -131,5 +131,14 @@ def _matrix(path: Path, content: _Bytes) -> tuple[str, NDArray[Any]] | None:
         raise ValueError(f"a variable of {count} numbers holds {len(values.data)} bytes")
     if content.data:
         raise ValueError("a variable is longer than its numbers")
+    if not _is_packing(np.dtype(STORED[stored]), np.dtype(CLASSES[kind])):
+        raise ValueError(f"a variable of {CLASSES[kind]} is stored as {STORED[stored]}")
     array = values.numbers(STORED[stored], count).astype(CLASSES[kind])
     return bytes(name.data).decode("ascii"), array.reshape(shape, order="F")
+
+
+def _is_packing(stored: np.dtype[Any], own: np.dtype[Any]) -> bool:
+    """Whether MATLAB stores numbers of a class so: as themselves or as smaller whole numbers."""
+    if own.kind == "f":
+        return stored.itemsize <= (own.itemsize if stored.kind == "f" else 4)
+    return stored.kind != "f" and stored.itemsize <= own.itemsize

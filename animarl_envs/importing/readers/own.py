@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.files import npz_members
 from animarl_envs.importing.minari_io import DATA_FILE, import_minari
-from animarl_envs.importing.readers.guards import check_npz, npz_members
 from animarl_envs.importing.readers.registry import register_reader
 
 _MEMBERS = {"positions.npy", "lengths.npy", "initial_velocity.npy", "meta.npy"}
@@ -20,7 +20,6 @@ _MEMBERS = {"positions.npy", "lengths.npy", "initial_velocity.npy", "meta.npy"}
 )
 def read_native(path: Path) -> Demonstrations:
     """Read a file written by :meth:`Demonstrations.save`."""
-    check_npz(path)
     return Demonstrations.load(path)
 
 

@@ -1,8 +1,13 @@
-"""Columns of Parquet files, in pieces; refused before allocation where the header is absurd."""
+"""Columns of Parquet files, in pieces; refused before allocation where the header is absurd.
+
+A text is kept once in a dictionary, however many rows refer to it, and stays there until it is
+known to be short: written out, a few hundred kilobytes of it can become gigabytes.
+"""
 
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import check_size, refuse_empty
+from animarl_envs.files import check_size, refuse_special
+from animarl_envs.importing.readers.guards import refuse_empty, refuse_long
 
 SUFFIXES = {".parquet", ".pq"}
 BUFFER = 2**20  # [bytes] read at a time from each column
+MOST_COLUMNS = 10_000
+BATCH = 65_536  # rows at a time
 
 
 def is_parquet(path: Path) -> bool:
@@ -41,19 +49,24 @@ def parquet_pieces(
     """The named columns, at most ``rows`` rows at a time, one row group after the other.
 
     Numbers become float64 (empty ones NaN), an integer too large for that is refused; ``text``
-    columns become strings, whatever their type was.
+    columns may be of text or numbers and become text.
     """
     with _open(path) as file:
         names = [str(name) for name in file.schema_arrow.names]
+        times = Counter(names)
         for name in columns:
-            if names.count(name) != 1:
+            if times[name] != 1:
                 raise InputError(
-                    f"{path}: it has {names.count(name)} columns {name!r} "
+                    f"{path}: it has {times[name]} columns {name!r} "
                     f"({', '.join(names)[:200]}): name the column by an option"
                 )
+            _check_type(path, name, file.schema_arrow.field(name).type, as_text=name in text)
         _check_sizes(path, file, len(columns))
+        packed = [name for name in text if _is_text(file.schema_arrow.field(name).type)]
+    with _open(path, packed) as file:
         read, total = 0, max(file.metadata.num_rows, 1)
-        for batch in file.iter_batches(batch_size=rows, columns=list(columns), use_threads=False):
+        size = min(rows, BATCH)
+        for batch in file.iter_batches(batch_size=size, columns=list(columns), use_threads=False):
             for name in text:
                 refuse_empty(path, name, batch.column(name).is_null().to_numpy(False), read)
             yield {
@@ -68,6 +81,24 @@ def parquet_pieces(
                 f"{path}: it announces {file.metadata.num_rows} rows and holds {read}: "
                 "copy the file again"
             )
+
+
+def _check_type(path: Path, name: str, kind: Any, *, as_text: bool) -> None:
+    """Refuse a column of lists, records, dates and the like, before any of it is read."""
+    types = _library("pyarrow.types")
+    if types.is_dictionary(kind):
+        kind = kind.value_type
+    number = types.is_integer(kind) or types.is_floating(kind)
+    if not number and not (as_text and (_is_text(kind) or types.is_boolean(kind))):
+        raise InputError(
+            f"{path}: column {name!r} is not {'text' if as_text else 'numbers'} (but {kind!s:.80}):"
+            " name another column by an option"
+        )
+
+
+def _is_text(kind: Any) -> bool:
+    types = _library("pyarrow.types")
+    return bool(types.is_string(kind) or types.is_large_string(kind))
 
 
 def _check_sizes(path: Path, file: Any, columns: int) -> None:
@@ -89,10 +120,14 @@ def _check_sizes(path: Path, file: Any, columns: int) -> None:
 
 def _values(path: Path, name: str, column: Any, *, as_text: bool) -> NDArray[Any]:
     arrow, compute = _library("pyarrow"), _library("pyarrow.compute")
-    if hasattr(column, "dictionary_decode"):
+    if hasattr(column, "dictionary"):
+        if as_text and _is_text(column.dictionary.type):
+            longest = compute.max(compute.utf8_length(column.dictionary)).as_py() or 0
+            refuse_long(path, name, longest)
         column = column.dictionary_decode()
     kind = arrow.string() if as_text else arrow.float64()
     try:
+        column.validate(full=True)  # offsets and text are as the file has them
         values = compute.cast(column, kind)
     except (ValueError, NotImplementedError) as error:
         first = str(error).splitlines()[0][:160]
@@ -103,17 +138,27 @@ def _values(path: Path, name: str, column: Any, *, as_text: bool) -> NDArray[Any
     return np.asarray(values.to_numpy(zero_copy_only=False))
 
 
-def _open(path: Path) -> Any:
+def _open(path: Path, packed: Sequence[str] = ()) -> Any:
+    """``packed`` are text columns whose dictionary is kept."""
+    refuse_special(path)
     parquet = _library("pyarrow.parquet")
     limit = path.stat().st_size  # no text or list in the header is longer than the file
-    return parquet.ParquetFile(
+    file = parquet.ParquetFile(
         path,
         buffer_size=BUFFER,
         pre_buffer=False,
+        read_dictionary=list(packed),
         page_checksum_verification=True,  # where the writer made checksums
         thrift_string_size_limit=max(limit, 1),
         thrift_container_size_limit=max(limit, 1),
     )
+    if file.metadata.num_columns > MOST_COLUMNS:
+        file.close()
+        raise InputError(
+            f"{path}: it has {file.metadata.num_columns:,} columns, more than {MOST_COLUMNS:,}: "
+            "cut it in parts"
+        )
+    return file
 
 
 def _library(name: str) -> Any:

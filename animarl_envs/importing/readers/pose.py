@@ -1,4 +1,4 @@
-"""SLEAP (``.slp``, analysis ``.h5``) and whatever the ``movement`` package loads."""
+"""SLEAP: projects (``.slp``) and analysis files (``.h5``)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.files import check_size
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
-from animarl_envs.importing.readers.lines import check_lines
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, separator_of
 from animarl_envs.importing.tracks import Tracks
 
 
@@ -69,6 +67,11 @@ def _check_places(path: Path, tables: dict[str, NDArray[Any]]) -> None:
     if len(frames):
         last = int(frames["frame_idx"].max())
         check_size(path, (last + 1) * 16, f"frame number {last}")
+    for what, ids in (("instances", instances["instance_id"]), ("frames", frames["frame_id"])):
+        if len(np.unique(ids)) != len(ids):
+            raise InputError(f"{path}: two of its {what} have one number: copy the file again")
+    if not np.isin(instances["frame_id"], frames["frame_id"]).all():
+        raise InputError(f"{path}: an instance is of no frame: copy the file again")
     points = {0: "points", 1: "pred_points"}  # of user's and predicted instances
     claims = [("instances", frames["instance_id_start"], frames["instance_id_end"])]
     for kind, key in points.items():
@@ -112,58 +115,3 @@ def _analysis(path: Path, fps: float | None) -> list[Tracks]:
 
 def _text(value: Any) -> str:
     return value.decode() if isinstance(value, bytes) else str(value)
-
-
-@register_track_reader(
-    "movement",
-    "anything the movement package loads; option software, such as Anipose or LightningPose",
-    sniff=lambda path: False,
-    extensions=(),
-)
-def read_movement(
-    path: Path, software: str = "DeepLabCut", fps: float | None = None
-) -> list[Tracks]:
-    """Poses of a ``movement`` dataset; ``software`` is its ``source_software``."""
-    try:
-        from loguru import logger
-        from movement.io import load_dataset
-    except ImportError as error:
-        raise MissingExtraError("reading with movement", "tracking") from error
-    if path.suffix.lower() == ".csv":
-        check_lines(path, separator_of(path), len(column_names(path)))
-    elif path.suffix.lower() in {".h5", ".hdf5", ".nwb", ".slp"}:
-        open_hdf(path).close()  # which refuses damage that the library would trip over
-    logger.disable("movement")  # what it says is in the message already
-    try:
-        dataset = load_dataset(path, source_software=software, fps=fps)
-    finally:
-        logger.enable("movement")
-    array = dataset["position"]
-    keypoints: tuple[str, ...] = ("centroid",)
-    if "keypoint" in array.dims or "keypoints" in array.dims:
-        axis = "keypoint" if "keypoint" in array.dims else "keypoints"
-        keypoints = tuple(str(name) for name in array.coords[axis].values)
-    else:
-        axis = "keypoint"
-        array = array.expand_dims({axis: list(keypoints)})
-        dataset = dataset.assign(position=array)
-    who = "individual" if "individual" in array.dims else "individuals"
-    positions = array.transpose("time", who, axis, "space").values[..., :2]
-    confidence = None
-    if "confidence" in dataset:
-        weights = dataset["confidence"]
-        if axis not in weights.dims:
-            weights = weights.expand_dims({axis: list(keypoints)})
-        confidence = np.asarray(weights.transpose("time", who, axis).values, dtype=np.float64)
-    return [
-        Tracks(
-            recording=path.stem,
-            individuals=tuple(str(name) for name in array.coords[who].values),
-            keypoints=keypoints,
-            positions=np.asarray(positions, dtype=np.float64),
-            frame_rate=fps,
-            y_down=True,
-            confidence=confidence,
-            provenance={"file": path.name, "tracker": software, "read_by": "movement"},
-        )
-    ]

@@ -15,6 +15,7 @@ from typing import Any
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.files import refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers.guards import refusing
@@ -109,8 +110,8 @@ def get_reader(name: str) -> Reader:
 def find_reader(path: str | Path, source: str | None = None) -> Reader:
     """The reader named ``source``, or the one that recognises the file."""
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: there is no such file: check the path")
+    if not path.is_dir():  # of Minari datasets
+        refuse_special(path)
     if source is not None:
         return get_reader(source)
     for reader in sorted(available_readers(), key=lambda reader: reader.generic):

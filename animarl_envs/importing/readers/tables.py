@@ -16,10 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.clocks import even_rate, frames_at
-from animarl_envs.importing.readers.guards import check_size
+from animarl_envs.files import check_size
+from animarl_envs.importing.readers.clocks import even_rate, frames_at, refuse_uneven_frames
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, pieces
+from animarl_envs.importing.readers.tabular import (
+    MOST_COLUMNS,
+    check_header,
+    column_names,
+    numbered,
+    pieces,
+)
 from animarl_envs.importing.tracks import Tracks
 
 LONE = "individual_0"  # of a table with one x and one y
@@ -62,8 +68,8 @@ def read_long_table(
     codes: dict[tuple[str, str], int] = {}
     parts: list[_Part] = []
     for piece in pieces(path, columns, text, progress, decimal):
-        names = piece[individual].astype(str)
-        sets = piece[recording].astype(str) if recording is not None else None
+        names = piece[individual]
+        sets = piece[recording] if recording is not None else None
         which = _codes(codes, names, sets, path.stem)
         values = np.column_stack([piece[x], piece[y]])
         weight = piece[confidence] if confidence is not None else None
@@ -95,16 +101,16 @@ def _frame_numbers(path: Path, column: str, frames: NDArray[np.float64]) -> NDAr
 
 def _codes(
     codes: dict[tuple[str, str], int],
-    names: NDArray[np.str_],
-    sets: NDArray[np.str_] | None,
+    names: NDArray[Any],
+    sets: NDArray[Any] | None,
     stem: str,
 ) -> NDArray[np.int32]:
     """A number for each (recording, individual), new ones added to ``codes``."""
-    unique, inverse = np.unique(names, return_inverse=True)
+    unique, inverse = numbered(names)
     if sets is None:
         lookup = [codes.setdefault((stem, str(name)), len(codes)) for name in unique]
         return np.array(lookup, dtype=np.int32)[inverse]
-    unique_sets, inverse_sets = np.unique(sets, return_inverse=True)
+    unique_sets, inverse_sets = numbered(sets)
     pairs, back = np.unique(
         inverse_sets.astype(np.int64) * len(unique) + inverse, return_inverse=True
     )
@@ -174,7 +180,7 @@ def _spread(
 @register_track_reader(
     "wide-table",
     "a row per frame (CSV, TSV, Parquet); columns x_NAME and y_NAME, or pairs by option",
-    sniff=lambda path: len(_wide_columns(column_names(path))) > 0,
+    sniff=lambda path: len(_wide_columns(column_names(path)[:MOST_COLUMNS])) > 0,
     extensions=EXTENSIONS,
     generic=True,
 )
@@ -191,26 +197,33 @@ def read_wide_table(
     """One recording. ``columns`` maps each individual to its x and y column.
 
     Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
-    A column ``time`` [s] gives the frame rate and must run evenly.
+    A column ``time`` [s] gives the frame rate and must run evenly; one that is called ``frame``
+    must rise by one from row to row.
     """
-    found = columns or _wide_columns(column_names(path))
+    header = column_names(path)
+    check_header(path, header)
+    if columns is None:
+        _refuse_lone(path, header)
+    found = columns or _wide_columns(header)
     if not found or any(len(pair) != 2 for pair in found.values()):
         raise InputError(
             f"{path}: it has no pairs of x and y columns: name them, such as "
             "columns: {male: [mx, my], female: [fx, fy]}"
         )
-    wanted = [name for pair in found.values() for name in pair] + ([time] if time else [])
+    clocks = [time] if time else [name for name in ("frame",) if header.count(name) == 1]
+    wanted = [name for pair in found.values() for name in pair] + clocks
     parts, clock = [], []
     for piece in pieces(path, wanted, (), progress, decimal):
         parts.append(
             np.stack([np.column_stack([piece[a], piece[b]]) for a, b in found.values()], axis=1)
         )
-        if time is not None:
-            clock.append(piece[time])
+        clock += [piece[name] for name in clocks]
     if not parts:
         raise InputError(f"{path}: it has a header but no rows: check the file")
-    if time is not None and fps is None:
-        fps = even_rate(path, np.concatenate(clock))
+    if time is not None:
+        fps = fps or even_rate(path, np.concatenate(clock))
+    elif clocks:
+        refuse_uneven_frames(path, np.concatenate(clock))
     return [
         Tracks(
             recording=path.stem, individuals=tuple(found),
@@ -220,9 +233,33 @@ def read_wide_table(
     ]  # fmt: skip
 
 
+def _refuse_lone(path: Path, names: list[str]) -> None:
+    """Refuse an x without its y, whose animal would be left out silently."""
+    known = set(names)
+    pairs = _wide_columns(names).values()
+    joined = any(re.match(r"x[^\W\d_]", x) for x, _ in pairs)  # as xmale, ymale
+    after = r"(?=.)" if joined else r"(?=[_ .]|\d+$)"
+    for name in names:
+        for own, other in ("xy", "yx"):
+            partner = re.sub(f"^{own}{after}", other, name)
+            if partner not in known:
+                raise _lone(path, name, partner)
+        ending = re.fullmatch(r"(.+[_ .])([xy])", name)
+        if ending and (partner := ending[1] + ("y" if ending[2] == "x" else "x")) not in known:
+            raise _lone(path, name, partner)
+
+
+def _lone(path: Path, name: str, partner: str) -> InputError:
+    return InputError(
+        f"{path}: it has a column {name!r} and no {partner!r}: mend the header, or name the pairs "
+        "by the option columns"
+    )
+
+
 def _wide_columns(names: list[str]) -> dict[str, list[str]]:
     """Pairs of columns that differ in an x and a y."""
     found: dict[str, list[str]] = {}
+    known = set(names)
     for name in names:
         for pattern in (r"^x[_ .]?(.+)$", r"^(.+)[_ .]x$"):
             match = re.match(pattern, name)
@@ -230,10 +267,10 @@ def _wide_columns(names: list[str]) -> dict[str, list[str]]:
                 continue
             start = name.startswith("x")
             partner = "y" + name[1:] if start and pattern.startswith("^x") else name[:-1] + "y"
-            if partner in names and partner != name:
+            if partner in known and partner != name:
                 found[match.group(1)] = [name, partner]
                 break
-    return found or ({LONE: ["x", "y"]} if {"x", "y"} <= set(names) else {})
+    return found or ({LONE: ["x", "y"]} if {"x", "y"} <= known else {})
 
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.readers.guards import refuse_empty
+from animarl_envs.files import refuse_special
+from animarl_envs.importing.readers.guards import refuse_empty, refuse_long
 from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
 from animarl_envs.importing.readers.parquet import is_parquet, parquet_names, parquet_pieces
 
 PIECE_ROWS = 500_000
 LONGEST_LINE = 2**20
+MOST_COLUMNS = 10_000
 _SWALLOWED = "Calling read(nbytes) on source failed"
 """What pandas makes of Ctrl-C while it asks for more; errors of the source come through as such."""
 
@@ -49,6 +52,35 @@ def column_names(path: Path) -> list[str]:
     except csv.Error:
         return []
     return [name.strip() for name in cells]
+
+
+def check_header(path: Path, header: Sequence[str]) -> None:
+    """Refuse a first line that is no header, or one of absurdly many columns."""
+    if len(header) > MOST_COLUMNS:
+        raise InputError(
+            f"{path}: it has {len(header):,} columns, more than {MOST_COLUMNS:,}: cut it in parts"
+        )
+    if header and all(_is_number(name) for name in header):
+        raise InputError(
+            f"{path}: its first line holds numbers, not names: put a line of names above them"
+        )
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def numbered(texts: NDArray[Any]) -> tuple[list[str], NDArray[np.int64]]:
+    """The different texts in their order, and for each entry the number of its own.
+
+    An array of fixed-width text, which NumPy would sort, is as wide as the longest one in all rows.
+    """
+    codes, found = _pandas().factorize(texts, sort=True)
+    return [str(text) for text in found], codes.astype(np.int64)
 
 
 def pieces(
@@ -86,14 +118,18 @@ def _text_pieces(
     decimal: str,
 ) -> Iterator[dict[str, NDArray[Any]]]:
     pandas = _pandas()
+    refuse_special(path)
     header, separator = column_names(path), separator_of(path)
+    check_header(path, header)
+    times = Counter(header)
     for name in columns:
-        if header.count(name) != 1:
+        if times[name] != 1:
             raise InputError(
-                f"{path}: it has {header.count(name)} columns {name!r} (header: "
+                f"{path}: it has {times[name]} columns {name!r} (header: "
                 f"{', '.join(header)[:200]}): name the column by an option"
             )
-    place = {name: header.index(name) for name in columns}
+    where = {name: at for at, name in enumerate(header)}
+    place = {name: where[name] for name in columns}
     kinds = {at: str if name in text else np.float64 for name, at in place.items()}
     size, row = max(path.stat().st_size, 1), 0
     try:
@@ -108,6 +144,8 @@ def _text_pieces(
                 for piece in reader:
                     for name in text:
                         refuse_empty(path, name, piece[place[name]].isna().to_numpy(), row)
+                        lengths = piece[place[name]].str.len()
+                        refuse_long(path, name, int(lengths.max()) if len(piece) else 0)
                     row += len(piece)
                     yield {name: piece[at].to_numpy() for name, at in place.items()}
                     if progress is not None:

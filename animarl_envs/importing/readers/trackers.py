@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.clocks import even_rate
-from animarl_envs.importing.readers.guards import guarded_npz, npz_members
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.tabular import column_names, read_columns
@@ -30,7 +30,7 @@ _TREX_X = ("X#wcentroid", "X#pcentroid", "X")
 )
 def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tracks]:
     """One individual; files of one recording are merged by their name. Missing frames are gaps."""
-    arrays = guarded_npz(path)
+    arrays = read_npz(path)
     x_name = _trex_x({f"{name}.npy" for name in arrays})
     if x_name is None or "frame" not in arrays:
         raise InputError(f"{path}: it lacks X, Y or frame: export them from TRex")

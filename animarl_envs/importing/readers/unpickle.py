@@ -1,8 +1,12 @@
-"""Object arrays through a restricted unpickler: plain containers, numbers, arrays, nothing else.
+"""Object arrays through a restricted unpickler: plain containers, numbers, text, arrays, no more.
+
+While a pickle is followed nothing of NumPy exists: its constructors are replaced by inert
+stand-ins, which keep what they are given. Only when the whole pickle has been read are arrays made
+of them, once kind, shape and length of the bytes agree. BUILD, with which a pickle sets the state
+of an object, works on the stand-ins alone.
 
 The pure Python unpickler is used, since its memo is a dictionary (a few hostile bytes make the C
-one allocate gigabytes). Classes are not looked up: NumPy's constructors are replaced by checked
-ones, every other name is refused. Opcodes that allocate by their argument are removed.
+one allocate gigabytes). Opcodes that allocate by their argument are removed.
 """
 
 from __future__ import annotations
@@ -10,66 +14,25 @@ from __future__ import annotations
 import io
 import pickle
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import allowed_bytes, npy_header
-
-LARGEST_SHAPE = 0  # reconstructed arrays start empty; their state brings shape and bytes
-
+from animarl_envs.files import check_size, checked_text, npy_header
+from animarl_envs.importing.readers.stand_ins import (
+    ADMITTED,
+    ArrayStandIn,
+    DtypeStandIn,
+    check_keys,
+    materialised,
+)
 
 _PurePython: Any = vars(pickle)["_Unpickler"]
-
-
-class _Array:
-    """Stands for ``numpy.ndarray`` as an argument; cannot be called."""
-
-    def __new__(cls, *_: Any) -> _Array:
-        raise pickle.UnpicklingError("numpy.ndarray is called")
-
-
-def _reconstruct(kind: Any, shape: Any, code: Any) -> Any:
-    if kind is not _Array or tuple(shape) != (LARGEST_SHAPE,):
-        raise pickle.UnpicklingError("an array is made in an unusual way")
-    return np.ndarray((0,), dtype=np.dtype("b"))
-
-
-def _dtype(name: Any, *_: Any) -> np.dtype[Any]:
-    if not isinstance(name, (str, bytes)):
-        raise pickle.UnpicklingError("a dtype is made in an unusual way")
-    return np.dtype(name if isinstance(name, str) else name.decode("ascii"))
-
-
-def _scalar(dtype: Any, raw: Any = None) -> Any:
-    if not isinstance(dtype, np.dtype) or dtype.hasobject or not isinstance(raw, (bytes, str)):
-        raise pickle.UnpicklingError("a number is made in an unusual way")
-    data = raw.encode("latin1") if isinstance(raw, str) else raw
-    return np.frombuffer(data, dtype=dtype, count=1)[0]
-
-
-def _frombuffer(buffer: Any, dtype: Any, shape: Any, order: Any) -> Any:
-    if not isinstance(dtype, np.dtype) or dtype.hasobject or not isinstance(buffer, bytes):
-        raise pickle.UnpicklingError("an array is made in an unusual way")
-    return np.frombuffer(buffer, dtype=dtype).reshape(shape, order=order)
-
-
-def _encode(text: Any, encoding: Any) -> bytes:
-    if not isinstance(text, str) or encoding != "latin1":
-        raise pickle.UnpicklingError("bytes are made in an unusual way")
-    return text.encode("latin1")
-
-
-_ADMITTED: dict[tuple[str, str], Any] = {("_codecs", "encode"): _encode}
-for _module in ("numpy.core", "numpy._core"):
-    _ADMITTED[f"{_module}.multiarray", "_reconstruct"] = _reconstruct
-    _ADMITTED[f"{_module}.multiarray", "scalar"] = _scalar
-    _ADMITTED[f"{_module}.numeric", "_frombuffer"] = _frombuffer
-_ADMITTED["numpy", "ndarray"] = _Array
-_ADMITTED["numpy", "dtype"] = _dtype
-_ADMITTED["collections", "OrderedDict"] = dict
+LARGEST_MEMO = 2**32  # beyond it, numbers could be chosen to collide as keys
+REPEATS, ALLOWED_REPEATS = 8, 10_000  # numbers per byte of a pickle, and without any
 
 _REFUSED = (
     pickle.NEXT_BUFFER, pickle.READONLY_BUFFER, pickle.PERSID, pickle.BINPERSID,
@@ -78,9 +41,9 @@ _REFUSED = (
 
 
 class _Restricted(_PurePython):  # type: ignore[misc]
-    """Looks up nothing but the admitted constructors."""
+    """Looks up nothing but the admitted stand-ins, calls and fills nothing else."""
 
-    dispatch: dict[int, Any] = {
+    dispatch: dict[int, Callable[[Any], None]] = {
         code: handler
         for code, handler in _PurePython.dispatch.items()
         if code not in {refused[0] for refused in _REFUSED}
@@ -94,19 +57,96 @@ class _Restricted(_PurePython):  # type: ignore[misc]
             raise pickle.UnpicklingError("it is cut short")
         self.append(data)
 
-    dispatch[pickle.BYTEARRAY8[0]] = load_byte_array
+    def load_reduce(self) -> None:
+        """Calls an admitted stand-in."""
+        arguments = self.stack.pop()
+        function = self.stack[-1]
+        if type(arguments) is not tuple or not any(function is one for one in ADMITTED.values()):
+            raise pickle.UnpicklingError("it calls what is not to be called")
+        self.stack[-1] = function(*arguments)
+
+    def load_build(self) -> None:
+        """Fills a stand-in, once."""
+        state = self.stack.pop()
+        if type(self.stack[-1]) not in (ArrayStandIn, DtypeStandIn):
+            raise pickle.UnpicklingError("it sets the state of what has none")
+        self.stack[-1].fill(state)
+
+    def load_dict(self) -> None:
+        items = self.pop_mark()
+        check_keys(items[::2])
+        self.append({items[i]: items[i + 1] for i in range(0, len(items), 2)})
+
+    def load_setitem(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        self._set([key, value])
+
+    def load_setitems(self) -> None:
+        self._set(self.pop_mark())
+
+    def _set(self, items: list[Any]) -> None:
+        check_keys(items[::2])
+        if type(self.stack[-1]) is not dict:
+            raise pickle.UnpicklingError("it puts keys into what is no dictionary")
+        for i in range(0, len(items), 2):
+            self.stack[-1][items[i]] = items[i + 1]
+
+    def load_append(self) -> None:
+        self._extend([self.stack.pop()])
+
+    def load_appends(self) -> None:
+        self._extend(self.pop_mark())
+
+    def _extend(self, items: list[Any]) -> None:
+        if type(self.stack[-1]) is not list:
+            raise pickle.UnpicklingError("it appends to what is no list")
+        self.stack[-1].extend(items)
+
+    def load_additems(self) -> None:
+        items = self.pop_mark()
+        check_keys(items)
+        if type(self.stack[-1]) is not set:
+            raise pickle.UnpicklingError("it adds to what is no set")
+        self.stack[-1].update(items)
+
+    def load_frozenset(self) -> None:
+        items = self.pop_mark()
+        check_keys(items)
+        self.append(frozenset(items))
+
+    def load_put(self) -> None:
+        number = int(self.readline()[:-1])
+        if not 0 <= number < LARGEST_MEMO:
+            raise pickle.UnpicklingError("its memo is numbered unusually")
+        self.memo[number] = self.stack[-1]
+
+    for _code, _handler in (
+        (pickle.BYTEARRAY8, load_byte_array), (pickle.REDUCE, load_reduce),
+        (pickle.BUILD, load_build), (pickle.DICT, load_dict), (pickle.SETITEM, load_setitem),
+        (pickle.SETITEMS, load_setitems), (pickle.APPEND, load_append),
+        (pickle.APPENDS, load_appends), (pickle.ADDITEMS, load_additems),
+        (pickle.FROZENSET, load_frozenset), (pickle.PUT, load_put),
+    ):  # fmt: skip
+        dispatch[_code[0]] = _handler
 
     def find_class(self, module: str, name: str) -> Any:
         try:
-            return _ADMITTED[module, name]
+            return ADMITTED[module, name]
         except KeyError:
             raise pickle.UnpicklingError(f"it names {module}.{name}") from None
 
 
 def load_plain(raw: bytes, name: str) -> Any:
-    """The value pickled in ``raw``, if it is made of plain containers, numbers and arrays."""
+    """The value pickled in ``raw``, if it is made of plain containers, numbers, text and arrays.
+
+    Raises
+    ------
+    InputError
+        If it is of anything else, is damaged, or repeats itself beyond its own size.
+    """
     try:
-        return _Restricted(io.BytesIO(raw)).load()
+        value = _Restricted(io.BytesIO(raw)).load()
+        return materialised(value, REPEATS * len(raw) + ALLOWED_REPEATS)
     except Exception as error:
         what = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise InputError(
@@ -120,44 +160,21 @@ def load_object_npy(raw: bytes, path: Path, member: str = "") -> Any:
     stream = io.BytesIO(raw)
     place = f"{path}: {member}" if member else str(path)
     try:
-        shape, dtype = npy_header(path, stream)
+        shape, dtype, size = npy_header(path, stream)
     except InputError:
         raise
     except Exception as error:
         raise InputError(f"{place}: it is no npy array ({error}): copy it again") from None
-    if not dtype.hasobject:
-        start = stream.tell()
-        stream.seek(0)
-        size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-        held = len(raw) - start
-        if size != held:
-            raise InputError(
-                f"{place}: its header announces {size:,} bytes and it holds {held:,}: copy it again"
-            )
-        return np.load(stream, allow_pickle=False)
-    value = load_plain(raw[stream.tell() :], place)
-    if isinstance(value, np.ndarray) and value.shape != tuple(shape):
-        raise InputError(f"{place}: its header and content differ in shape: copy it again")
-    return value
-
-
-def count_leaves(value: Any, path: Path) -> int:
-    """Numbers in nested lists and object arrays; refuses more than the file can hold.
-
-    A pickle can repeat one list many times over (a "billion laughs"), which only counting finds.
-    """
-    budget = allowed_bytes(path) // 8
-    stack, leaves = [value], 0
-    while stack:
-        top = stack.pop()
-        if isinstance(top, dict):
-            stack.extend(top.values())
-        elif isinstance(top, (list, tuple)):
-            stack.extend(top)
-        elif isinstance(top, np.ndarray) and top.dtype.hasobject:
-            stack.extend(top.ravel().tolist())
-        else:
-            leaves += top.size if isinstance(top, np.ndarray) else 1
-        if leaves + len(stack) > budget:
-            raise InputError(f"{path}: its pickle repeats itself beyond the file's size: refused")
-    return leaves
+    if dtype.hasobject:
+        value = load_plain(raw[stream.tell() :], place)
+        if isinstance(value, np.ndarray) and value.shape != shape:
+            raise InputError(f"{place}: its header and content differ in shape: copy it again")
+        return value
+    held = len(raw) - stream.tell()
+    if size != held:
+        raise InputError(
+            f"{place}: its header announces {size:,} bytes and it holds {held:,}: copy it again"
+        )
+    check_size(path, size // max(dtype.itemsize, 1) * 8, member or "its array")
+    stream.seek(0)
+    return checked_text(path, np.load(stream, allow_pickle=False))

@@ -118,7 +118,8 @@ def write_long(folder: Path) -> Path:
     rows = ["frame,id,x,y"]
     for t in range(len(BODIES)):
         rows += [f"{t},{n},{BODIES[t, i, 0]!r},{BODIES[t, i, 1]!r}" for i, n in enumerate(NAMES)]
-    (folder / "long.csv").write_text("\n".join(rows).replace("np.float64(", "").replace(")", ""))
+    text = "\n".join(rows).replace("np.float64(", "").replace(")", "")
+    (folder / "long.csv").write_text(text + "\n")
     return folder / "long.csv"
 
 
@@ -199,7 +200,7 @@ def write_mothvr(folder: Path) -> Path:
     for t in range(91):
         x = 300 - 250.0 * t / 90
         lines.append(f"{t / 30},{x},1.0,3.1,{'NRLB'[t % 4]},{'FRLB'[t // 4 % 4]}")
-    (folder / "case1.csv").write_text("\n".join(lines))
+    (folder / "case1.csv").write_text("\n".join(lines) + "\n")
     return folder / "case1.csv"
 
 

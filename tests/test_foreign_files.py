@@ -1,0 +1,411 @@
+"""Files of strangers run no code, point nowhere, and ask for no more than they may.
+
+A planted pickle writes a marker file when it is opened; none may be there afterwards.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from animarl_algos.learner.checkpoint import load_tensors
+from animarl_algos.learner.zoo_files import read_file
+from animarl_envs.demos import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.files import ALLOWANCE, read_npz
+from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.importing.plain_yaml import parse_yaml, read_yaml
+from animarl_envs.importing.readers import available_readers, read, read_tracks
+from animarl_envs.importing.readers.unpickle import load_plain
+from tools.fuzz.layouts import (
+    BODIES,
+    write_analysis,
+    write_dlc_csv,
+    write_dlc_h5,
+    write_idtracker_h5,
+    write_mat73,
+    write_minari,
+    write_native,
+)
+
+
+class Planted:
+    """Touches a file when it is unpickled."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.marker,)
+
+
+@pytest.fixture
+def marker(tmp_path: Path) -> Any:
+    place = tmp_path / "the code ran"
+    pickle.loads(pickle.dumps(Planted(place)))
+    assert place.exists(), "the plant does not work"
+    place.unlink()
+    yield place
+    assert not place.exists(), "code of the file has run"
+
+
+def refused(path: Path, source: str | None = None, **options: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        read(path, source, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# -- no code runs ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("attribute", ["TITLE", "info", "non_index_axes"])
+@pytest.mark.parametrize("source", ["deeplabcut", "movement", None])
+def test_a_pickle_in_an_attribute_of_foreign_hdf5_does_not_run(
+    attribute: str, source: str | None, tmp_path: Path, marker: Path
+) -> None:
+    import h5py
+
+    path = write_dlc_h5(tmp_path)
+    raw = pickle.dumps(Planted(marker), protocol=0)
+    with h5py.File(path, "r+") as file:
+        file["df_with_missing"].attrs[attribute] = np.bytes_(raw)
+    if source == "movement":
+        assert "deeplabcut" in refused(path, source, fps=25.0)
+    elif attribute == "non_index_axes":
+        assert "pickle" in refused(path, source, fps=25.0)
+    else:
+        (tracks,) = read_tracks(path, source, fps=25.0)  # nobody looks at them
+        assert tracks.individuals == ("male", "female")
+
+
+@pytest.mark.parametrize("name", ["track.h5", "track.hdf5", "track.nwb", "track.slp", "t.csv"])
+def test_no_foreign_hdf5_goes_through_movement(name: str, tmp_path: Path) -> None:
+    write_analysis(tmp_path).rename(tmp_path / name)
+    for software in ("DeepLabCut", "SLEAP", "NWB", "Anipose", "LightningPose", "VIA-tracks"):
+        assert "only .csv" in refused(tmp_path / name, "movement", software=software)
+
+
+def test_movement_takes_no_other_software_for_a_foreign_table(tmp_path: Path) -> None:
+    path = write_dlc_csv(tmp_path)
+    for software in ("NWB", "SLEAP", "nonsense"):
+        assert "writes no table" in refused(path, "movement", software=software)
+
+
+@pytest.mark.parametrize("exponent", ["e308545519708834", "E-99999999999", "e+2147483648"])
+def test_a_long_exponent_of_a_foreign_table_does_not_end_the_process(
+    exponent: str, tmp_path: Path
+) -> None:
+    """It did, in the parser of pandas that movement uses; the project's own makes it a gap."""
+    path = write_dlc_csv(tmp_path)
+    lines = path.read_text().splitlines()
+    cells = lines[9].split(",")
+    lines[9] = ",".join([cells[0], f"1{exponent}", *cells[2:]])
+    path.write_text("\n".join(lines) + "\n")
+    assert "with the exponent" in refused(path, "movement", fps=25.0)
+    (tracks,) = read_tracks(path, "deeplabcut")
+    assert tracks.positions[5, 0, 0, 0] == 0.0 or np.isnan(tracks.positions[5, 0, 0, 0])
+
+
+def planted_npy(marker: Path) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.array([Planted(marker)], dtype=object), allow_pickle=True)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("source", [None, *(r.name for r in available_readers())])
+def test_a_pickle_in_a_foreign_array_does_not_run(
+    source: str | None, tmp_path: Path, marker: Path
+) -> None:
+    """Through every reader, whatever the file is called."""
+    raw = planted_npy(marker)
+    for name in ("trajectories.npy", "state_m1_data0.npz", "data.npz", "demos.npz", "a.csv"):
+        path = tmp_path / name
+        if path.suffix == ".npz":
+            with zipfile.ZipFile(path, "w") as archive:
+                for member in ("states", "actions", "rewards", "pos", "frame", "X", "meta"):
+                    archive.writestr(f"{member}.npy", raw)
+        else:
+            path.write_bytes(raw)
+        refused(path, source)
+    with pytest.raises(InputError, match="pickle"):
+        Demonstrations.load(tmp_path / "demos.npz")
+    with pytest.raises(InputError, match="pickle"):
+        read_npz(tmp_path / "demos.npz")
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_a_foreign_pickle_does_not_run(protocol: int, tmp_path: Path, marker: Path) -> None:
+    for raw in (
+        pickle.dumps(Planted(marker), protocol),
+        pickle.dumps({"a": [Planted(marker)]}, protocol),
+        pickle.dumps(np.array([Planted(marker)], dtype=object), protocol),
+    ):
+        with pytest.raises(InputError, match="pickle"):
+            load_plain(raw, "file")
+        (tmp_path / "model.zip").write_bytes(raw)
+        refused(tmp_path / "model.zip")
+
+
+def test_cells_and_objects_of_foreign_matlab_files_are_passed_over(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    content = {"bodies": BODIES, "cell": np.array([1, "a", {"b": 2}], dtype=object), "s": {"c": 1}}
+    savemat(tmp_path / "a.mat", content)
+    (tracks,) = read_tracks(tmp_path / "a.mat", fps=25.0)
+    np.testing.assert_array_equal(tracks.positions[:, :, 0], BODIES)
+
+
+def test_foreign_metadata_of_minari_names_no_code(tmp_path: Path, marker: Path) -> None:
+    """Neither its environment nor its spaces are made; its format is not followed."""
+    import json
+
+    path = write_minari(tmp_path)
+    clean = read(path).fingerprint()
+    file = path.parent / "metadata.json"
+    record = json.loads(file.read_text())
+    record["env_spec"] = json.dumps({"id": "x", "entry_point": "os:system"})
+    record |= {"data_format": "arrow", "observation_space": "{", "requirements": ["nonsense"]}
+    file.write_text(json.dumps(record))
+    assert read(path).fingerprint() == clean
+
+
+def test_a_zip_of_a_model_is_no_foreign_data(tmp_path: Path, marker: Path) -> None:
+    """As stable-baselines3 writes them; opened as a model it would run (see SECURITY.md)."""
+    import base64
+    import json
+
+    entry = base64.b64encode(pickle.dumps(Planted(marker))).decode()
+    for name in ("model.zip", "model.npz"):
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            archive.writestr("data", json.dumps({"policy_class": {":serialized:": entry}}))
+            archive.writestr("pytorch_variables.pth", pickle.dumps(Planted(marker)))
+        for source in (None, "animarl", "numpy", "agents", "trex"):
+            refused(tmp_path / name, source)
+
+
+def test_tensors_of_a_foreign_checkpoint_run_nothing(tmp_path: Path, marker: Path) -> None:
+    import torch
+
+    file = tmp_path / "model.pt"
+    torch.save({"weights": Planted(marker)}, file)
+    with pytest.raises(ValueError, match="no whole archive of tensors"):
+        load_tensors(file)
+
+
+EVIL_YAML = "a: !!python/object/apply:pathlib.Path.touch [!!python/object/apply:pathlib.Path [{}]]"
+
+
+def test_foreign_yaml_runs_nothing(tmp_path: Path, marker: Path) -> None:
+    file = tmp_path / "evil.yml"
+    file.write_text(EVIL_YAML.format(yaml.safe_dump(str(marker)).splitlines()[0]))
+    for opened in (ImportRecipe.load, read_yaml, lambda path: read_file(path, {})):
+        with pytest.raises(InputError, match="not valid YAML"):
+            opened(file)
+
+
+def test_foreign_yaml_stays_as_small_as_it_is(tmp_path: Path) -> None:
+    lines = ["a0: &a0 [x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
+    for text in ("\n".join(lines), "[" * 100_000, "a: 1e999999999999", "? [a]\n: 1", "a: 1" * 99):
+        (tmp_path / "r.yaml").write_text(text)
+        with pytest.raises(InputError):
+            ImportRecipe.load(tmp_path / "r.yaml")
+    with pytest.raises(InputError, match="longer than"):
+        (tmp_path / "r.yaml").write_text("#" * 2**20)
+        read_yaml(tmp_path / "r.yaml")
+    assert parse_yaml("a: &x [1]\nb: *x", "t") == {"a": [1], "b": [1]}
+
+
+# -- HDF5 points nowhere ---------------------------------------------------------------------------
+
+
+def external_link(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    file["more"] = h5py.ExternalLink(str(elsewhere), "/bodies")
+
+
+def soft_link(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    file["more"] = h5py.SoftLink("/bodies")
+
+
+def external_storage(file: Any, elsewhere: Path) -> None:
+    file.create_dataset("more", (4, 2, 2), "f8", external=[(str(elsewhere), 0, 128)])
+
+
+def virtual(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    layout = h5py.VirtualLayout((40, 2, 2), "f8")
+    layout[:] = h5py.VirtualSource(str(elsewhere), "bodies", (40, 2, 2))
+    file.create_virtual_dataset("more", layout)
+
+
+def large_chunk(file: Any, elsewhere: Path) -> None:
+    file.create_dataset("more", (4,), "f8", maxshape=(None,), chunks=(2**28,), compression="gzip")
+
+
+def strange_float(file: Any, elsewhere: Path) -> None:
+    import h5py
+
+    kind = h5py.h5t.IEEE_F64LE.copy()
+    kind.set_fields(63, 53, 10, 0, 53)  # a mantissa of one bit more
+    kind.set_ebias(511)
+    space = h5py.h5s.create_simple((4,))
+    h5py.h5d.create(file.id, b"more", kind, space)
+
+
+def strange_filter(file: Any, elsewhere: Path) -> None:
+    file.create_dataset("more", (40, 2), "i4", chunks=(4, 2), scaleoffset=4)
+
+
+POINTING: dict[str, tuple[Callable[[Any, Path], None], str]] = {
+    "external link": (external_link, "link to elsewhere"),
+    "soft link": (soft_link, "link to elsewhere"),
+    "external storage": (external_storage, "stored in another file"),
+    "virtual": (virtual, "virtual dataset"),
+    "chunk": (large_chunk, "a chunk of /more would take"),
+    "wrong_number": (strange_float, "floats that are not IEEE"),
+    "filter": (strange_filter, "unusual filter"),
+}
+
+
+@pytest.mark.parametrize("kind", POINTING)
+@pytest.mark.parametrize("write", [write_mat73, write_idtracker_h5, write_dlc_h5, write_analysis])
+def test_foreign_hdf5_is_not_followed(
+    kind: str, write: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    import h5py
+
+    secret = write_mat73(tmp_path).rename(tmp_path / "secret.h5")
+    path = write(tmp_path)
+    change, message = POINTING[kind]
+    with h5py.File(path, "r+") as file:
+        change(file, secret)
+    source = {"new.mat": "matlab", "trajectories.h5": "idtracker", "dlc.h5": "deeplabcut"}
+    assert message in refused(path, source.get(path.name, "sleap"))
+
+
+# -- no blow-up, no hang ---------------------------------------------------------------------------
+
+
+def header_of_many_columns(path: Path) -> None:
+    names = ",".join(f"x_{i},y_{i}" for i in range(50_000))
+    path.with_suffix(".csv").write_text(names + "\n" + ",".join("0" * 100_000) + "\n")
+
+
+def parquet_of_many_columns(path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    column = pa.array([0.0])
+    pq.write_table(
+        pa.table({f"x_{i}": column for i in range(20_000)}), path.with_suffix(".parquet")
+    )
+
+
+def parquet_dictionary(path: Path) -> None:
+    """A text of a megabyte, said once, to which 4,000 rows refer."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    rows = 4000
+    ids = pa.DictionaryArray.from_arrays(pa.array([0] * rows, pa.int32()), ["a" * 700_000])
+    columns = {"frame": np.arange(rows), "id": ids, "x": np.zeros(rows), "y": np.zeros(rows)}
+    pq.write_table(pa.table(columns), path.with_suffix(".parquet"), compression="none")
+
+
+def hdf5_of_nothing(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path.with_suffix(".h5"), "w") as file:
+        shape = (200_000_000, 1, 2)
+        file.create_dataset("trajectories", shape, "i1", chunks=(2**20, 1, 2), compression="gzip")
+
+
+def npz_bomb(path: Path) -> None:
+    with zipfile.ZipFile(path.with_suffix(".npz"), "w", zipfile.ZIP_DEFLATED) as archive:
+        stream = io.BytesIO()
+        np.save(stream, np.zeros(40_000_000))
+        archive.writestr("positions.npy", stream.getvalue())
+        for name in ("lengths", "initial_velocity", "meta"):
+            archive.writestr(f"{name}.npy", stream.getvalue()[:64])
+
+
+BOMBS = (
+    header_of_many_columns, parquet_of_many_columns, parquet_dictionary, hdf5_of_nothing, npz_bomb,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("write", BOMBS, ids=lambda write: write.__name__)
+def test_foreign_files_ask_for_no_more_than_they_may(
+    write: Callable[[Path], None], tmp_path: Path
+) -> None:
+    resource = pytest.importorskip("resource")
+    write(tmp_path / "bomb.x")
+    (path,) = tmp_path.glob("bomb.*")
+    if path.suffix == ".npz":
+        with pytest.raises(InputError, match="times the file"):
+            Demonstrations.load(path)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    refused(path)
+    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    assert grown < 64 * path.stat().st_size + 4 * ALLOWANCE
+
+
+def fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def circle(path: Path) -> None:
+    path.symlink_to(path.with_name("other"))
+    path.with_name("other").symlink_to(path)
+
+
+def endless(path: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("make", [fifo, circle, endless], ids=lambda make: make.__name__)
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".csv", ".parquet", ".h5", ".mat", ".yaml"])
+def test_pipes_devices_and_endless_links_are_no_foreign_files(
+    make: Callable[[Path], None], suffix: str, tmp_path: Path
+) -> None:
+    path = tmp_path / f"track{suffix}"
+    make(path)
+    message = "circle" if make is circle else "pipe or a device"
+    assert message in refused(path)
+    for opened in (Demonstrations.load, ImportRecipe.load):
+        with pytest.raises(InputError, match=message):
+            opened(path)
+
+
+def test_pipes_beside_foreign_files_are_refused(tmp_path: Path) -> None:
+    """Tables that a reader looks for by itself."""
+    from tools.fuzz.layouts import write_authors_newt, write_termites
+
+    path = write_termites(tmp_path)
+    (tmp_path / "index.csv").unlink()
+    os.mkfifo(tmp_path / "index.csv")
+    assert "pipe" in refused(path)
+    path = write_authors_newt(tmp_path)
+    (tmp_path / "reward_m1_data0.npz").unlink()
+    os.mkfifo(tmp_path / "reward_m1_data0.npz")
+    assert "pipe" in refused(path)
+    with pytest.raises(InputError, match="is a folder"):
+        Demonstrations.load(tmp_path)
+    native = write_native(tmp_path)
+    assert Demonstrations.load(native).num_episodes == 3
