@@ -52,7 +52,7 @@ def run_command(
     _say(console, "1/4", "fitting locomotion")
     console.print(format_fit_table(pipeline.fit(run), run.demos))
     _say(console, "2/4", f"training {run.settings.algo.upper()}")
-    pipeline.learn(run, run.settings.algo)
+    pipeline.learn_all(run)
     _say(console, "3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
     console.print(evaluation_table(evaluation))

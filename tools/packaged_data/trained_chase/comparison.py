@@ -20,6 +20,7 @@ from animarl_algos.evaluation.statistics import (
     percentile_interval,
     resampled_means,
 )
+from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -27,8 +28,6 @@ from animarl_envs.importing.readers import read
 from animarl_envs.species import AGENT
 from tools.packaged_data.trained_chase.chases import Chases, chase
 from tools.packaged_data.trained_chase.training import (
-    load_weights,
-    make_policy,
     mixed_weights,
     weights_file,
 )
