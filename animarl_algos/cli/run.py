@@ -1,4 +1,4 @@
-"""``animarl run``, ``train``, ``evaluate`` and ``report``: from recordings to a page."""
+"""``animarl run``, ``train`` and ``report``: from recordings to a page."""
 
 from __future__ import annotations
 
@@ -90,28 +90,6 @@ def train_command(
         run = _open(context.params)
     pipeline.learn(run, run.settings.algo)
     console.print(f"Trained: {run.path}", soft_wrap=True, highlight=False)
-
-
-def evaluate_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was trained.")],
-    acting: Annotated[
-        str | None,
-        typer.Option(
-            help="How policies act: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by default as "
-            "the run says."
-        ),
-    ] = None,
-) -> None:
-    """Roll out on the test split and compare with the recordings.
-
-    Example:
-
-      animarl evaluate runs/agents
-    """
-    evaluation = pipeline.evaluate_run(RunFolder(run, acting))
-    console = _console()
-    console.print(evaluation_table(evaluation))
-    console.print(verdict_table(evaluation.verdict))
 
 
 def report_command(

@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from animarl_algos.report.blocks import Section, Summary
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.sections import build_sections, facts, summary
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
 
 
-def render_report(inputs: ReportInputs) -> str:
-    """The report as HTML that loads nothing from anywhere."""
+def render_report(inputs: ReportInputs, sections: Sequence[Section] | None = None) -> str:
+    """The report as HTML that loads nothing from anywhere; its sections may have been built."""
+    return render_page(
+        title=inputs.title,
+        synthetic=inputs.demos.synthetic,
+        facts=facts(inputs),
+        summary=summary(inputs),
+        sections=build_sections(inputs) if sections is None else sections,
+    )
+
+
+def render_page(
+    *,
+    title: str,
+    synthetic: bool,
+    facts: Sequence[tuple[str, str]],
+    summary: Summary,
+    sections: Sequence[Section],
+) -> str:
+    """A page of blocks as HTML that loads nothing from anywhere."""
     try:
         from jinja2 import Environment, FileSystemLoader, StrictUndefined
     except ImportError as error:
@@ -24,11 +44,7 @@ def render_report(inputs: ReportInputs) -> str:
         lstrip_blocks=True,
     )
     return environment.get_template("report.html.j2").render(
-        title=inputs.title,
-        synthetic=inputs.demos.synthetic,
-        facts=facts(inputs),
-        summary=summary(inputs),
-        sections=build_sections(inputs),
+        title=title, synthetic=synthetic, facts=facts, summary=summary, sections=sections
     )
 
 

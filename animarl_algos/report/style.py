@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.rollouts import RECORDED
@@ -140,11 +140,15 @@ def is_recorded(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Image:
-    """A figure for a web page: a data URI, its natural width, and what it shows in words."""
+    """A figure for a web page: a data URI, its natural width, and what it shows in words.
+
+    ``figure`` is what it was drawn from, to write it in other formats.
+    """
 
     source: str
     width: int  # [CSS px]
     alt: str
+    figure: Figure | None = field(default=None, compare=False, repr=False)
 
 
 def to_image(figure: Figure, alt: str) -> Image:
@@ -154,4 +158,5 @@ def to_image(figure: Figure, alt: str) -> Image:
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     drawing = re.sub(r"font-family: [^;\"]+", f"font-family: {FONTS}", buffer.getvalue().decode())
     encoded = base64.b64encode(drawing.encode()).decode()
-    return Image(f"data:image/svg+xml;base64,{encoded}", round(figure.get_figwidth() * 96), alt)
+    width = round(figure.get_figwidth() * 96)
+    return Image(f"data:image/svg+xml;base64,{encoded}", width, alt, figure)

@@ -89,6 +89,7 @@ def told(
     *,
     repetitions: int | None = None,
     world: int | None = None,
+    draws: int = 0,
 ) -> Rollouts:
     """Rollouts of one policy from every test start, told ``cue``.
 
@@ -98,9 +99,15 @@ def told(
     ----------
     world
         The condition that the world is put in; by default that of each demonstration.
+    draws
+        Another number gives the policy other random numbers.
     """
     scenario = run.scenario("test", "demo" if world is None else world)  # type: ignore[arg-type]
-    reseed = policy.policy.seed if isinstance(policy, SequenceQLearning) else None
+
+    def reseed(seed: int) -> None:
+        if isinstance(policy, SequenceQLearning):
+            policy.policy.seed(seed + draws)
+
     return collect_rollouts(
         partial(make_world, scenario),
         for_all(policy, scenario.names, run.settings.focal),

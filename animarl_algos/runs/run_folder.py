@@ -257,7 +257,7 @@ class RunFolder:
         for file in sorted((self.path / "logs").glob("*/*/progress.csv")):
             if file.stat().st_size == 0:
                 continue
-            table = pd.read_csv(file)
+            table = _read_table(file)
             names = [str(column) for column in table]
             offline = [c for c in names if c.startswith("offline/") and c != "offline/epoch"]
             online = [c for c in names if c.startswith(("rollout/", "train/"))]
@@ -277,6 +277,15 @@ class RunFolder:
         table = pd.concat(rows, ignore_index=True).assign(seed=self.settings.seed)
         keys = ["method", "phase", "seed", "step", "quantity"]
         return table.drop_duplicates(keys, keep="last")[columns]
+
+
+def _read_table(file: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(file)
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{file}: the table cannot be read ({in_short(error)}): remove it, or train again"
+        ) from None
 
 
 def _environment(
