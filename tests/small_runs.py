@@ -42,12 +42,13 @@ def made(
     rolled_out: bool = True,
     baselines: bool = False,
     env_kwargs: dict[str, Any] | None = None,
+    **settings: Any,
 ) -> RunFolder:
-    """A run that was fitted, trained a little, and rolled out."""
+    """A run that was fitted, trained a little, and rolled out; ``settings`` are its learner's."""
     asked = RunSettings(
         file="few.npz", species=species, algo=algo, steps=20, seed=seed, copies=2, repetitions=2,
         thrusts="1", acting="boltzmann:0.5", baselines=baselines,
-        overrides=QUICK | ({} if env_kwargs is None else {"env_kwargs": env_kwargs}),
+        overrides=QUICK | settings | ({} if env_kwargs is None else {"env_kwargs": env_kwargs}),
     )  # fmt: skip
     out = folder / f"{algo}-{seed}"
     command = f"animarl train few.npz --algo {algo} --seed {seed} --out {out}"

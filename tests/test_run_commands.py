@@ -21,6 +21,7 @@ from small_runs import few, made
 from animarl_algos.cli.main import main
 from animarl_algos.evaluation import Rollouts
 from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.tables import TABLES
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.files import all_files_or_none
 
@@ -103,7 +104,7 @@ def test_methods_times_seeds_twice_the_same(
     for out in ("first", "second"):
         done = animarl("evaluate", *runs, "--out", out)
         assert done.returncode == 0, done.stderr
-    whole(tmp_path / "first", {"metrics", "comparison", "pairs", "verdict", "counterfactual"})
+    whole(tmp_path / "first", {*TABLES, "verdict"})
     comparison = pd.read_csv(tmp_path / "first" / "comparison.csv")
     seeds = comparison.set_index("method")["seeds"]
     assert set(seeds[["DQCIL-PT", "DQDIL-PT"]]) == {2}
@@ -293,7 +294,9 @@ def test_a_search_is_its_own_truth_in_the_other_world(
 ) -> None:
     options = {"time_limit": 60, "labels": "soft"}
     demos = few("silkmoth", test=1)
-    run = made(tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options)
+    run = made(
+        tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options, policy="GruPolicy"
+    )
     done = animarl("counterfactual", run.path, "--repetitions", 2, "--out", "out")
     assert done.returncode == 0, done.stderr
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
