@@ -257,7 +257,7 @@ class _Effects:
                 reason = "" if np.isfinite(value.low) else "too few starts for an interval"
         row: dict[str, Any] = {
             "method": method,
-            "variant": "main" if main else "supplementary",
+            "variant": "" if method == RECORDED else "main" if main else "supplementary",
             "quantity": quantity,
             "condition": of,
             "told": told,
@@ -265,9 +265,10 @@ class _Effects:
             "counting": counting,
         }
         put_interval(row, "value", value)
-        alone = "this network only" if seeds == 1 else "networks trained in this way"
-        known = RECORDED if method == RECORDED else "the teams" if quantity == TRUE else alone
-        return row | {"seeds": seeds, "starts": starts, "speaks_of": known, "reason": reason}
+        speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
+        if method == RECORDED or (quantity == TRUE and self.teams is not None):
+            seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
+        return row | {"seeds": seeds, "starts": starts, "speaks_of": speaks_of, "reason": reason}
 
 
 def minus(first: Cells, second: Cells) -> Cells:

@@ -33,7 +33,7 @@ def shift_panels(inputs: CounterfactualInputs) -> Iterator[Image]:
                 value = inputs.value(name, quantity, of)
                 if np.isfinite(value.estimate):
                     null = quantity in (effects_of.UNTRAINED_SHIFT, effects_of.BLIND)
-                    method = "truth" if quantity == effects_of.TRUE else name
+                    method = RECORDED if quantity == effects_of.TRUE else name
                     label = f"{method_label(name)}: {quantity}"
                     rows.append(ShiftRow(label, value, method, null))
         if rows:
@@ -65,7 +65,7 @@ def _dots(inputs: CounterfactualInputs) -> Iterator[Dots]:
     for c in (0, 1) if inputs.teams is not None else ():
         assert inputs.teams is not None
         values = _lengths(inputs, inputs.teams[1 - c], c)
-        yield Dots(f"team {c + 1}{ARROW}{2 - c}", "truth", values, flipped=True)
+        yield Dots(f"team {c + 1}{ARROW}{2 - c}", RECORDED, values, flipped=True)
 
 
 def path_panels(inputs: CounterfactualInputs) -> Iterator[Image]:

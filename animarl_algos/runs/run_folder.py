@@ -18,9 +18,7 @@ import json
 import platform
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from animarl_algos.data.focal import focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -28,6 +26,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.run_curves import logged_curves
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
 from animarl_algos.runs.run_world import (
     in_the_world,
@@ -43,6 +42,9 @@ from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.scenario import Condition, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
@@ -253,39 +255,7 @@ class RunFolder:
 
     def learning_curves(self) -> pd.DataFrame:
         """All logged quantities: ``method, phase, seed, step, quantity, value``."""
-        rows = []
-        for file in sorted((self.path / "logs").glob("*/*/progress.csv")):
-            if file.stat().st_size == 0:
-                continue
-            table = _read_table(file)
-            names = [str(column) for column in table]
-            offline = [c for c in names if c.startswith("offline/") and c != "offline/epoch"]
-            online = [c for c in names if c.startswith(("rollout/", "train/"))]
-            phases = (
-                ("offline", offline, "offline/epoch"),
-                ("online", online, "time/total_timesteps"),
-            )
-            for phase, columns, step in phases:
-                if step not in table:
-                    continue
-                long = table.melt(id_vars=step, value_vars=columns, var_name="quantity")
-                long = long.dropna().rename(columns={step: "step"})
-                rows.append(long.assign(method=file.parent.parent.name, phase=phase))
-        columns = ["method", "phase", "seed", "step", "quantity", "value"]
-        if not rows:
-            return pd.DataFrame(columns=columns)
-        table = pd.concat(rows, ignore_index=True).assign(seed=self.settings.seed)
-        keys = ["method", "phase", "seed", "step", "quantity"]
-        return table.drop_duplicates(keys, keep="last")[columns]
-
-
-def _read_table(file: Path) -> pd.DataFrame:
-    try:
-        return pd.read_csv(file)
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{file}: the table cannot be read ({in_short(error)}): remove it, or train again"
-        ) from None
+        return logged_curves(self.path / "logs", self.settings.seed)
 
 
 def _environment(
