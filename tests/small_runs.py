@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.rolling_out import roll_out
 from animarl_algos.runs.run_folder import RunFolder
@@ -42,13 +43,13 @@ def made(
     rolled_out: bool = True,
     baselines: bool = False,
     env_kwargs: dict[str, Any] | None = None,
-    **settings: Any,
 ) -> RunFolder:
-    """A run that was fitted, trained a little, and rolled out; ``settings`` are its learner's."""
+    """A run that was fitted, trained a little, and rolled out."""
+    quick = QUICK if named_recipe(algo).pretrained else {"policy_kwargs": QUICK["policy_kwargs"]}
     asked = RunSettings(
         file="few.npz", species=species, algo=algo, steps=20, seed=seed, copies=2, repetitions=2,
         thrusts="1", acting="boltzmann:0.5", baselines=baselines,
-        overrides=QUICK | settings | ({} if env_kwargs is None else {"env_kwargs": env_kwargs}),
+        overrides=quick | ({} if env_kwargs is None else {"env_kwargs": env_kwargs}),
     )  # fmt: skip
     out = folder / f"{algo}-{seed}"
     command = f"animarl train few.npz --algo {algo} --seed {seed} --out {out}"

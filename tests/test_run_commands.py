@@ -104,6 +104,8 @@ def test_methods_times_seeds_twice_the_same(
     for out in ("first", "second"):
         done = animarl("evaluate", *runs, "--out", out)
         assert done.returncode == 0, done.stderr
+    assert "train it with 'animarl run few.npz --algo bc --out RUN'" in done.stdout
+    assert "no untrained network to compare with" in done.stdout
     whole(tmp_path / "first", {*TABLES, "verdict"})
     comparison = pd.read_csv(tmp_path / "first" / "comparison.csv")
     seeds = comparison.set_index("method")["seeds"]
@@ -294,9 +296,7 @@ def test_a_search_is_its_own_truth_in_the_other_world(
 ) -> None:
     options = {"time_limit": 60, "labels": "soft"}
     demos = few("silkmoth", test=1)
-    run = made(
-        tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options, policy="GruPolicy"
-    )
+    run = made(tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options)
     done = animarl("counterfactual", run.path, "--repetitions", 2, "--out", "out")
     assert done.returncode == 0, done.stderr
     episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,17 @@ from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import render_report
 from animarl_algos.report.sections import build_sections
-from animarl_algos.runs.rolling_out import DECISIONS, lacking, method_name, stored_rollouts
+from animarl_algos.runs.acting import acting_of
+from animarl_algos.runs.rolling_out import (
+    DECISIONS,
+    UNTRAINED,
+    lacking,
+    method_name,
+    stored_rollouts,
+)
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_set import RunSet
+from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
@@ -72,10 +80,7 @@ def compare_runs(folders: Sequence[str | Path], *, resamples: int = RESAMPLES) -
         references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
         resamples=resamples,
     )
-    missing = [sentence for run in runs.runs for sentence in lacking(run)]
-    trained = {method for method in rollouts if method in runs.methods}
-    absent = [s for s in missing if not any(f"trained {method} " in s for method in trained)]
-    return EvaluatedRuns(runs, rollouts, evaluation, tuple(absent))
+    return EvaluatedRuns(runs, rollouts, evaluation, tuple(_absent(runs, rollouts)))
 
 
 def evaluate_runs(folders: Sequence[str | Path], out: str | Path) -> EvaluatedRuns:
@@ -169,9 +174,24 @@ def refuse_run_folder(out: str | Path) -> None:
         raise InputError(f"{out}: it is a run folder: name another --out")
 
 
-def _acting(runs: Sequence[RunFolder]) -> dict[str, str]:
-    from animarl_algos.runs.acting import acting_of
+def _absent(runs: RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
+    """What there is nothing of to compare with, each with what adds it."""
+    baseline = method_name(BEHAVIOUR_CLONING)
+    if baseline not in rollouts:
+        asked = [sentence for run in runs.runs for sentence in lacking(run)]
+        file = shlex.quote(runs.first.settings.file)
+        yield from asked or [
+            f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
+            f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
+        ]
+    if UNTRAINED not in rollouts:
+        yield (
+            "There is no untrained network to compare with: 'animarl run' without --no-baselines "
+            "rolls one out"
+        )
 
+
+def _acting(runs: Sequence[RunFolder]) -> dict[str, str]:
     return {
         f"seed {run.settings.seed}": str(acting_of(run, run.settings.algo))
         for run in runs

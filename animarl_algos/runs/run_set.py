@@ -162,12 +162,13 @@ def _split(one: _Compared) -> str:
 def _world(one: _Compared) -> dict[str, Any]:
     named = {f.name for f in fields(one.species)} - set(TOLD)
     world = {name: getattr(one.species, name) for name in sorted(named)}
-    return world | in_the_world(one.run.environment_options)
+    replaying = {"who learned": one.settings.focal or "all"}
+    return world | in_the_world(one.run.environment_options) | replaying
 
 
 def _method(one: _Compared) -> dict[str, Any]:
     settings = one.settings
-    own = {"steps": settings.steps, "focal": settings.focal, "acting": settings.acting}
+    own = {"steps": settings.steps, "acting": settings.acting}
     learner: dict[str, Any] = one.run.record["learner"]
     return own | learner
 
