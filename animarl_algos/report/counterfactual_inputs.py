@@ -43,6 +43,11 @@ class CounterfactualInputs:
         return f"{self.species.length_unit}s"
 
     @property
+    def recorded(self) -> str:
+        """What the demonstrations are called: recorded only if they were."""
+        return "demonstrated" if self.demos.synthetic else "recorded"
+
+    @property
     def conditions(self) -> tuple[str, str]:
         first, second = self.species.conditions
         return first, second

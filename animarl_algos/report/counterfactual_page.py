@@ -42,7 +42,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> tuple[list[Section], st
     """The sections, whose figures may be written on their own, and the page made of them."""
     sections = [
         Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
-        Section("errors", "Error to the recordings", list(_errors(inputs))),
+        Section("errors", "Error to the demonstrations", list(_errors(inputs))),
         Section("episodes", "Every episode", list(_episodes(inputs))),
         Section("paths", "Factual beside flipped", list(_paths(inputs))),
         Section("provenance", "How this was made", list(_provenance(inputs))),
@@ -171,11 +171,11 @@ def _errors(inputs: CounterfactualInputs) -> Iterator[Block]:
         groups.append(Group(_counted(counting), lines))
     yield Table(
         "Signed errors",
-        ["Method", "Variant", "Condition", f"Simulated \u2212 recorded\n({inputs.unit})",
+        ["Method", "Variant", "Condition", f"Simulated \u2212 {inputs.recorded}\n({inputs.unit})",
          "Treatment\naccuracy"],
         groups,
-        "Mean path length of the rollouts minus that of the recordings they started from, in the "
-        "same condition [95 % interval], and the difference of the methods' errors. Treatment "
+        "Mean path length of the rollouts minus that of the demonstrations they started from, in "
+        "the same condition [95 % interval], and the difference of the methods' errors. Treatment "
         "accuracy: balanced, on held-out demonstrations; 0.5 is what a memory blind to the "
         "condition gives.",
         left=3,
@@ -186,7 +186,7 @@ def _episodes(inputs: CounterfactualInputs) -> Iterator[Block]:
     yield Gallery(
         [episode_panel(inputs)],
         "Every episode is a dot (mean over those who move towards the target), bars are means: "
-        "recorded, simulated in either condition, and hollow: told the other condition "
+        f"{inputs.recorded}, simulated in either condition, and hollow: told the other condition "
         f"(1: {inputs.conditions[0]}, 2: {inputs.conditions[1]}).",
     )
 
@@ -195,8 +195,8 @@ def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
     truth, other = (inputs.conditions[c] for c in inputs.planned)
     yield Gallery(
         list(path_panels(inputs)),
-        f"From one start each: recorded, simulated told the truth ({truth}), and told the other "
-        f"condition ({other}), first seed, first rollout. Starts chosen by rank: the 10th, 50th "
+        f"From one start each: {inputs.recorded}, simulated told the truth ({truth}), and told the "
+        f"other condition ({other}), first seed, first rollout. Starts chosen by rank: the 10th, 50th "
         "and 90th percentile of how much the path of "
         f"{method_label(next(iter(inputs.asked)))} changes. Open circles mark starts, filled ones "
         "ends.",

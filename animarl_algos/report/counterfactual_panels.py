@@ -52,7 +52,7 @@ def _dots(inputs: CounterfactualInputs) -> Iterator[Dots]:
     demos = inputs.demos
     recorded = Rollouts.from_demonstrations(demos)
     for c in (0, 1):
-        yield Dots(f"recorded {c + 1}", RECORDED, _lengths(inputs, recorded, c))
+        yield Dots(f"{inputs.recorded} {c + 1}", RECORDED, _lengths(inputs, recorded, c))
     for name, one in inputs.asked.items():
         for c in (0, 1):
             values = _lengths(inputs, one.trained.factual, c)
@@ -91,7 +91,7 @@ def _paths_from(
 ) -> Iterator[tuple[str, Any]]:
     """What is above each path, and the path: recorded, factual, flipped, the team's."""
     truth, other = inputs.conditions[of], inputs.conditions[told]
-    yield f"recorded\n{truth}", inputs.demos.episode(start).positions
+    yield f"{inputs.recorded}\n{truth}", inputs.demos.episode(start).positions
     for name, one in inputs.asked.items():
         yield f"{method_label(name)}\n{truth}", _first_path(one.trained.factual, start)
     for name, one in inputs.asked.items():

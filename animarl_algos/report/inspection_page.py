@@ -55,20 +55,25 @@ class InspectionInputs:
     versions: Mapping[str, str]
     command: str
 
+    @property
+    def recorded(self) -> str:
+        """What the demonstration is called: recorded only if it was."""
+        return "demonstrated" if self.demos.synthetic else "recorded"
+
 
 def inspection_page(inputs: InspectionInputs) -> tuple[list[Section], str]:
     """The sections, whose figures may be written on their own, and the page made of them."""
     sections = [
         Section("paths", "Paths from this start", list(_paths(inputs))),
         Section("episodes", "What became of it", list(_episodes(inputs))),
-        Section("decisions", "Decisions along the recording", list(_decisions(inputs))),
+        Section("decisions", "Decisions along the demonstration", list(_decisions(inputs))),
         Section("provenance", "How this was made", list(_provenance(inputs))),
     ]
     page = render_page(
         title=f"{inputs.species.title}: test episode {inputs.episode}",
         synthetic=inputs.demos.synthetic,
         facts=[
-            ("Recording", str(inputs.demos.recording[inputs.episode])),
+            ("Episode", str(inputs.demos.recording[inputs.episode])),
             ("Method", method_label(inputs.learner)),
             ("Condition", _condition(inputs, int(inputs.recording.condition[0]))),
         ],
@@ -80,7 +85,8 @@ def inspection_page(inputs: InspectionInputs) -> tuple[list[Section], str]:
 
 def _findings(inputs: InspectionInputs) -> Iterator[str]:
     duration = float((inputs.recording.lengths[0] - 1) * inputs.recording.dt)
-    yield f"Recorded: {_ending(inputs, int(inputs.recording.outcome[0]))} after {duration:.1f} s."
+    ending = _ending(inputs, int(inputs.recording.outcome[0]))
+    yield f"{inputs.recorded.capitalize()}: {ending} after {duration:.1f} s."
     own = inputs.rollouts[inputs.learner]
     told = own.select((own.cue == NO_CUE) | (own.cue == own.condition))
     seconds = np.sort((told.lengths - 1) * told.dt)
@@ -94,14 +100,14 @@ def _findings(inputs: InspectionInputs) -> Iterator[str]:
     known = decisions.actions >= 0
     first = decisions.q.argmax(axis=1) == decisions.actions
     yield (
-        f"Along the recording the action of highest value of {decisions.individual} is the "
-        f"recorded one in {int(first[known].sum())} of {int(known.sum())} steps."
+        f"Along the demonstration the action of highest value of {decisions.individual} is the "
+        f"{inputs.recorded} one in {int(first[known].sum())} of {int(known.sum())} steps."
     )
 
 
 def _paths(inputs: InspectionInputs) -> Iterator[Block]:
     images = []
-    recorded = (RECORDED, inputs.recording.path(0))
+    recorded = (inputs.recorded, inputs.recording.path(0))
     for name, rollouts in inputs.rollouts.items():
         chosen = rollouts.select(np.arange(min(MOST_PATHS, len(rollouts))))
         paths: list[tuple[str, Any]] = [recorded]
@@ -111,11 +117,11 @@ def _paths(inputs: InspectionInputs) -> Iterator[Block]:
         figure = cue_figures.path_row(
             paths, inputs.demos.arena, inputs.demos.roles, method_label(name)
         )
-        images.append(to_image(figure, f"Paths of {method_label(name)} beside the recording"))
+        images.append(to_image(figure, f"Paths of {method_label(name)} beside the demonstration"))
     yield Gallery(
         images,
-        "The recording and the first rollouts of every method from its start. Open circles mark "
-        "starts, filled ones ends; the target is dark.",
+        "The demonstration and the first rollouts of every method from its start. Open circles "
+        "mark starts, filled ones ends; the target is dark.",
     )
 
 
@@ -134,12 +140,13 @@ def _episodes(inputs: InspectionInputs) -> Iterator[Block]:
             )
             for _, row in rows.head(MOST_ROWS).iterrows()
         ]
-        groups.append(Group(method_label(str(name)), lines))
+        title = inputs.recorded if name == RECORDED else method_label(str(name))
+        groups.append(Group(title, lines))
     yield Table(
         "Episodes",
         ["Rollout", "Told", "Ended", *(f"{m.label}\n({m.unit})" for m in shown)],
         groups,
-        f"The recording and at most {MOST_ROWS} rollouts of each method from its start.",
+        f"The demonstration and at most {MOST_ROWS} rollouts of each method from its start.",
         left=3,
     )
 
@@ -148,7 +155,7 @@ def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
     decisions, dt = inputs.decisions, inputs.demos.dt
     who = decisions.individual
     along = interpretation.values_along_path(decisions.q, decisions.actions, dt, title=who)
-    images = [to_image(along, f"Action values of {who} along the recording")]
+    images = [to_image(along, f"Action values of {who} along the demonstration")]
     if decisions.map_q.size:
         role = inputs.demos.roles[inputs.demos.individuals.index(who)]
         figure = interpretation.value_map(
@@ -158,11 +165,11 @@ def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
         )  # fmt: skip
         images.append(to_image(figure, f"Best action value of {who} over the arena"))
     yield Text(
-        f"What {method_label(inputs.learner)} values for {who} while everybody moves as recorded; "
-        "dots are the actions found in the recording, angles are taken from the direction to its "
-        "focus. Over the arena: the value of the best action, were it put there at rest."
+        f"What {method_label(inputs.learner)} values for {who} while everybody moves as "
+        f"{inputs.recorded}; dots are the actions found in the demonstration, angles are taken from "
+        "the direction to its focus. Over the arena: the value of the best action, were it put there at rest."
     )
-    yield Gallery(images, "Values along the recording, and over the arena at half of its time.")
+    yield Gallery(images, "Values along the demonstration, and over the arena at half of its time.")
 
 
 def _provenance(inputs: InspectionInputs) -> Iterator[Block]:
