@@ -196,8 +196,8 @@ def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
     yield Gallery(
         list(path_panels(inputs)),
         f"From one start each: {inputs.recorded}, simulated told the truth ({truth}), and told the "
-        f"other condition ({other}), first seed, first rollout. Starts chosen by rank: the 10th, 50th "
-        "and 90th percentile of how much the path of "
+        f"other condition ({other}), first seed, first rollout. Starts chosen by rank: the 10th, "
+        "50th and 90th percentile of how much the path of "
         f"{method_label(next(iter(inputs.asked)))} changes. Open circles mark starts, filled ones "
         "ends.",
     )

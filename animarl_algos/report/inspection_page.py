@@ -166,8 +166,9 @@ def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
         images.append(to_image(figure, f"Best action value of {who} over the arena"))
     yield Text(
         f"What {method_label(inputs.learner)} values for {who} while everybody moves as "
-        f"{inputs.recorded}; dots are the actions found in the demonstration, angles are taken from "
-        "the direction to its focus. Over the arena: the value of the best action, were it put there at rest."
+        f"{inputs.recorded}; dots are the actions found in the demonstration, angles are taken "
+        "from the direction to its focus. Over the arena: the value of the best action, were it "
+        "put there at rest."
     )
     yield Gallery(images, "Values along the demonstration, and over the arena at half of its time.")
 
