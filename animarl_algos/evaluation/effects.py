@@ -196,10 +196,11 @@ class _Effects:
         recorded = Rollouts.from_demonstrations(self.demos)
         for counting, c in self._everything():
             truth = self._of(recorded, counting, c)
-            sides = [minus(self._of(o.trained.factual, counting, c), truth) for o in (a, b)]
-            value = bootstrap_difference(*sides, self.rng, self.resamples)
+            mine = minus(self._of(a.trained.factual, counting, c), truth)
+            other = minus(self._of(b.trained.factual, counting, c), truth)
+            value = bootstrap_difference(mine, other, self.rng, self.resamples)
             yield self._row(
-                f"{first} - {second}", ERROR_DIFFERENCE, c, c, counting, sides[0], a.main,
+                f"{first} - {second}", ERROR_DIFFERENCE, c, c, counting, mine, a.main,
                 value=value,
             )  # fmt: skip
 

@@ -76,8 +76,8 @@ def test_policies(run: RunFolder) -> dict[str, Policy]:
         if algo == settings.algo or run.has_policy(algo)
     }
     if settings.baselines:
-        untrained = policies[UNTRAINED] = untrained_model(run)
-        policies[RANDOM] = RandomPolicy(settings.seed, int(untrained.action_space.n))
+        policies[UNTRAINED] = untrained_network = untrained_model(run)
+        policies[RANDOM] = RandomPolicy(settings.seed, untrained_network.policy.num_actions)
     return policies
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -38,11 +39,14 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
             raise InputError(
                 f"{part.name} and {first.name} hold different signals: join sets with the same"
             )
+    episodes: dict[str, Any] = {
+        key: np.concatenate([getattr(part, key) for part in parts]) for key in PER_EPISODE
+    }
     return replace(
         first,
         positions=np.concatenate([part.positions for part in parts]),
         signals={k: np.concatenate([part.signals[k] for part in parts]) for k in first.signals},
         provenance={**first.provenance, "joined": [dict(part.provenance) for part in parts]},
         name=name,
-        **{key: np.concatenate([getattr(part, key) for part in parts]) for key in PER_EPISODE},
+        **episodes,
     )
