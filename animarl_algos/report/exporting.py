@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,6 +14,7 @@ from animarl_envs.files import write_then_rename
 PIXELS_PER_INCH = 200
 LONGEST_NAME = 60
 FORMATS: dict[str, dict[str, Any]] = {
+    "svg": {"metadata": {"Date": None}},
     "png": {"dpi": PIXELS_PER_INCH, "metadata": {"Software": None}},
     "pdf": {"metadata": {"CreationDate": None}},
 }  # without dates: the same figure gives the same bytes
@@ -30,9 +30,7 @@ def write_figures(sections: Sequence[Section], folder: str | Path) -> list[str]:
     folder, names = Path(folder), []
     for name, image in named_figures(sections):
         assert image.figure is not None  # of a page that was just drawn
-        with write_then_rename(folder / f"{name}.svg") as part:
-            part.write_bytes(base64.b64decode(image.source.partition(",")[2]))
-        image.figure.set_layout_engine("none")  # placed when the SVG was drawn
+        image.figure.set_layout_engine("none")  # placed when the page drew it
         for suffix, options in FORMATS.items():
             with figure_style(), write_then_rename(folder / f"{name}.{suffix}") as part:
                 image.figure.savefig(part, format=suffix, **options)
