@@ -18,6 +18,7 @@ import shlex
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,6 +40,7 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.files import write_then_rename
+from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -48,7 +50,7 @@ ALGOS = ("dqcil-pt", "dqdil-pt", "bc", "soft-bc")
 SPECIES = "agent"
 TINY = {"offline_epochs": 1, "policy_kwargs": {"hidden": 32}}
 SHOWN = (of.PREDICTED, of.TRUE, of.MISSED, of.UNTRAINED_SHIFT, of.BLIND, of.ERROR)
-PROBE_STEPS = 2000
+PROBE_STEPS = 1000
 
 
 def recorded(tiny: bool = False) -> Demonstrations:
@@ -84,36 +86,46 @@ def cell(demos: Demonstrations, folder: Path, settings: RunSettings) -> RunFolde
     return run
 
 
-def seconds(demos: Demonstrations, algo: str, steps: int, epochs: int) -> float:
-    """Processor time of a training with so many steps and epochs, in a folder that is removed."""
+def seconds(
+    demos: Demonstrations, fitted: LocomotionFit, algo: str, steps: int, epochs: int
+) -> float:
+    """Processor time of learning so many steps and epochs, in a folder that is removed."""
     settings = replace(
         asked_for(algo, 0, steps, {"offline_epochs": epochs}), steps=steps, acting="greedy"
     )
     with tempfile.TemporaryDirectory() as folder:
+        run = pipeline.open_run(settings, Path(folder) / "cell", "an estimate", demos)
+        fitted.save(run.path / "locomotion.json")
         began = time.process_time()
-        cell(demos, Path(folder) / "cell", settings)
+        pipeline.learn(run, algo, progress_bar=False)
         return time.process_time() - began
 
 
-def estimate(demos: Demonstrations, steps: int | None, seeds: int, console: Console) -> None:
-    """Processor time of the whole, from one epoch and a few steps of every learner."""
+def estimate(
+    demos: Demonstrations, algos: Sequence[str], steps: int | None, seeds: int, console: Console
+) -> None:
+    """Processor time of the whole, from two epochs and a few steps of every learner."""
+    began = time.process_time()
+    fitted = fit_locomotion(demos, "joint", seed=0)
+    fit = time.process_time() - began
     total = 0.0
-    for algo in ALGOS:
+    for algo in algos:
         whole = asked_for(algo, 0, steps, {})
         epochs = int(whole.learner().arguments["offline_epochs"])
         online = bool(named_recipe(algo).algorithm.recipe.online)
-        one = seconds(demos, algo, 1, 1)
-        two = seconds(demos, algo, 1, 2)
-        further = seconds(demos, algo, PROBE_STEPS, 1) - one if online else 0.0
-        need = one + (epochs - 1) * (two - one) + further / PROBE_STEPS * whole.steps * online
+        seconds(demos, fitted, algo, 1, 1)  # what is compiled and loaded once is not counted
+        one, three = (seconds(demos, fitted, algo, 1, number) for number in (1, 3))
+        epoch = max(0.0, three - one) / 2
+        further = seconds(demos, fitted, algo, PROBE_STEPS, 1) - one if online else 0.0
+        need = fit + one + (epochs - 1) * epoch + further / PROBE_STEPS * whole.steps
         total += seeds * need
         console.print(
-            f"{algo}: {one:.0f} s for fit and first epoch, {two - one:.1f} s an epoch "
-            f"({epochs} at most), {1e3 * further / PROBE_STEPS:.1f} s for 1,000 of "
+            f"{algo}: {fit + one - epoch:.0f} s around it, {epoch:.1f} s an epoch ({epochs} at "
+            f"most), {1e3 * further / PROBE_STEPS:.1f} s for 1,000 of "
             f"{whole.steps if online else 0:,} steps: {need / 60:.0f} min a seed"
         )
     console.print(
-        f"{len(ALGOS)} learners, {seeds} seeds: about {total / 3600:.1f} hours of one core"
+        f"{len(algos)} learners, {seeds} seeds: about {total / 3600:.1f} hours of one core"
     )
 
 
@@ -140,7 +152,7 @@ def main(
         raise typer.BadParameter(f"the recorded agents are not in {DATA}: set ANIMARL_DATA")
     demos, seeds = recorded(tiny), seed or [0, 1, 2]
     if estimated:
-        estimate(demos, steps, len(seeds), console)
+        estimate(demos, only or ALGOS, steps, len(seeds), console)
         return
     folders = []
     for algo in only or ALGOS:
