@@ -117,6 +117,21 @@ def test_methods_times_seeds_twice_the_same(
     assert contents(tmp_path / "first") == contents(tmp_path / "second")
 
 
+def test_one_run_is_rolled_out_again_in_its_own_folder(
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(runs[2], copy)
+    shutil.rmtree(copy / "rollouts")
+    done = animarl("evaluate", copy, "--acting", "greedy")
+    assert done.returncode == 0, done.stderr
+    assert (copy / "rollouts" / "DQDIL-PT.npz").exists() and (copy / "evaluation").is_dir()
+    assert animarl("report", copy).returncode == 0
+    assert (copy / "report.html").exists()
+    before = contents(runs[2] / "policies")
+    assert contents(copy / "policies") == before  # nothing was trained
+
+
 def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
     animarl: Callable[..., Done], tmp_path: Path
 ) -> None:
