@@ -39,8 +39,9 @@ def test_animals_that_push_with_several_strengths_get_several(chases: Demonstrat
 
 def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
     """Flies that are too sluggish to turn in time: through the edge, unless it is a wall."""
-    demos = load_packaged("fly").select(split="train")
-    sluggish = (Locomotion(0.1, 0.05),) * demos.num_individuals
+    packaged = load_packaged("fly").select(split="train")
+    demos = replace(packaged, arena=replace(packaged.arena, rebound=False))
+    sluggish = (Locomotion(0.003, 0.05),) * demos.num_individuals
     walled = arena_of(demos)
     assert walled.rebound and not demos.arena.rebound
     assert farthest(demos, sluggish, demos.arena) > 1.02

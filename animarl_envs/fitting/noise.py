@@ -16,8 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.stats import t as student
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.joint import fit_joint
@@ -174,6 +172,8 @@ def _search(
     data: _Data, point: Floats, shares: Floats, calls: int, *, wide: bool
 ) -> tuple[float, Floats]:
     """Nelder and Mead's search from ``point``."""
+    from scipy.optimize import minimize
+
     size = 0.5 if wide else 0.1
     corners = np.vstack([point, point + size * np.eye(len(point))])
     found = minimize(
@@ -188,6 +188,8 @@ def _search(
 
 def _intervals(data: _Data, point: Floats, shares: Floats) -> Floats | None:
     """``(4, 2)``, unbounded; the sandwich over episodes, and what the bias adds."""
+    from scipy.stats import t as student
+
     count = len(data.episodes)
     if count < FEWEST_EPISODES:
         return None

@@ -28,7 +28,7 @@ from tools.fuzz.targets import MARKER, TARGETS
 
 OUTCOMES = ("refused", "equal", "different", "unexplained", "traceback", "slow", "ran", "crash")
 SLOW = 2.0  # processor time that a file may take [s]
-HUNG = 20.0  # after which the watcher ends a worker [s]
+HUNG = 60.0  # after which the watcher ends a worker [s]
 MEMORY = 2 * 2**30  # [bytes] beyond what the libraries take, for all that a file asks for
 RUNNING = (
     "pickle.find_class", "os.system", "os.exec", "os.posix_spawn", "subprocess.Popen",
