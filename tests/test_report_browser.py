@@ -57,6 +57,9 @@ def open_page(browser: Any, file: Path) -> Iterator[Open]:
     assert said == []
 
 
+SLOW = 60_000  # of a machine that does other work as well [ms]
+
+
 def frame(page: Any) -> int:
     return int(page.input_value("#time"))
 
@@ -78,7 +81,7 @@ def test_the_player_plays_to_the_end_and_begins_again(open_page: Open) -> None:
     page.select_option("#speed", "8")
     page.click("#play")
     assert page.inner_text("#play") == "Pause"
-    api.expect(page.locator("#play")).to_have_text("Play")
+    api.expect(page.locator("#play")).to_have_text("Play", timeout=SLOW)
     last = int(page.get_attribute("#time", "max"))
     assert frame(page) == last > 5
     after = drawn(page)
@@ -173,10 +176,12 @@ def test_tables_sort_within_their_groups(open_page: Open) -> None:
     assert heading.get_attribute("aria-sort") == "descending"
     means = [float(text.split(" [")[0]) for text in numbers(page, table, 3)]
     assert means == sorted(means, reverse=True)
-    gaps = page.locator(f"{table} >> thead >> th >> nth=4")
+    titles = page.locator(f"{table} >> thead >> th").all_inner_texts()
+    column = next(i for i, title in enumerate(titles) if title.lower().startswith("minus"))
+    gaps = page.locator(f"{table} >> thead >> th >> nth={column}")
     for _ in range(2):  # what is not defined stands last either way
         gaps.locator("button").click()
-        assert numbers(page, table, 4)[-1] == "\u2013"
+        assert numbers(page, table, column)[-1] == "\u2013"
     assert heading.get_attribute("aria-sort") is None
 
 
