@@ -17,6 +17,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, find_reader, follow, read
 
+SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
+
 
 def import_command(
     files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
@@ -156,6 +158,9 @@ def _options(given: list[str] | None) -> dict[str, Any]:
         name, equals, value = entry.partition("=")
         if not equals:
             raise InputError(f"option {entry!r} has no '=': write name=value")
+        if value.strip() in SIGNS:
+            found[name.strip()] = value.strip()
+            continue
         try:
             found[name.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:

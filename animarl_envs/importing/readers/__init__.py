@@ -12,6 +12,7 @@ from animarl_envs.importing.readers import (
     pose,
     tables,
     trackers,
+    wide_tables,
 )
 from animarl_envs.importing.readers.registry import (
     Reader,
@@ -30,4 +31,5 @@ __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
     "default_recipe", "find_reader", "follow", "get_reader", "mothvr", "movement_tables", "own",
     "pose", "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
+    "wide_tables",
 ]  # fmt: skip
