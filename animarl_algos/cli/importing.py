@@ -35,6 +35,9 @@ def import_command(
     individuals: Annotated[
         str | None, typer.Option(help="Which, in order: a,b,c; rename by a=male,b=female.")
     ] = None,
+    merge_individuals: Annotated[
+        bool | None, typer.Option("--merge-individuals", help="One file per animal: put together.")
+    ] = None,
     target: Annotated[
         str | None, typer.Option(help="Name of the pursued individual, or auto: who is approached.")
     ] = None,
@@ -108,6 +111,7 @@ def import_command(
         return
     given: dict[str, Any] = {
         "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
+        "merge_individuals": merge_individuals,
         "condition": condition, "licence": licence, "options": _options(option) or None,
         "cleaning": {
             "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,

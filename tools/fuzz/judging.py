@@ -90,7 +90,7 @@ def second_reading(path: Path) -> list[list[float]]:
     """The rows of a text table that hold numbers, by another parser and strictly."""
     found = []
     delimiter = "\t" if path.suffix == ".tsv" else ","
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         for row in csv.reader(file, delimiter=delimiter):
             numbers = [float(cell) if NUMBER.fullmatch(cell) else math.nan for cell in row]
             if not all(map(math.isnan, numbers)):

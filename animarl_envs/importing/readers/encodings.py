@@ -1,9 +1,8 @@
 """Texts of any encoding, handed on as UTF-8.
 
 A byte order mark decides; else UTF-8 if the whole file is; else UTF-16 where every second byte is
-nothing; else Latin-1 if it reads as that, else a code page guessed
-from the lines with other characters than ASCII. Numbers
-are the same in all of those, so that a wrong guess can only misspell a name.
+nothing; else Latin-1 if it reads as that. Other code pages are guessed, and the guess is only said:
+numbers are the same in all of them, but names would be misspelt.
 """
 
 from __future__ import annotations
@@ -120,9 +119,11 @@ def _guess(path: Path, file: IO[bytes]) -> str:
     if _is_western(sample):
         return WESTERN
     best = from_bytes(sample, cp_isolation=CODE_PAGES).best()
-    if best is None:
-        raise InputError(f"{path}: its encoding is not known: save it as UTF-8")
-    return best.encoding
+    guess = "" if best is None else f" (it may be {best.encoding})"
+    raise InputError(
+        f"{path}: its encoding is not clear{guess}: save it as UTF-8, or name the encoding by "
+        "--option encoding=NAME"
+    )
 
 
 def _is_damaged_utf8(sample: bytes) -> bool:

@@ -21,7 +21,7 @@ from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers.guards import refusing
 from animarl_envs.importing.readers.habits import what_to_type
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
-from animarl_envs.importing.tracks import Tracks, merge
+from animarl_envs.importing.tracks import Tracks, merge, one_per_individual
 
 ReadDemonstrations = Callable[..., Demonstrations]
 ReadTracks = Callable[..., list[Tracks]]
@@ -204,6 +204,8 @@ def follow(
         told = _part_of(progress, number, len(files))
         parts += read_tracks(file, recipe.source, progress=told, **recipe.options)
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+    if recipe.merge_individuals:
+        parts = one_per_individual(parts)
     return demonstrations_from_tracks(merge(parts), recipe, name)
 
 

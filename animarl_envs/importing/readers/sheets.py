@@ -63,13 +63,14 @@ def sheet_as_text(path: Path, sheet: str | None = None) -> io.BytesIO:
             raise InputError(
                 f"{path}: there is no sheet {sheet!r}: choose among {', '.join(book.sheetnames)}"
             )
-        rows, width = [], 0
+        rows, width, walked = [], 0, 0
         for number, cells in enumerate(book[sheet].iter_rows(values_only=True), start=1):
             last = max((i for i, cell in enumerate(cells, 1) if cell is not None), default=0)
             width = max(width, last)
             if number > MOST_ROWS or width > MOST_COLUMNS:
                 raise InputError(f"{path}: it has more rows or columns than Excel: mend it")
-            check_size(path, number * width * 8, f"sheet {sheet}")
+            walked += max(len(cells), 1)
+            check_size(path, walked * 8, f"sheet {sheet}")
             rows.append([_text(cell) for cell in cells[:last]])
     finally:
         book.close()

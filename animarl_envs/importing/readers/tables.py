@@ -116,6 +116,7 @@ def read_long_table(
         parts.append((when, which, values, weight))
     if not parts or not codes:
         raise InputError(f"{path}: it has a header but no rows: check the file")
+    starts: dict[str, float] = {}
     if clock is not None and (frame is None or fps is None):
         sets_of = {name: i for i, name in enumerate(dict.fromkeys(name for name, _ in codes))}
         group = np.array([sets_of[name] for name, _ in codes])[
@@ -126,14 +127,18 @@ def read_long_table(
                 path, np.concatenate([part[0] for part in parts]), np.concatenate(times), group
             )
         else:
-            fps, numbers = frames_at(path, np.concatenate(times), fps, group)
+            every = np.concatenate(times)
+            fps, numbers = frames_at(path, every, fps, group)
+            starts = {name: float(every[group == i].min()) for name, i in sets_of.items()}
             edges = np.cumsum([len(part[0]) for part in parts])[:-1]
             parts = [
                 (own, *part[1:]) for own, part in zip(np.split(numbers, edges), parts, strict=True)
             ]
         if not words_of_time and time is None and time_unit is None:
             check_rate(path, clock, fps)
-    return _spread(path, codes, parts, fps, unit or habit.unit or "px", y_down, layout.words)
+    return _spread(
+        path, codes, parts, fps, unit or habit.unit or "px", y_down, layout.words, starts
+    )
 
 
 def _frame_numbers(path: Path, column: str, frames: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -177,6 +182,7 @@ def _spread(
     unit: str,
     y_down: bool,
     read_as: str,
+    starts: dict[str, float],
 ) -> list[Tracks]:
     """Rows to arrays ``(frames, individuals, 1, 2)``, a Tracks per recording."""
     count = len(codes)
@@ -217,7 +223,7 @@ def _spread(
         found.append(
             Tracks(
                 recording=name, individuals=individuals, positions=positions, frame_rate=fps,
-                unit=unit, y_down=y_down, confidence=weights,
+                unit=unit, y_down=y_down, confidence=weights, start=starts.get(name, 0.0),
                 provenance={"file": path.name, "read_as": read_as},
             )
         )  # fmt: skip

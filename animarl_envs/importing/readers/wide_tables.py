@@ -90,19 +90,19 @@ def read_wide_table(
     names = table[recording] if recording else np.full(len(bodies), path.stem, dtype=object)
     for name in dict.fromkeys(names.tolist()):
         mine = names == name
-        rate = fps
+        rate, start = fps, 0.0
         if frame is not None:
             refuse_uneven_frames(path, table[frame][mine])
         if clock is not None and (time is not None or fps is None):
             stated = time_unit or (habit.time_unit if by_habit else "") or None
             when = seconds(path, clock, table[clock][mine], stated)
-            rate = fps or even_rate(path, when)
+            rate, start = fps or even_rate(path, when), float(when[0])
             if by_habit and stated is None and not words_of_time:
                 check_rate(path, clock, rate)
         tracks.append(
             Tracks(
                 recording=str(name), individuals=tuple(found), positions=bodies[mine][:, :, None],
-                frame_rate=rate, unit=own_unit, y_down=y_down,
+                frame_rate=rate, start=start, unit=own_unit, y_down=y_down,
                 provenance={"file": path.name, "read_as": layout.words},
             )
         )  # fmt: skip
