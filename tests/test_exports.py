@@ -67,8 +67,10 @@ class Export:
 
     def expected(self, path: Path) -> NDArray[np.float64]:
         """Positions ``(frames, individuals, 2)`` by pandas."""
-        reads = pd.read_excel if path.suffix == ".xlsx" else pd.read_csv
-        table = reads(path, **self.pandas)
+        if path.suffix == ".xlsx":
+            table = pd.read_excel(path, **self.pandas)
+        else:
+            table = pd.read_csv(path, float_precision="round_trip", **self.pandas)
         if isinstance(self.columns[0], tuple):
             return np.stack([table[list(pair)].to_numpy(float) for pair in self.columns], axis=1)
         clock, who, x, y = self.columns

@@ -128,8 +128,8 @@ def seconds(path: Path, column: str, values: NDArray[Any], unit: str | None) -> 
             f"{path}: column {column!r} holds times that are not ISO 8601, such as "
             f"2024-05-01 10:00:00.25 ({str(error)[:100]}): mend them, or use a column of seconds"
         ) from None
-    epoch = moments - pandas.Timestamp(0, tz="UTC")
-    return np.asarray(epoch.dt.total_seconds(), dtype=np.float64)
+    passed = moments - moments.min().normalize()  # since midnight: more digits than since 1970
+    return np.asarray(passed.dt.total_seconds(), dtype=np.float64)
 
 
 def check_rate(path: Path, column: str, rate: float) -> None:

@@ -166,7 +166,7 @@ def _by_separator(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
         return none
     decimal = _decimal(rows[-LOOKED_AT:], separator)
     first = next(
-        (i for i, row in enumerate(rows) if len(row) == width and _numbers(row, decimal)), None
+        (i for i, row in enumerate(rows) if len(row) == width and _is_row(row, decimal)), None
     )
     if first is None or first > HEADER_LINES:
         return none
@@ -175,7 +175,7 @@ def _by_separator(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
             (i for i in range(first + 2, len(rows)) if _numbers(rows[i], decimal)), len(rows)
         )
     top = first
-    while top > 0 and len(rows[top - 1]) == width and any(rows[top - 1]):
+    while top > 0 and len(rows[top - 1]) == width and _is_header(rows[top - 1]):
         top -= 1
     header = rows[top:first]
     if not header:  # the first row is damaged, or there is none
@@ -256,6 +256,15 @@ def _named(header: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...]
                 row[i] = row[i - 1]
     names = ["_".join(cell for cell in column if cell) for column in zip(*rows, strict=True)]
     return tuple(names), tuple(units)
+
+
+def _is_row(row: Sequence[str], decimal: str) -> bool:
+    return _is_header(row) and _numbers(row, decimal) > 0
+
+
+def _is_header(row: Sequence[str]) -> bool:
+    """Whether a row of the right length may be one of names: a remark fills one or two cells."""
+    return any(row[2:]) if len(row) > 3 else any(row)
 
 
 def _is_units(row: Sequence[str]) -> bool:

@@ -100,7 +100,7 @@ def read_long_table(
     text += [clock] if clock is not None and words_of_time else []
     codes: dict[tuple[str, str], int] = {}
     parts: list[_Part] = []
-    times: list[NDArray[np.float64]] = []
+    times: list[NDArray[Any]] = []
     for piece in pieces(path, columns, text, progress, layout):
         rows = len(piece[x])
         names = piece[individual] if individual else np.full(rows, LONE, dtype=object)
@@ -112,7 +112,7 @@ def read_long_table(
         if frame is not None:
             when = _frame_numbers(path, frame, piece[frame])
         if clock is not None:
-            times.append(seconds(path, clock, piece[clock], time_unit))
+            times.append(piece[clock])
         parts.append((when, which, values, weight))
     if not parts or not codes:
         raise InputError(f"{path}: it has a header but no rows: check the file")
@@ -122,12 +122,10 @@ def read_long_table(
         group = np.array([sets_of[name] for name, _ in codes])[
             np.concatenate([p[1] for p in parts])
         ]
+        every = seconds(path, clock, np.concatenate(times), time_unit)
         if frame is not None:
-            fps = rate_of_frames(
-                path, np.concatenate([part[0] for part in parts]), np.concatenate(times), group
-            )
+            fps = rate_of_frames(path, np.concatenate([part[0] for part in parts]), every, group)
         else:
-            every = np.concatenate(times)
             fps, numbers = frames_at(path, every, fps, group)
             starts = {name: float(every[group == i].min()) for name, i in sets_of.items()}
             edges = np.cumsum([len(part[0]) for part in parts])[:-1]
