@@ -428,5 +428,5 @@ def test_exports_of_an_encoding_that_is_named_are_read_in_it(tmp_path: Path) -> 
     text = io.StringIO()
     TIMED.replace({"individual": {"male": "самец"}}).to_csv(text, index=False)
     (tmp_path / "t.csv").write_bytes(text.getvalue().encode("cp1251"))
-    (tracks,) = read_tracks(tmp_path / "t.csv", encoding="cp1251")
+    (tracks,) = read_tracks(tmp_path / "t.csv", "long-table", encoding="cp1251")
     assert "самец" in tracks.individuals

@@ -62,15 +62,21 @@ def import_command(
         float | None, typer.Option(help="Open arena: the file's units per arena unit.")
     ] = None,
     cut: Annotated[str | None, typer.Option(help="whole, approach or events.")] = None,
-    farther_than: Annotated[float | None, typer.Option(help="An approach starts here.")] = None,
-    closer_than: Annotated[float | None, typer.Option(help="An approach ends here.")] = None,
+    farther_than: Annotated[
+        float | None, typer.Option(help="An approach starts here, in arena units.")
+    ] = None,
+    closer_than: Annotated[
+        float | None, typer.Option(help="An approach ends here, in arena units.")
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option(
             help="An approach starts at the separation, or at the approach: the last time."
         ),
     ] = None,
-    contact: Annotated[float | None, typer.Option(help="whole: ends within this.")] = None,
+    contact: Annotated[
+        float | None, typer.Option(help="whole: ends within this, in arena units.")
+    ] = None,
     piece: Annotated[float | None, typer.Option(help="whole: cut into pieces, s.")] = None,
     longest: Annotated[float | None, typer.Option(help="Leave longer episodes out, s.")] = None,
     keep_last: Annotated[float | None, typer.Option(help="Keep the last seconds.")] = None,

@@ -121,8 +121,8 @@ def _guess(path: Path, file: IO[bytes]) -> str:
     best = from_bytes(sample, cp_isolation=CODE_PAGES).best()
     guess = "" if best is None else f" (it may be {best.encoding})"
     raise InputError(
-        f"{path}: its encoding is not clear{guess}: save it as UTF-8, or name the encoding by "
-        "--option encoding=NAME"
+        f"{path}: its encoding is not clear{guess}: save it as UTF-8, or say what it is by "
+        "--source long-table --option encoding=NAME"
     )
 
 

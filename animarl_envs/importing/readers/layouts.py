@@ -208,13 +208,13 @@ def _of_header_only(lines: Sequence[str]) -> Layout:
 
 
 def _decimal(rows: Sequence[Sequence[str]], separator: str) -> str:
-    """A comma where some cell is a number only with it, and none is one only with a point."""
+    """A comma where more cells are numbers only with it than only with a point."""
     if separator == ",":
         return "."
     cells = [cell for row in rows for cell in row]
-    comma = any(re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", cell) for cell in cells)
-    point = any(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell) for cell in cells)
-    return "," if comma and not point else "."
+    comma = sum(bool(re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+    point = sum(bool(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+    return "," if comma > point else "."
 
 
 def is_number(cell: str, decimal: str = ".") -> bool:
