@@ -111,8 +111,10 @@ def read_wide_table(
 
 def wide_columns(names: list[str], habit: Columns) -> dict[str, list[str]]:
     """Pairs of columns that differ in an x and a y; a lone x and y where no animal is named."""
+    if habit.individual is not None or {"individual", "x"} & set(habit.unclear):
+        return {}  # of rows of several individuals, or of points that might be taken for them
     if habit.x is not None and habit.y is not None:
-        return {LONE: [habit.x, habit.y]} if habit.individual is None else {}
+        return {LONE: [habit.x, habit.y]}
     known = {one.bare: one.column for one in named(names)}
     if len(known) < len(names):
         known = {name: name for name in names}
