@@ -14,6 +14,7 @@ from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.demos.summary import TRACKING, episode_table, summarise
 from animarl_envs.importing.import_recipe import ImportRecipe
 
+UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 Row = tuple[str, str]
 _SPLITS = {
@@ -129,6 +130,13 @@ def hints(demos: Demonstrations) -> list[str]:
         found.append(
             "nobody is the target: name who is pursued by --target NAME, or --target auto for the "
             "one whom the others approach"
+        )
+    sizes = [float(scale["unit"]) for scale in demos.provenance.get("scales", {}).values()]
+    if sizes and max(sizes) > UNLIKE * min(sizes):
+        found.append(
+            f"SCALES DIFFER: an arena unit is {min(sizes):.4g} to {max(sizes):.4g} "
+            f"{demos.provenance.get('unit', 'units of the file')}, each recording by its own "
+            "extent, so speeds of different recordings do not compare: give one --arena-width"
         )
     tested = int((demos.split == "test").sum())
     if tested < FEWEST_TESTED:
