@@ -219,8 +219,12 @@ def _decimal(rows: Sequence[Sequence[str]], separator: str) -> str:
 
 def is_number(cell: str, decimal: str = ".") -> bool:
     """Whether a cell is one, as the parser takes it."""
+    if decimal == ",":
+        if "." in cell:  # it might part thousands
+            return False
+        cell = cell.replace(",", ".")
     try:
-        float(cell.replace(",", ".") if decimal == "," else cell)
+        float(cell)
     except ValueError:
         return False
     return "_" not in cell
