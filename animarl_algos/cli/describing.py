@@ -14,6 +14,8 @@ from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.demos.summary import TRACKING, episode_table, summarise
 from animarl_envs.importing.import_recipe import ImportRecipe
 
+UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
+FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 Row = tuple[str, str]
 _SPLITS = {
     "auto": f"recording (by episode with fewer than {FEWEST_RECORDINGS})",
@@ -97,7 +99,9 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
         size = "each recording's extent" if scale.width is None else f"{scale.width:g} units wide"
         scaling = f"{scale.shape}, {size}"
     if cut.mode == "approach":
-        cutting = f"from farther than {cut.farther_than:g} to closer than {cut.closer_than:g}"
+        cutting = (
+            f"from farther than {cut.farther_than:g} to closer than {cut.closer_than:g} arena units"
+        )
     elif cut.mode == "events":
         cutting = f"by the table {cut.events}"
     else:
@@ -126,6 +130,19 @@ def hints(demos: Demonstrations) -> list[str]:
         found.append(
             "nobody is the target: name who is pursued by --target NAME, or --target auto for the "
             "one whom the others approach"
+        )
+    sizes = [float(scale["unit"]) for scale in demos.provenance.get("scales", {}).values()]
+    if sizes and max(sizes) > UNLIKE * min(sizes):
+        found.append(
+            f"SCALES DIFFER: an arena unit is {min(sizes):.4g} to {max(sizes):.4g} "
+            f"{demos.provenance.get('unit', 'units of the file')}, each recording by its own "
+            "extent, so speeds of different recordings do not compare: give one --arena-width"
+        )
+    tested = int((demos.split == "test").sum())
+    if tested < FEWEST_TESTED:
+        found.append(
+            f"split test has {_count(tested, 'episode')}, fewer than {FEWEST_TESTED}, so that an "
+            "evaluation says little: record more, or cut shorter pieces by --piece SECONDS"
         )
     unfilled = sum(
         one.get("untracked", 0) - one.get("filled", 0)

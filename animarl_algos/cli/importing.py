@@ -17,6 +17,8 @@ from animarl_envs.errors import InputError
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, find_reader, follow, read
 
+SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
+
 
 def import_command(
     files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
@@ -32,6 +34,9 @@ def import_command(
     ] = None,
     individuals: Annotated[
         str | None, typer.Option(help="Which, in order: a,b,c; rename by a=male,b=female.")
+    ] = None,
+    merge_individuals: Annotated[
+        bool | None, typer.Option("--merge-individuals", help="One file per animal: put together.")
     ] = None,
     target: Annotated[
         str | None, typer.Option(help="Name of the pursued individual, or auto: who is approached.")
@@ -57,15 +62,21 @@ def import_command(
         float | None, typer.Option(help="Open arena: the file's units per arena unit.")
     ] = None,
     cut: Annotated[str | None, typer.Option(help="whole, approach or events.")] = None,
-    farther_than: Annotated[float | None, typer.Option(help="An approach starts here.")] = None,
-    closer_than: Annotated[float | None, typer.Option(help="An approach ends here.")] = None,
+    farther_than: Annotated[
+        float | None, typer.Option(help="An approach starts here, in arena units.")
+    ] = None,
+    closer_than: Annotated[
+        float | None, typer.Option(help="An approach ends here, in arena units.")
+    ] = None,
     start: Annotated[
         str | None,
         typer.Option(
             help="An approach starts at the separation, or at the approach: the last time."
         ),
     ] = None,
-    contact: Annotated[float | None, typer.Option(help="whole: ends within this.")] = None,
+    contact: Annotated[
+        float | None, typer.Option(help="whole: ends within this, in arena units.")
+    ] = None,
     piece: Annotated[float | None, typer.Option(help="whole: cut into pieces, s.")] = None,
     longest: Annotated[float | None, typer.Option(help="Leave longer episodes out, s.")] = None,
     keep_last: Annotated[float | None, typer.Option(help="Keep the last seconds.")] = None,
@@ -106,6 +117,7 @@ def import_command(
         return
     given: dict[str, Any] = {
         "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
+        "merge_individuals": merge_individuals,
         "condition": condition, "licence": licence, "options": _options(option) or None,
         "cleaning": {
             "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,
@@ -156,6 +168,9 @@ def _options(given: list[str] | None) -> dict[str, Any]:
         name, equals, value = entry.partition("=")
         if not equals:
             raise InputError(f"option {entry!r} has no '=': write name=value")
+        if value.strip() in SIGNS:
+            found[name.strip()] = value.strip()
+            continue
         try:
             found[name.strip()] = yaml.safe_load(value)
         except yaml.YAMLError:

@@ -84,8 +84,9 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     if settings.drop_jumps:
         bodies = bodies.copy()
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
-    done["untracked"] = int(np.count_nonzero(np.isnan(bodies).any(axis=2)))
-    gaps = np.isnan(bodies).any(axis=2)
+    gaps: NDArray[np.bool_] = np.isnan(bodies).any(axis=2)
+    seen = np.flatnonzero(~gaps.all(axis=1))  # before and after, nobody was in the recording
+    done["untracked"] = int(np.count_nonzero(gaps[seen[0] : seen[-1] + 1])) if len(seen) else 0
     bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
     if settings.max_gap > 0:
         inside = np.asarray(gaps & np.isfinite(bodies).all(axis=2))

@@ -32,6 +32,8 @@ class ImportRecipe:
         For the reader.
     individuals
         Which to take, in which order; ``None``: all. ``rename`` gives them other names.
+    merge_individuals
+        Whether the files hold one animal each of one recording.
     target
         Name of the target (after renaming), ``"auto"``: who is approached, ``None``: none.
     searcher
@@ -51,6 +53,7 @@ class ImportRecipe:
     options: Mapping[str, Any] = field(default_factory=dict)
     individuals: tuple[str, ...] | None = None
     rename: Mapping[str, str] = field(default_factory=dict)
+    merge_individuals: bool = False
     target: str | None = None
     searcher: bool = False
     frame_rate: float | None = None

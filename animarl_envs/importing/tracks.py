@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -13,6 +14,7 @@ from animarl_envs.checks import check_names
 from animarl_envs.errors import InputError
 
 CENTROID = "centroid"
+APART = 0.25  # of a frame that files of one recording may be apart
 LARGEST = 1e9  # no tracker writes larger coordinates
 
 
@@ -30,6 +32,8 @@ class Tracks:
         ``(frames, individuals, keypoints, 2)`` in ``unit``; NaN where not tracked.
     frame_rate
         [Hz]; ``None`` where the file does not say.
+    start
+        Time of frame 0 by the clock that the files of one recording share [s].
     unit
         Such as ``"px"``, ``"mm"``, ``"m"``.
     y_down
@@ -50,6 +54,7 @@ class Tracks:
     keypoints: tuple[str, ...] = (CENTROID,)
     positions: NDArray[np.float64]
     frame_rate: float | None = None
+    start: float = 0.0
     unit: str = "px"
     y_down: bool = False
     confidence: NDArray[np.float64] | None = None
@@ -136,6 +141,43 @@ class Tracks:
         )
 
 
+def check_extent(recording: str, frames: int, group: Sequence[Tracks]) -> None:
+    """Refuse files of one recording that are of quite different times."""
+    if frames > 2 * sum(len(part) for part in group):
+        raise InputError(
+            f"{recording}: its files lie so far apart in time that they hardly are of one "
+            "recording: import them one by one"
+        )
+
+
+def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
+    """Files of one animal each become one recording; what differs in their names is the animal's.
+
+    ``pair1_maleDLC_resnet50`` and ``pair1_femaleDLC_resnet50`` are ``male`` and ``female``.
+    """
+    stems = [part.recording.partition("DLC_")[0].removesuffix("DLC") for part in parts]
+    several = [part for part in parts if len(part.individuals) > 1]
+    if several or len(parts) < 2 or len(set(stems)) < len(stems):
+        raise InputError(
+            f"{parts[0].recording}: merging individuals needs two files or more, of one animal "
+            "each, with names that differ: leave --merge-individuals out"
+        )
+    words = [re.split(r"([\s_.\-]+)", stem) for stem in stems]
+    same = len({len(one) for one in words}) == 1
+    columns = list(zip(*words, strict=True)) if same else []
+    differing = [i for i, column in enumerate(columns) if len(set(column)) > 1]
+    names, recording = stems, "merged"
+    if differing:
+        first, last = differing[0], differing[-1] + 1
+        names = ["".join(one[first:last]) for one in words]
+        rest = "".join([*words[0][:first], *words[0][last:]])
+        recording = rest.strip("_-. ") or recording
+    return [
+        replace(part, recording=recording, individuals=(name,))
+        for part, name in zip(parts, names, strict=True)
+    ]
+
+
 def merge(parts: Sequence[Tracks]) -> list[Tracks]:
     """Tracks of one recording become one; individuals side by side, frames up to the longest."""
     by_name: dict[str, list[Tracks]] = {}
@@ -152,13 +194,24 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
                 f"{first.recording}: its files differ in keypoints or frame rate: "
                 "import them one by one"
             )
-    frames = max(len(part) for part in group)
+    begin = min(part.start for part in group)
+    exact = [(part.start - begin) * (part.frame_rate or 0.0) for part in group]
+    late = [round(frames) for frames in exact]
+    if max(abs(a - b) for a, b in zip(exact, late, strict=True)) > APART:
+        raise InputError(
+            f"{first.recording}: its files begin at times between each other's frames: resample "
+            "them, or import them one by one"
+        )
+    frames = max(len(part) + after for part, after in zip(group, late, strict=True))
+    check_extent(first.recording, frames, group)
     positions = np.full(
         (frames, sum(len(p.individuals) for p in group), len(first.keypoints), 2), np.nan
     )
     column = 0
-    for part in group:
-        positions[: len(part), column : column + len(part.individuals)] = part.positions
+    for part, after in zip(group, late, strict=True):
+        positions[after : after + len(part), column : column + len(part.individuals)] = (
+            part.positions
+        )
         column += len(part.individuals)
     return replace(
         first,

@@ -52,6 +52,9 @@ def read_values(kind: Kind, path: Path) -> Values:
     return found
 
 
+ETHOVISION = "Number of header lines:"  # the first cell of its header, before a number
+
+
 def assert_is_a_sentence(error: InputError) -> None:
     assert str(error) and "\n" not in str(error)
 
@@ -90,10 +93,10 @@ def second_reading(path: Path) -> list[list[float]]:
     """The rows of a text table that hold numbers, by another parser and strictly."""
     found = []
     delimiter = "\t" if path.suffix == ".tsv" else ","
-    with path.open(newline="", encoding="utf-8-sig") as file:
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
         for row in csv.reader(file, delimiter=delimiter):
             numbers = [float(cell) if NUMBER.fullmatch(cell) else math.nan for cell in row]
-            if not all(map(math.isnan, numbers)):
+            if row[:1] != [ETHOVISION] and not all(map(math.isnan, numbers)):
                 found.append(numbers)
     return found
 

@@ -334,6 +334,14 @@ def write_fly_groups(folder: Path) -> Path:
     return path
 
 
+def write_ethovision(folder: Path) -> Path:
+    head = ['"Number of header lines:","5"', '"Trial name","Trial 1"', '"Subject name","male"']
+    head += ["Trial time,X center,Y center", "s,cm,cm"]
+    rows = [f"{t / 25},{x!r},{y!r}" for t, (x, y) in enumerate(BODIES[:, 0].tolist())]
+    (folder / "raw_data.txt").write_text("\n".join([*head, *rows]) + "\n")
+    return folder / "raw_data.txt"
+
+
 @dataclass(frozen=True)
 class Kind:
     """One layout.
@@ -372,6 +380,7 @@ KINDS: dict[str, Kind] = {
     "native": Kind(write_native, "animarl", "else", "checksum"),
     "minari": Kind(write_minari, "minari", "else", "structure", ("metadata.json",)),
     "agents": Kind(write_agents, "agents", "else", "checksum"),
+    "ethovision": Kind(write_ethovision, "ethovision", "else", "text"),
     "trex": Kind(write_trex, "trex", "else", "checksum"),
     "mothvr": Kind(write_mothvr, "mothvr", "else", "text"),
     "termites": Kind(write_termites, "termites", "else", "checksum", ("index.csv",)),

@@ -6,12 +6,14 @@ from animarl_envs.importing.readers import (
     authors,
     collections,
     deeplabcut,
+    ethovision,
     mothvr,
     movement_tables,
     own,
     pose,
     tables,
     trackers,
+    wide_tables,
 )
 from animarl_envs.importing.readers.registry import (
     Reader,
@@ -28,6 +30,7 @@ from animarl_envs.importing.readers.registry import (
 
 __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
-    "default_recipe", "find_reader", "follow", "get_reader", "mothvr", "movement_tables", "own",
-    "pose", "read", "read_tracks", "register_reader", "register_track_reader", "tables", "trackers",
+    "default_recipe", "ethovision", "find_reader", "follow", "get_reader", "mothvr",
+    "movement_tables", "own", "pose", "read", "read_tracks", "register_reader",
+    "register_track_reader", "tables", "trackers", "wide_tables",
 ]  # fmt: skip

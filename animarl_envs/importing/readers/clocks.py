@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,12 @@ from animarl_envs.errors import InputError
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame
 LARGEST_FRAME = 2**31
+CLEARLY = 0.1  # of a frame: how far a step is from whole frames that tells the rate
+ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
+FEW_FRAMES = 3  # steps of more do not tell the rate
+SLOWEST, FASTEST = 0.2, 2000.0  # [Hz] that recordings of animals have
+IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2})?([.,]\d+)?")
 
 
 def even_rate(path: Path, time: NDArray[np.float64]) -> float:
@@ -40,28 +48,94 @@ def refuse_uneven_frames(path: Path, frames: NDArray[np.float64]) -> None:
 
 
 def frames_at(
-    path: Path, time: NDArray[np.float64], rate: float | None
+    path: Path,
+    time: NDArray[np.float64],
+    rate: float | None,
+    group: NDArray[np.integer] | None = None,
 ) -> tuple[float, NDArray[np.int32]]:
     """Frame rate [Hz] and frame number ``(rows,)`` of times [s] in any order, repeats allowed.
 
-    The earliest time is frame 0. Without ``rate`` the median step between different times gives it.
+    The earliest time of each ``group`` is frame 0. Without ``rate`` the steps between different
+    times give it: the median, made exact by all steps of few frames, whole where that fits.
     """
     if not np.isfinite(time).all():
         row = int((~np.isfinite(time)).argmax()) + 1
         raise InputError(f"{path}: row {row} has no time: fill it in, or leave the row out")
-    first = float(time.min())
+    group = np.zeros(len(time), dtype=np.int64) if group is None else group
+    first = np.full(int(group.max()) + 1, np.inf)
+    np.minimum.at(first, group, time)
+    since = time - first[group]
     if rate is None:
-        different = np.unique(time)
-        if len(different) < 2:
+        step = _steps(group, since)
+        if len(step) == 0:
             raise InputError(f"{path}: all rows have the same time: give --option fps=...")
-        rate = round(1.0 / float(np.median(np.diff(different))), 6)
-    exact = (time - first) * rate
-    frames = np.rint(exact)
-    off = np.abs(exact - frames)
-    if off.max() > UNEVEN or frames.max() >= LARGEST_FRAME:
-        row = int(off.argmax()) + 1
+        usual = float(np.median(step))
+        frames = np.rint(step / usual)
+        few = (frames >= 1) & (frames <= FEW_FRAMES) & (np.abs(step / usual - frames) < CLEARLY)
+        exact = round(float(frames[few].sum() / step[few].sum()), 6)
+        whole = [float(round(exact))] if abs(round(exact) - exact) < ROUNDING * exact else []
+        rates = [*whole, exact]
+    else:
+        rates = [rate]
+    for rate in rates:
+        numbers = np.rint(since * rate)
+        off = np.abs(since * rate - numbers)
+        if rate > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
+            return rate, numbers.astype(np.int32)
+    row = int(off.argmax()) + 1
+    raise InputError(
+        f"{path}: the time of row {row} lies between frames at {rate:g} Hz: mend it, or give "
+        "the right --option fps=..."
+    )
+
+
+def _steps(group: NDArray[np.integer], since: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Steps between different times of the same group."""
+    order = np.lexsort((since, group))
+    step = np.diff(since[order])
+    return np.asarray(step[(np.diff(group[order]) == 0) & (step > 0)])
+
+
+def rate_of_frames(
+    path: Path, frames: NDArray[np.integer], time: NDArray[np.float64], group: NDArray[np.integer]
+) -> float:
+    """Frame rate [Hz] of rows that have a frame number and a time [s] each."""
+    order = np.lexsort((frames, group))
+    steps, passed = np.diff(frames[order].astype(np.int64)), np.diff(time[order])
+    use = (np.diff(group[order]) == 0) & (steps > 0) & (passed > 0)
+    if not use.any():
+        raise InputError(f"{path}: its times do not rise with its frames: give --option fps=...")
+    return round(1.0 / float(np.median(passed[use] / steps[use])), 6)
+
+
+def seconds(path: Path, column: str, values: NDArray[Any], unit: str | None) -> NDArray[np.float64]:
+    """Times in seconds: numbers of a unit, ISO 8601 dates, or clock times such as 0:01:02.5."""
+    if values.dtype.kind == "f":
+        if (unit or "s") not in IN_SECONDS:
+            raise InputError(
+                f"{path}: times in {unit!r} are unknown: choose one of {', '.join(IN_SECONDS)}"
+            )
+        return np.asarray(values * IN_SECONDS[unit or "s"])
+    import pandas
+
+    texts = pandas.Series(values)
+    try:
+        if CLOCK.fullmatch(str(texts.iloc[0])):
+            return np.asarray(pandas.to_timedelta(texts).dt.total_seconds(), dtype=np.float64)
+        moments = pandas.to_datetime(texts, format="ISO8601", utc=True)
+    except (ValueError, OverflowError) as error:
         raise InputError(
-            f"{path}: the time of row {row} lies between frames at {rate:g} Hz: mend it, or give "
-            "the right --option fps=..."
+            f"{path}: column {column!r} holds times that are not ISO 8601, such as "
+            f"2024-05-01 10:00:00.25 ({str(error)[:100]}): mend them, or use a column of seconds"
+        ) from None
+    passed = moments - moments.min().normalize()  # since midnight: more digits than since 1970
+    return np.asarray(passed.dt.total_seconds(), dtype=np.float64)
+
+
+def check_rate(path: Path, column: str, rate: float) -> None:
+    """Refuse times of no stated unit that can hardly be seconds."""
+    if not SLOWEST <= rate <= FASTEST:
+        raise InputError(
+            f"{path}: the times of column {column!r} would make {rate:.4g} frames a second if they "
+            "were seconds: say what they are by --option time_unit=ms (or us, min, s)"
         )
-    return rate, frames.astype(np.int32)

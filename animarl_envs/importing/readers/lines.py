@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import IO
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +21,33 @@ BLOCK = 2**20  # [bytes]
 _NUL, _LINE_FEED, _RETURN, _QUOTE = 0, 10, 13, 34
 
 
+class Readable(Protocol):
+    """What gives bytes."""
+
+    def read(self, size: int = -1, /) -> bytes:
+        """At most so many."""
+
+    def readline(self, size: int = -1, /) -> bytes:
+        """The next line."""
+
+    def close(self) -> None:
+        """Done with it."""
+
+
 class CheckedLines(io.RawIOBase):
     """Passes a file's bytes on and refuses the first line whose cells are not ``cells`` in number.
 
     Blank lines count for none. Separators and line ends inside quotes belong to the cell.
-    ``seen`` is the number of bytes passed on.
+    ``seen`` is the number of bytes passed on; ``before`` the number of lines left out above them.
     """
 
-    def __init__(self, file: IO[bytes], path: Path, separator: str, cells: int) -> None:
+    def __init__(
+        self, file: Readable, path: Path, separator: str, cells: int, before: int = 0
+    ) -> None:
         self.seen = 0
         self._file, self._path, self._cells = file, path, cells
         self._separator = ord(separator)
-        self._line = 1
+        self._line = 1 + before
         self._separators = 0  # on the line that a block broke off
         self._length = 0  # of that line [bytes]
         self._quoted = False

@@ -19,8 +19,9 @@ from animarl_envs.files import refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers.guards import refusing
+from animarl_envs.importing.readers.habits import what_to_type
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
-from animarl_envs.importing.tracks import Tracks, merge
+from animarl_envs.importing.tracks import Tracks, merge, one_per_individual
 
 ReadDemonstrations = Callable[..., Demonstrations]
 ReadTracks = Callable[..., list[Tracks]]
@@ -54,6 +55,7 @@ class Reader:
         return tuple(k for k in inspect.signature(function).parameters if k not in _NOT_OPTIONS)
 
 
+TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet")
 _NOT_OPTIONS = ("path", "progress")
 _READERS: dict[str, Reader] = {}
 
@@ -119,6 +121,8 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
             return reader
     if is_hdf(path):
         open_hdf(path).close()  # says so if the extra is missing or the file is damaged
+    if path.suffix.lower() in TABLES and (words := what_to_type(path)):
+        raise InputError(f"{path}: no reader recognises it: {words}")
     raise InputError(
         f"{path}: no reader recognises it: name its --source "
         f"({', '.join(reader.name for reader in available_readers())})"
@@ -200,6 +204,8 @@ def follow(
         told = _part_of(progress, number, len(files))
         parts += read_tracks(file, recipe.source, progress=told, **recipe.options)
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+    if recipe.merge_individuals:
+        parts = one_per_individual(parts)
     return demonstrations_from_tracks(merge(parts), recipe, name)
 
 

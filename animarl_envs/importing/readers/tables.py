@@ -1,8 +1,7 @@
-"""Long tables (a row per frame and individual) and wide ones (a row per frame); CSV and Parquet.
+"""Long tables: a row per frame and individual, in CSV, TSV, text of any layout, Excel or Parquet.
 
-Columns are named by options. A long table may hold several recordings, told apart by a column. The
-frame rate comes from ``fps``, or from a column of times in seconds. Separators are comma, tab (in a
-``.tsv``) or semicolon (where the header has no comma); ``decimal`` may be a comma.
+Columns are found by their names or named by options. A table may hold several recordings, told
+apart by a column. The frame rate comes from ``fps``, or from a column of times.
 """
 
 from __future__ import annotations
@@ -17,77 +16,127 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 from animarl_envs.files import check_size
-from animarl_envs.importing.readers.clocks import even_rate, frames_at, refuse_uneven_frames
+from animarl_envs.importing.readers.clocks import check_rate, frames_at, rate_of_frames, seconds
+from animarl_envs.importing.readers.habits import columns_by_habit, what_to_type
+from animarl_envs.importing.readers.layouts import Layout, layout_of, names_by_look
+from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import (
-    MOST_COLUMNS,
-    check_header,
-    column_names,
-    numbered,
-    pieces,
-)
+from animarl_envs.importing.readers.tabular import numbered, pieces
 from animarl_envs.importing.tracks import Tracks
 
 LONE = "individual_0"  # of a table with one x and one y
-EXTENSIONS = (".csv", ".tsv", ".parquet", ".pq")
+EXTENSIONS = (
+    ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq"
+)  # fmt: skip
 Progress = Callable[[float], None] | None
 # Frame numbers, codes of recording and individual, positions (rows, 2), confidence.
 _Part = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any] | None]
 
 
+def table_layout(
+    path: Path, encoding: str | None, sheet: str | None, decimal: str | None
+) -> Layout:
+    """The layout of a text or workbook; of Parquet only the names."""
+    if is_parquet(path):
+        names = tuple(parquet_names(path))
+        return Layout(names, ("",) * len(names))
+    return layout_of(path, encoding, sheet, decimal)
+
+
+def _is_long(path: Path) -> bool:
+    names = parquet_names(path) if is_parquet(path) else names_by_look(path)
+    return columns_by_habit(names).is_long
+
+
 @register_track_reader(
     "long-table",
-    "a row per frame and individual (CSV, TSV, Parquet); columns frame, id, x, y by option",
-    sniff=lambda path: {"frame", "id", "x", "y"} <= set(column_names(path)),
+    "a row per frame and individual (CSV, TSV, text, Excel, Parquet); columns by habit or option",
+    sniff=_is_long,
     extensions=EXTENSIONS,
     generic=True,
 )
 def read_long_table(
     path: Path,
-    frame: str = "frame",
-    individual: str = "id",
-    x: str = "x",
-    y: str = "y",
+    frame: str | None = None,
+    individual: str | None = None,
+    x: str | None = None,
+    y: str | None = None,
     confidence: str | None = None,
     recording: str | None = None,
     time: str | None = None,
     fps: float | None = None,
-    unit: str = "px",
+    unit: str | None = None,
+    time_unit: str | None = None,
     y_down: bool = False,
-    decimal: str = ".",
+    decimal: str | None = None,
+    encoding: str | None = None,
+    sheet: str | None = None,
     progress: Progress = None,
 ) -> list[Tracks]:
     """One or more recordings; frames are whole numbers, missing rows are gaps.
 
-    ``time`` names a column of seconds that stands in for ``frame``; without ``fps`` it gives the
-    frame rate as well.
+    ``time`` names a column of times (numbers in ``time_unit``, by default seconds, or ISO 8601)
+    that stands in for ``frame``; without ``fps`` it gives the frame rate as well. Frame 0 is the
+    earliest time of each recording.
     """
-    columns = [time or frame, individual, x, y]
-    columns += [name for name in (confidence, recording) if name is not None]
-    text = [name for name in (individual, recording) if name is not None]
+    layout = table_layout(path, encoding, sheet, decimal)
+    habit = columns_by_habit(layout.names, layout.units)
+    given = {"frame": frame or time, "individual": individual, "x": x, "recording": recording}
+    if any(given.get(part, part) is None for part in habit.unclear) and (
+        words := what_to_type(path)
+    ):
+        raise InputError(f"{path}: {words}")
+    x, y = x or habit.x or "x", y or habit.y or "y"
+    recording = recording or habit.recording
+    confidence = confidence or habit.confidence
+    individual = individual or habit.individual or (None if recording else "id")
+    clock = time or (habit.time if frame is None else None)
+    frame = None if time is not None else frame or habit.frame or (None if clock else "frame")
+    if clock is not None and time is None:
+        time_unit = time_unit or habit.time_unit or None
+    columns = [name for name in (frame, clock, individual, x, y, confidence, recording) if name]
+    words_of_time = clock is not None and clock in layout.words_in
+    text = [name for name in (individual, recording) if name]
+    text += [clock] if clock is not None and words_of_time else []
     codes: dict[tuple[str, str], int] = {}
     parts: list[_Part] = []
-    for piece in pieces(path, columns, text, progress, decimal):
-        names = piece[individual]
+    times: list[NDArray[Any]] = []
+    for piece in pieces(path, columns, text, progress, layout):
+        rows = len(piece[x])
+        names = piece[individual] if individual else np.full(rows, LONE, dtype=object)
         sets = piece[recording] if recording is not None else None
         which = _codes(codes, names, sets, path.stem)
         values = np.column_stack([piece[x], piece[y]])
         weight = piece[confidence] if confidence is not None else None
-        if time is None:
-            when: NDArray[Any] = _frame_numbers(path, frame, piece[frame])
-        else:
-            when = piece[time]
+        when: NDArray[Any] = np.zeros(rows, dtype=np.int32)
+        if frame is not None:
+            when = _frame_numbers(path, frame, piece[frame])
+        if clock is not None:
+            times.append(piece[clock])
         parts.append((when, which, values, weight))
     if not parts or not codes:
         raise InputError(f"{path}: it has a header but no rows: check the file")
-    if time is not None:
-        rate, numbers = frames_at(path, np.concatenate([part[0] for part in parts]), fps)
-        edges = np.cumsum([len(part[0]) for part in parts])[:-1]
-        parts = [
-            (own, *part[1:]) for own, part in zip(np.split(numbers, edges), parts, strict=True)
+    starts: dict[str, float] = {}
+    if clock is not None and (frame is None or fps is None):
+        sets_of = {name: i for i, name in enumerate(dict.fromkeys(name for name, _ in codes))}
+        group = np.array([sets_of[name] for name, _ in codes])[
+            np.concatenate([p[1] for p in parts])
         ]
-        fps = rate
-    return _spread(path, codes, parts, fps, unit, y_down)
+        every = seconds(path, clock, np.concatenate(times), time_unit)
+        if frame is not None:
+            fps = rate_of_frames(path, np.concatenate([part[0] for part in parts]), every, group)
+        else:
+            fps, numbers = frames_at(path, every, fps, group)
+            starts = {name: float(every[group == i].min()) for name, i in sets_of.items()}
+            edges = np.cumsum([len(part[0]) for part in parts])[:-1]
+            parts = [
+                (own, *part[1:]) for own, part in zip(np.split(numbers, edges), parts, strict=True)
+            ]
+        if not words_of_time and time is None and time_unit is None:
+            check_rate(path, clock, fps)
+    return _spread(
+        path, codes, parts, fps, unit or habit.unit or "px", y_down, layout.words, starts
+    )
 
 
 def _frame_numbers(path: Path, column: str, frames: NDArray[np.float64]) -> NDArray[np.int32]:
@@ -130,6 +179,8 @@ def _spread(
     fps: float | None,
     unit: str,
     y_down: bool,
+    read_as: str,
+    starts: dict[str, float],
 ) -> list[Tracks]:
     """Rows to arrays ``(frames, individuals, 1, 2)``, a Tracks per recording."""
     count = len(codes)
@@ -170,107 +221,11 @@ def _spread(
         found.append(
             Tracks(
                 recording=name, individuals=individuals, positions=positions, frame_rate=fps,
-                unit=unit, y_down=y_down, confidence=weights,
-                provenance={"file": path.name},
+                unit=unit, y_down=y_down, confidence=weights, start=starts.get(name, 0.0),
+                provenance={"file": path.name, "read_as": read_as},
             )
         )  # fmt: skip
     return found
-
-
-@register_track_reader(
-    "wide-table",
-    "a row per frame (CSV, TSV, Parquet); columns x_NAME and y_NAME, or pairs by option",
-    sniff=lambda path: len(_wide_columns(column_names(path)[:MOST_COLUMNS])) > 0,
-    extensions=EXTENSIONS,
-    generic=True,
-)
-def read_wide_table(
-    path: Path,
-    columns: dict[str, list[str]] | None = None,
-    time: str | None = None,
-    fps: float | None = None,
-    unit: str = "px",
-    y_down: bool = False,
-    decimal: str = ".",
-    progress: Progress = None,
-) -> list[Tracks]:
-    """One recording. ``columns`` maps each individual to its x and y column.
-
-    Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
-    A column ``time`` [s] gives the frame rate and must run evenly; one that is called ``frame``
-    must rise by one from row to row.
-    """
-    header = column_names(path)
-    check_header(path, header)
-    if columns is None:
-        _refuse_lone(path, header)
-    found = columns or _wide_columns(header)
-    if not found or any(len(pair) != 2 for pair in found.values()):
-        raise InputError(
-            f"{path}: it has no pairs of x and y columns: name them, such as "
-            "columns: {male: [mx, my], female: [fx, fy]}"
-        )
-    clocks = [time] if time else [name for name in ("frame",) if header.count(name) == 1]
-    wanted = [name for pair in found.values() for name in pair] + clocks
-    parts, clock = [], []
-    for piece in pieces(path, wanted, (), progress, decimal):
-        parts.append(
-            np.stack([np.column_stack([piece[a], piece[b]]) for a, b in found.values()], axis=1)
-        )
-        clock += [piece[name] for name in clocks]
-    if not parts:
-        raise InputError(f"{path}: it has a header but no rows: check the file")
-    if time is not None:
-        fps = fps or even_rate(path, np.concatenate(clock))
-    elif clocks:
-        refuse_uneven_frames(path, np.concatenate(clock))
-    return [
-        Tracks(
-            recording=path.stem, individuals=tuple(found),
-            positions=np.concatenate(parts)[:, :, None], frame_rate=fps, unit=unit,
-            y_down=y_down, provenance={"file": path.name},
-        )
-    ]  # fmt: skip
-
-
-def _refuse_lone(path: Path, names: list[str]) -> None:
-    """Refuse an x without its y, whose animal would be left out silently."""
-    known = set(names)
-    pairs = _wide_columns(names).values()
-    joined = any(re.match(r"x[^\W\d_]", x) for x, _ in pairs)  # as xmale, ymale
-    after = r"(?=.)" if joined else r"(?=[_ .]|\d+$)"
-    for name in names:
-        for own, other in ("xy", "yx"):
-            partner = re.sub(f"^{own}{after}", other, name)
-            if partner not in known:
-                raise _lone(path, name, partner)
-        ending = re.fullmatch(r"(.+[_ .])([xy])", name)
-        if ending and (partner := ending[1] + ("y" if ending[2] == "x" else "x")) not in known:
-            raise _lone(path, name, partner)
-
-
-def _lone(path: Path, name: str, partner: str) -> InputError:
-    return InputError(
-        f"{path}: it has a column {name!r} and no {partner!r}: mend the header, or name the pairs "
-        "by the option columns"
-    )
-
-
-def _wide_columns(names: list[str]) -> dict[str, list[str]]:
-    """Pairs of columns that differ in an x and a y."""
-    found: dict[str, list[str]] = {}
-    known = set(names)
-    for name in names:
-        for pattern in (r"^x[_ .]?(.+)$", r"^(.+)[_ .]x$"):
-            match = re.match(pattern, name)
-            if match is None:
-                continue
-            start = name.startswith("x")
-            partner = "y" + name[1:] if start and pattern.startswith("^x") else name[:-1] + "y"
-            if partner in known and partner != name:
-                found[match.group(1)] = [name, partner]
-                break
-    return found or ({LONE: ["x", "y"]} if {"x", "y"} <= known else {})
 
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
+import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +16,16 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import refuse_special
+from animarl_envs.importing.readers.encodings import UTF_8
 from animarl_envs.importing.readers.guards import refuse_empty, refuse_long
+from animarl_envs.importing.readers.layouts import LONGEST_LINE, Layout, is_number, split_cells
 from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
 from animarl_envs.importing.readers.parquet import is_parquet, parquet_names, parquet_pieces
 
 PIECE_ROWS = 500_000
-LONGEST_LINE = 2**20
 MOST_COLUMNS = 10_000
+NO_VALUE = "-"  # of EthoVision
+MISSING = {"", NO_VALUE, "NA", "N/A", "n/a", "NULL", "null", "None", "#N/A", "#NA", "<NA>"}
 _SWALLOWED = "Calling read(nbytes) on source failed"
 """What pandas makes of Ctrl-C while it asks for more; errors of the source come through as such."""
 
@@ -60,18 +65,10 @@ def check_header(path: Path, header: Sequence[str]) -> None:
         raise InputError(
             f"{path}: it has {len(header):,} columns, more than {MOST_COLUMNS:,}: cut it in parts"
         )
-    if header and all(_is_number(name) for name in header):
+    if header and all(is_number(name) for name in header):
         raise InputError(
             f"{path}: its first line holds numbers, not names: put a line of names above them"
         )
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def numbered(texts: NDArray[Any]) -> tuple[list[str], NDArray[np.int64]]:
@@ -88,16 +85,23 @@ def pieces(
     columns: Sequence[str],
     text: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
-    decimal: str = ".",
+    layout: Layout | None = None,
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """The named columns, ``PIECE_ROWS`` rows at a time.
 
     Numbers are float64, empty cells NaN; ``text`` columns are strings and must not be empty.
+    Without a ``layout`` a text is UTF-8, and its first line the header.
     """
     if is_parquet(path):
         yield from parquet_pieces(path, columns, text, PIECE_ROWS, progress)
     else:
-        yield from _text_pieces(path, columns, text, progress, decimal)
+        yield from _text_pieces(path, columns, text, progress, layout or plain_layout(path))
+
+
+def plain_layout(path: Path) -> Layout:
+    """Of a table as programs write it: UTF-8, its names on the first line."""
+    names = tuple(column_names(path))
+    return Layout(names, ("",) * len(names), separator_of(path))
 
 
 def read_columns(
@@ -115,11 +119,11 @@ def _text_pieces(
     columns: Sequence[str],
     text: Sequence[str],
     progress: Callable[[float], None] | None,
-    decimal: str,
+    layout: Layout,
 ) -> Iterator[dict[str, NDArray[Any]]]:
     pandas = _pandas()
     refuse_special(path)
-    header, separator = column_names(path), separator_of(path)
+    header, separator = layout.names, layout.parsed_separator
     check_header(path, header)
     times = Counter(header)
     for name in columns:
@@ -131,15 +135,16 @@ def _text_pieces(
     where = {name: at for at, name in enumerate(header)}
     place = {name: where[name] for name in columns}
     kinds = {at: str if name in text else np.float64 for name, at in place.items()}
+    numbers = [at for at, kind in kinds.items() if kind is np.float64]
     size, row = max(path.stat().st_size, 1), 0
     try:
-        with path.open("rb") as file:
-            lines = CheckedLines(file, path, separator, len(header))
+        with contextlib.closing(layout.open(path)) as file:
+            lines = CheckedLines(file, path, separator, len(header), layout.first)
             with pandas.read_csv(
-                io.BufferedReader(lines, BLOCK), names=range(len(header)), header=0,
+                io.BufferedReader(lines, BLOCK), names=range(len(header)), header=None,
                 usecols=list(kinds), index_col=False, dtype=kinds, chunksize=PIECE_ROWS,
-                skipinitialspace=True, sep=separator, decimal=decimal, encoding="utf-8-sig",
-                float_precision="round_trip",
+                skipinitialspace=True, sep=separator, decimal=layout.decimal, encoding=UTF_8,
+                float_precision="round_trip", na_values={at: [NO_VALUE] for at in numbers},
             ) as reader:  # fmt: skip
                 for piece in reader:
                     for name in text:
@@ -152,11 +157,30 @@ def _text_pieces(
                         progress(min(lines.seen / size, 1.0))
     except InputError:
         raise
+    except pandas.errors.EmptyDataError:
+        return  # a header without rows
     except (ValueError, UnicodeDecodeError, pandas.errors.ParserError) as error:
         first = str(error).splitlines()[0][:200]
         if _SWALLOWED in first:
             raise KeyboardInterrupt from None
-        raise InputError(f"{path}: a cell or line cannot be read ({first}): mend it") from None
+        wanted = {name: at for name, at in place.items() if at in numbers}
+        where_it_is = _bad_cell(path, layout, wanted) or "a cell or line"
+        raise InputError(f"{path}: {where_it_is} cannot be read ({first}): mend it") from None
+
+
+def _bad_cell(path: Path, layout: Layout, numbers: Mapping[str, int]) -> str | None:
+    """Line and column of the first cell that is no number, where one should be."""
+    with contextlib.closing(layout.open(path)) as file:
+        for line in itertools.count(layout.first + 1):
+            text = file.readline(LONGEST_LINE).decode(errors="replace")
+            if not text:
+                return None
+            cells = split_cells(text.rstrip("\r\n"), layout.parsed_separator)
+            for name, at in numbers.items():
+                cell = cells[at] if at < len(cells) else ""
+                if not (cell in MISSING or is_number(cell, layout.decimal)):
+                    return f"line {line}, column {name!r} holds {cell[:40]!r}, which"
+    return None
 
 
 def _pandas() -> Any:

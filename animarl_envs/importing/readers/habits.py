@@ -1,0 +1,188 @@
+"""What people and programs call a table's columns, and what to type where that is not clear."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from animarl_envs.errors import InputError
+from animarl_envs.importing.readers.layouts import UNIT_NAMES, bare_unit, layout_of
+from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
+
+# Names without blanks, underscores, points and capitals; those of an earlier rank are preferred,
+# two of one rank are unclear.
+HABITS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "frame": (
+        ("frame", "frames", "framenumber", "frameno", "frameid", "frameidx", "frameindex",
+         "framenum", "nframe", "fnum", "imagenumber", "imageid", "bild"),
+        ("image", "img", "slice"),
+    ),
+    "time": (
+        ("time", "times", "t", "seconds", "sec", "secs", "trialtime", "zeit", "positiont"),
+        ("timestamp", "timestamps", "datetime", "recordingtime", "elapsed", "elapsedtime",
+         "clock", "date"),
+    ),
+    "individual": (
+        ("trackid", "individual", "individuals", "individualid", "individualname", "animal",
+         "animalid", "animalname", "subject", "subjectid", "subjectname", "track", "tier"),
+        ("id", "object", "objectid", "obj", "ind", "agent", "agentid", "identity", "ids", "tagid",
+         "particle", "particleid", "mouse", "mouseid", "fly", "flyid", "fish", "fishid", "rat",
+         "ant", "antid", "bird", "birdid"),
+        ("name", "tag", "label"),
+    ),
+    "recording": (
+        ("recording", "recordingid", "recordingname", "trial", "trialid", "trialname"),
+        ("session", "sessionid", "video", "videoid", "videoname", "movie", "clip", "run", "runid",
+         "experiment", "episode", "episodeid", "replicate", "file", "filename", "aufnahme"),
+    ),
+    "confidence": (("confidence", "likelihood", "score", "probability", "prob"),),
+}  # fmt: skip
+_WORDS = r"pos|position|coord|coordinate|centroid|center|centre|loc|location|wcentroid"
+_AXIS = re.compile(rf"(?:(?:{_WORDS}|c)?[xy]|[xy](?:{_WORDS}|c)?)")
+EXACT = ("x", "y")
+
+
+@dataclass(frozen=True)
+class Named:
+    """A column's name without its unit, and the unit (``""`` where none is stated)."""
+
+    column: str
+    bare: str
+    unit: str
+
+    @property
+    def key(self) -> str:
+        """Without what people write differently."""
+        return re.sub(r"[\s_.\-#]+", "", self.bare).lower()
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Which columns play which part; ``None`` where there is none or it is not clear."""
+
+    frame: str | None
+    time: str | None
+    individual: str | None
+    recording: str | None
+    confidence: str | None
+    x: str | None
+    y: str | None
+    unit: str
+    time_unit: str
+    unclear: tuple[str, ...] = ()
+
+    @property
+    def is_long(self) -> bool:
+        """Whether rows are told apart by frame or time and by individual or recording."""
+        clocked = self.frame is not None or self.time is not None
+        several = self.individual is not None or self.recording is not None
+        return clocked and several and self.x is not None and not self.unclear
+
+
+def named(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
+    """The columns' names and units; a unit stands in brackets, behind a slash, last, or below."""
+    found = []
+    for at, name in enumerate(names):
+        below = units[at] if at < len(units) else ""
+        match = re.fullmatch(r"(.*?)[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*", name) or re.fullmatch(
+            r"(.+?)(?:_|\s*/\s*|\s+)([A-Za-zµ]+)", name
+        )
+        unit = bare_unit(match[2]) if match and match[2].lower() in UNIT_NAMES else ""
+        bare = match[1] if match and unit else name
+        found.append(Named(name, bare.strip(), unit or below))
+    return found
+
+
+def columns_by_habit(names: Sequence[str], units: Sequence[str] = ()) -> Columns:
+    """The part of each column, from its name."""
+    known = named(names, units)
+    unclear: list[str] = []
+
+    def one(part: str) -> Named | None:
+        for rank in HABITS[part]:
+            fitting = [name for name in known if name.key in rank]
+            if len(fitting) > 1:
+                unclear.append(part)
+            if fitting:
+                return fitting[0] if len(fitting) == 1 else None
+        return None
+
+    frame, time = one("frame"), one("time")
+    individual, recording, confidence = one("individual"), one("recording"), one("confidence")
+    pairs = _axes(known)
+    if len(pairs) > 1:
+        pairs = [pair for pair in pairs if (pair[0].key, pair[1].key) == EXACT] or pairs
+    if len(pairs) > 1:
+        unclear.append("x")
+    x, y = pairs[0] if len(pairs) == 1 else (None, None)
+
+    def column(part: Named | None) -> str | None:
+        return None if part is None else part.column
+
+    return Columns(
+        frame=column(frame), time=column(time), individual=column(individual),
+        recording=column(recording), confidence=column(confidence), x=column(x), y=column(y),
+        unit=_common_unit(x, y), time_unit="" if time is None else time.unit,
+        unclear=tuple(unclear),
+    )  # fmt: skip
+
+
+def _axes(known: Sequence[Named]) -> list[tuple[Named, Named]]:
+    """Pairs of columns that are an x and its y, with no animal's name."""
+    by_key = {name.key: name for name in known}
+    found = []
+    for name in known:
+        if "x" in name.key and _AXIS.fullmatch(name.key):
+            partner = by_key.get(name.key.replace("x", "y"))
+            if partner is not None:
+                found.append((name, partner))
+    return found
+
+
+def _common_unit(x: Named | None, y: Named | None) -> str:
+    if x is None or y is None:
+        return ""
+    if x.unit != y.unit:
+        raise InputError(
+            f"columns {x.column!r} and {y.column!r} have units {x.unit or 'none'} and "
+            f"{y.unit or 'none'}: give both the same"
+        )
+    return x.unit
+
+
+def what_to_type(path: Path) -> str | None:
+    """The columns of a table whose parts are not clear, and the command; ``None`` for no table."""
+    try:
+        if is_parquet(path):
+            names: Sequence[str] = parquet_names(path)
+            units: Sequence[str] = ()
+            words = "Parquet"
+        else:
+            layout = layout_of(path)
+            names, units, words = layout.names, layout.units, layout.words
+    except InputError as error:
+        return str(error).removeprefix(f"{path}: ")
+    if len(names) < 2:
+        return None
+    by_habit = columns_by_habit(names, units)
+    used = {name for name in vars(by_habit).values() if isinstance(name, str)}
+    rest = [name for name in names if name and name not in used]
+    parts = {}
+    for part in ("frame", "individual", "x", "y"):
+        clock = by_habit.frame or by_habit.time
+        known = clock if part == "frame" else getattr(by_habit, part)
+        if known is None and rest:
+            known = rest.pop(0)
+        option = "time" if part == "frame" and by_habit.frame is None and by_habit.time else part
+        parts[option] = known or "COLUMN"
+    options = " ".join(f"--option {shlex.quote(f'{part}={name}')}" for part, name in parts.items())
+    fps = "" if by_habit.time else " --fps RATE"
+    shown = ", ".join(name or "(no name)" for name in names[:30])
+    return (
+        f"its columns are {shown} ({words}), and which is which is not clear: put the right names "
+        f"into: animarl import {shlex.quote(str(path))} --source long-table {options}{fps} "
+        "--target auto --out demos.npz"
+    )
