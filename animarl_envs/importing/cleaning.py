@@ -84,7 +84,7 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     if settings.drop_jumps:
         bodies = bodies.copy()
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
-    gaps: NDArray[np.bool_] = np.isnan(bodies).any(axis=2)
+    gaps: NDArray[np.bool_] = np.asarray(np.isnan(bodies).any(axis=2))
     seen = np.flatnonzero(~gaps.all(axis=1))  # before and after, nobody was in the recording
     done["untracked"] = int(np.count_nonzero(gaps[seen[0] : seen[-1] + 1])) if len(seen) else 0
     bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
