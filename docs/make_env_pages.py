@@ -308,9 +308,8 @@ CUSTOM_NUMBERS = [
     (
         "`contact_radius`",
         "the distance at which the import ended episodes (or `contact_radius` in the provenance); "
-        "else that at which recorded contacts ended (their 0.9 quantile); else the smallest "
-        "distance recorded, at most a tenth of the arena's size, so that the world ends no episode "
-        "where the recording went on",
+        "else that at which recorded contacts ended (their 0.9 quantile); else a thousandth of the "
+        "arena's size: where no recorded episode ended by contact, none should that is simulated",
     ),
     (
         "`conditions`",
