@@ -52,7 +52,7 @@ class FirstCompilation(event.Listener):  # type: ignore[misc]
         """Nothing to say."""
 
 
-event.register("numba:compile", FirstCompilation())
+event.register("numba:compile", FirstCompilation())  # type: ignore[no-untyped-call]
 
 
 def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
