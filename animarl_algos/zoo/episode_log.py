@@ -35,7 +35,7 @@ class EpisodeLog(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._began = time.time()
-        header = {"t_start": self._began, "env_id": self.env_id}
+        header: dict[str, float | str] = {"t_start": self._began, "env_id": self.env_id}
         self._writer = ResultsWriter(str(self.folder / "0.monitor.csv"), header=header)
 
     def _on_step(self) -> bool:
