@@ -27,9 +27,10 @@ def _recipes() -> list[str]:
     """Names of the learners, read off the registry: importing it would load torch."""
     source = (files("animarl_algos.recipes") / "registry.py").read_text(encoding="utf-8")
     for node in ast.parse(source).body:
-        named = isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "RECIPES"
-        if named and isinstance(node.value, ast.Dict):  # type: ignore[union-attr]
-            return [ast.literal_eval(key) for key in node.value.keys if key]  # type: ignore[union-attr]
+        if not isinstance(node, ast.AnnAssign) or ast.unparse(node.target) != "RECIPES":
+            continue
+        if isinstance(node.value, ast.Dict):
+            return [ast.literal_eval(key) for key in node.value.keys if key]
     raise LookupError("the registry lists no RECIPES")
 
 

@@ -120,8 +120,8 @@ def _settings_in(path: Place) -> dict[str, Any] | None:
         except (zipfile.BadZipFile, KeyError, ValueError):
             return None
         finally:
-            if file is path:
-                file.seek(0)
+            if not isinstance(path, str | Path):  # one that was given is read again
+                path.seek(0)
     return found if isinstance(found, dict) else None
 
 
