@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from animarl_algos.data.vec_env import SlotVecEnv as SlotVecEnv
     from animarl_algos.evaluation.tables import evaluate as evaluate
+    from animarl_algos.learner.evaluating import EvaluateIndividuals as EvaluateIndividuals
+    from animarl_algos.learner.evaluating import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403
 
 
@@ -34,7 +36,12 @@ def _homes() -> dict[str, str]:
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(recipes)
         for alias in node.names
     }
-    others = {"SlotVecEnv": "data.vec_env", "evaluate": "evaluation.tables"}
+    others = {
+        "EvaluateIndividuals": "learner.evaluating",
+        "SlotVecEnv": "data.vec_env",
+        "evaluate": "evaluation.tables",
+        "evaluate_individuals": "learner.evaluating",
+    }
     return learners | {name: f"{__name__}.{module}" for name, module in others.items()}
 
 

@@ -3,7 +3,7 @@
 Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0``,
 ``AnimaRL/Silkmoth-v0`` and, for your own demonstrations, ``AnimaRL/Custom-v0`` with Gymnasium;
 ``parallel_env("agent")`` is the same world with all individuals acting, as a PettingZoo
-environment.
+environment, which is registered there too: ``pettingzoo.make("parallel", "AnimaRL/Agent-v0")``.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import pettingzoo
 
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.species import CUSTOM, SPECIES
@@ -42,6 +43,13 @@ def _register() -> None:
             vector_entry_point="animarl_envs.views.vector:AnimalVectorEnv",
             kwargs={"species": name},
         )
+        if hasattr(pettingzoo, "register"):  # from version 1.27 on
+            pettingzoo.register(
+                "parallel",
+                id=environment_id(name),
+                entry_point="animarl_envs.views.parallel:AnimalParallelEnv",
+                kwargs={"species": name},
+            )
 
 
 _register()

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numba as nb
+from numba.core import event
 from numba.misc import appdirs
 
 _HERE = Path(__file__).resolve().parent
@@ -32,6 +33,26 @@ _user_cache_dir: Any = appdirs.user_cache_dir
 _KERNELS = re.compile(r"^(?:import numba|from numba|from animarl_envs\.compiling)\b", re.MULTILINE)
 _IMPORTS = re.compile(r"^from (\w+(?:\.\w+)*) import (\([^)]*\)|.*)$", re.MULTILINE)
 _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
+
+
+class FirstCompilation(event.Listener):  # type: ignore[misc]
+    """Says on a terminal, once in a process, that kernels are compiled and why one waits."""
+
+    said = False
+
+    def on_start(self, of: Any) -> None:
+        """A compilation begins; kernels that are found on the disk begin none."""
+        if self.said or not of.data["dispatcher"].py_func.__module__.startswith("animarl"):
+            return
+        self.said = True
+        if sys.stderr is not None and sys.stderr.isatty():
+            print("compiling kernels, about a minute, this once ...", file=sys.stderr)
+
+    def on_end(self, of: Any) -> None:
+        """Nothing to say."""
+
+
+event.register("numba:compile", FirstCompilation())  # type: ignore[no-untyped-call]
 
 
 def jit(function: Callable[..., Any] | None = None, **options: Any) -> Any:

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
+from difflib import get_close_matches
+from typing import Any
+
 _APPENDED_BY_GYMNASIUM = " was raised from the environment creator for "
 
 
@@ -34,7 +40,49 @@ class UnknownOptionError(InputError, TypeError):
 
     It is Python's :class:`TypeError` as well, with its phrase: TorchRL's ``GymEnv`` tries keywords
     of its own and looks for that phrase to leave them out.
+
+    Attributes
+    ----------
+    option, place, known
+        The keyword, what does not take it, and all that it takes; empty where the error was made
+        anew from its sentence, as Gymnasium does.
     """
+
+    option: str = ""
+    place: str = ""
+    known: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, option: str, place: str, known: Iterable[str]) -> UnknownOptionError:
+        """The sentence for an ``option`` that ``place`` does not know among those it does."""
+        names = sorted(known)
+        near = get_close_matches(option, names, n=1)
+        meant = f", did you mean {near[0]!r}" if near else ""
+        error = cls(
+            f"option {option!r} is unknown for {place} (unexpected keyword argument {option!r})"
+            f"{meant}: choose one of {', '.join(names)}"
+        )
+        error.option, error.place, error.known = option, place, frozenset(names)
+        return error
+
+
+@contextmanager
+def knowing(function: Callable[..., Any], without: Collection[str] = ()) -> Iterator[None]:
+    """Who is told of an unknown option is told the keywords of ``function`` too, as known ones.
+
+    Those named in ``without`` are not.
+    """
+    try:
+        yield
+    except UnknownOptionError as error:
+        own = {
+            name
+            for name, parameter in inspect.signature(function).parameters.items()
+            if parameter.kind is parameter.KEYWORD_ONLY
+        }
+        raise UnknownOptionError.of(
+            error.option, error.place, (error.known | own) - set(without)
+        ) from None
 
 
 class MissingExtraError(ImportError):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from animarl_envs.checks import is_number
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import first_pursuers
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, knowing
 from animarl_envs.species import (
     CUSTOM,
     SPECIES,
@@ -215,7 +215,8 @@ def make_scenario(
     if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
         options.setdefault("dt", loaded.dt)
         options.setdefault("individuals", loaded.individuals)
-    spec = with_options(spec, **options)
+    with knowing(make_scenario):
+        spec = with_options(spec, **options)
     if start is None:
         start = "uniform" if loaded is None else "demo"
     drivers = dict(drivers or {})

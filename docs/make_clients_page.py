@@ -77,6 +77,9 @@ What to know:
 - A time limit *truncates* and never terminates, so that it is bootstrapped. Gymnasium's views say
   so by `step`'s fourth value; the parallel view also by `info["TimeLimit.truncated"]` at the end,
   which is how SuperSuit's stable-baselines3 wrapper learns of it.
+- `gym.make(...).spec.max_episode_steps` is the time limit in force, so that Gymnasium's
+  `TimeAwareObservation` and learners that ask for it find it; `make_vec(..., max_episode_steps=7)`
+  and PettingZoo's `make("parallel", "AnimaRL/Agent-v0", max_cycles=7)` shorten it.
 - `gym.make_vec` gives the native vector environment. It resets a copy in the step after its end
   (`AutoresetMode.NEXT_STEP`), or at once with `autoreset_mode="SameStep"`.
 - All individuals of a chase have the same observation and action spaces, so no padding is needed;

@@ -97,6 +97,17 @@ ACTIONS = (
 )
 
 
+OUTCOMES = {
+    "chase": (
+        '`info["outcome"]` says how: k above 0 for contact by individual k - 1, 0 for the time '
+        "limit (and as long as the episode goes on), -1 if the target left, -2 if a pursuer did. "
+        "Recordings that were cut for another reason have -3."
+    ),
+    "search": (
+        '`info["outcome"]` says how: 1 for the source, 0 for the time limit (and as long as the '
+        "episode goes on). Recordings that were cut for another reason have -3."
+    ),
+}
 WRAPPERS = (
     "In `animarl_envs.wrappers`, each for the single, the vector (`...Vector`) and the parallel "
     "view (`...Parallel`): `DTWReward` rewards staying near the paired demonstration; "
@@ -213,7 +224,7 @@ def ends(species: Species) -> str:
         when = "only with `rebound=False`" if species.arena.rebound else "not with `rebound=True`"
         rows.append((f"{beyond[species.arena.shape]} ({when})", "terminated"))
     rows.append((f"step {species.time_limit} has been taken", "truncated"))
-    return markdown_table(("when", "then"), rows)
+    return "\n\n".join([markdown_table(("when", "then"), rows), OUTCOMES[species.world]])
 
 
 def option_defaults(species: Species) -> dict[str, str]:
@@ -252,7 +263,7 @@ def options(species: Species) -> str:
 
 def usage(species: Species) -> str:
     env_id = animarl_envs.environment_id(species.name)
-    last = species.individuals[-1]
+    last, coast = species.individuals[-1], species.num_actions - 1
     condition = ", condition=1" if species.conditions else ""
     return f"""One individual; the others replay, follow a script or a policy:
 
@@ -282,7 +293,12 @@ actions = {{name: everybody.action_space(name).sample() for name in everybody.ag
 observations, rewards, terminated, truncated, infos = everybody.step(actions)
 ```
 
-See it move: `animarl watch {env_id} --out clip.gif`"""
+Those are registered with PettingZoo too: `pettingzoo.make("parallel", "{env_id}")`.
+
+See it move: `animarl watch {env_id} --out clip.gif`. Play it with
+`gymnasium.utils.play.play(gym.make("{env_id}", render_mode="rgb_array"), noop={coast})`:
+w goes towards the focus, a to the left of it, s away, d to the right, q, e, z, c and pairs of keys
+in between."""
 
 
 CUSTOM_NUMBERS = [
@@ -292,9 +308,8 @@ CUSTOM_NUMBERS = [
     (
         "`contact_radius`",
         "the distance at which the import ended episodes (or `contact_radius` in the provenance); "
-        "else that at which recorded contacts ended (their 0.9 quantile); else the smallest "
-        "distance recorded, at most a tenth of the arena's size, so that the world ends no episode "
-        "where the recording went on",
+        "else that at which recorded contacts ended (their 0.9 quantile); else a thousandth of the "
+        "arena's size: where no recorded episode ended by contact, none should that is simulated",
     ),
     (
         "`conditions`",

@@ -267,4 +267,5 @@ def test_numbers_may_be_numpys(view: str) -> None:
     }  # fmt: skip
     info = MAKE[view]("agent", demos=None, **numbers).reset(seed=0)[1]
     said = info["prey"]["scenario"] if view == "parallel" else info["scenario"]
+    said = said[0] if view == "vector" else said
     assert [said[key] for key in numbers if key != "arena"] == [1, 0.5, 2, 9, 0.1, 0.125]

@@ -44,7 +44,7 @@ def test_options_of_the_page_are_those_that_are_accepted(generator, name):
     with pytest.raises(InputError) as refusal:
         make_scenario(species, no_such_option=1)
     known = set(str(refusal.value).rpartition("choose one of ")[2].split(", "))
-    not_options = {"source", "title", "version_history"}
+    not_options = {"source", "title", "version_history", "drivers"}
     if not isinstance(species, ChaseSpecies):
         not_options.add("num_pursuers")
     assert known - not_options <= listed

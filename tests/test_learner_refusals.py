@@ -163,7 +163,7 @@ def test_recipes_that_cannot_learn_say_so_before_they_start(name: str) -> None:
 
 NAN = float("nan")
 WRONG: list[tuple[str, Any]] = [
-    *(("learning_rate", value) for value in (-1.0, 0.0, NAN, None, lambda _: -1.0)),
+    *(("learning_rate", value) for value in (-1.0, 0.0, NAN, lambda _: -1.0)),
     *(("offline_learning_rate", value) for value in (-1.0, 0.0, NAN)),
     *((name, value) for name in ("gamma", "offline_gamma") for value in (-0.1, 1.5, NAN)),
     *((name, -1.0) for name in ("alpha", "offline_alpha", "lambda1", "lambda2", "lambda3")),

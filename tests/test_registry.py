@@ -289,7 +289,8 @@ def test_registry_nothing_returned_shares_memory(case: Case) -> None:
 def test_registry_spec_round_trip(case: Case) -> None:
     env, vector = case.single(time_limit=30), case.vector(2, time_limit=30)
     again = gym.make(env.spec)  # type: ignore[arg-type]
-    assert type(again) is type(env)
+    assert type(again.unwrapped) is type(env.unwrapped)
+    assert again.spec == env.spec
     assert np.array_equal(env.reset(seed=3)[0], again.reset(seed=3)[0])
     for action in (0, 4, 12):
         assert _same(env.step(action), again.step(action))
@@ -326,7 +327,7 @@ def test_registry_info_at_reset_is_plain_and_complete(case: Case) -> None:
     said = info["scenario"]
     assert json.loads(json.dumps(said)) == said
     drivers = ("drivers",)  # differ: the others of a single view replay or follow a script
-    for other in (infos["scenario"], *(one["scenario"] for one in spoken)):
+    for other in (*infos["scenario"], *(one["scenario"] for one in spoken)):
         assert all(other[key] == said[key] for key in said if key not in drivers)
     spec = case.single().unwrapped.scenario.species  # type: ignore[attr-defined]
     assert {"species", "drivers", "condition", "start", "demonstrations", "split"} <= set(said)

@@ -126,13 +126,34 @@ def test_touched_target_is_highlighted(renderer):
 
 def test_plume_has_its_first_row_at_the_bottom(renderer):
     values = np.zeros((10, 10))
-    values[0, 0] = 1.0
+    values[1, 1] = 1.0
     plume = PlumeField(values=values, extent=(-1.0, 1.0, -1.0, 1.0))
     scene = make_scene(plume=plume)
     picture = renderer.draw(scene)
-    hot, cold = pixel_of(scene, (-0.92, -0.92)), pixel_of(scene, (-0.92, 0.92))
+    hot, cold = pixel_of(scene, (-0.7, -0.7)), pixel_of(scene, (-0.7, 0.7))
     assert colour_distance(picture[cold], palette.ARENA) == 0
     assert colour_distance(picture[hot], palette.ARENA) > 40
+
+
+def test_plume_fades_out_before_its_field_ends(renderer):
+    plume = PlumeField(values=np.ones((50, 50)), extent=(-0.9, 0.9, -0.9, 0.9))
+    scene = make_scene(plume=plume)
+    picture = renderer.draw(scene)
+
+    def odour(x: float, y: float) -> int:
+        return colour_distance(picture[pixel_of(scene, (x, y))], palette.ARENA)
+
+    assert odour(0.0, 0.0) == odour(-0.85, 0.0) > 60  # it begins at once
+    for x, y in ((0.86, 0.2), (0.0, 0.86), (0.0, -0.86)):
+        assert odour(x, y) < 5
+
+
+def test_texts_are_kept_and_old_ones_forgotten(renderer):
+    plain = renderer.draw(make_scene(title="Chase"))
+    for step in range(300):
+        renderer.draw(make_scene(title="Chase", step=step))
+    assert len(renderer._texts) <= 256
+    np.testing.assert_array_equal(plain, renderer.draw(make_scene(title="Chase")))
 
 
 def test_demonstration_is_drawn_and_fainter_than_the_trail(renderer):

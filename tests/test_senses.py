@@ -1,4 +1,4 @@
-"""What a chase is observed by: no dead component, honest ranges, and its mirror image."""
+"""What species are observed by: no dead component, honest ranges, a chase's mirror image."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import ACTION_VECTORS
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import SPECIES
+from animarl_envs.species import CUSTOM, SPECIES
 from animarl_envs.worlds import demonstration_observations, make_world, mirror
 from animarl_envs.worlds.base import World
 
@@ -42,7 +42,7 @@ def walk(world: World, steps: int, seed: int = 0) -> Array:
     return np.stack(rows)
 
 
-@chases
+@pytest.mark.parametrize(("name", "options"), [*CHASES, ("silkmoth", {})])
 def test_no_component_is_constant_or_a_copy_of_another(name: str, options: Any) -> None:
     world = make_world(make_scenario(name, **options), 100)
     seen = walk(world, 100).astype(np.float64)  # 10,000 steps
@@ -55,6 +55,18 @@ def test_no_component_is_constant_or_a_copy_of_another(name: str, options: Any) 
         alike = np.abs(np.corrcoef(rows.T)) - np.eye(len(names))
         worst = np.unravel_index(np.argmax(alike), alike.shape)
         assert alike.max() < 0.9999, [names[k] for k in worst]
+
+
+def test_every_species_is_looked_at() -> None:
+    assert {name for name, _ in CHASES} | {"silkmoth"} == {*SPECIES, CUSTOM}
+
+
+def test_a_searcher_s_documented_ranges_are_reached_by_random_steps() -> None:
+    world = make_world(make_scenario("silkmoth", demos=None), 100)
+    seen = walk(world, 100).reshape(-1, len(world.observation_components))  # 10,000 steps
+    reached = np.ptp(seen, axis=0)
+    for component, span in zip(world.observation_components, reached, strict=True):
+        assert 0.5 * (component.high - component.low) <= span, component
 
 
 def extremes(world: World) -> None:

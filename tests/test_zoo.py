@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import sqlite3
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import optuna
 import pytest
@@ -18,6 +22,7 @@ import yaml
 from behaviours import Behaviour, PartlyRandom, Same
 from commands import Done
 from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import load_results
 from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
@@ -177,6 +182,42 @@ def test_train_then_enjoy(zoo: Callable[..., Done], small: Path, tmp_path: Path)
     wrong = zoo("enjoy", "--algo", "dqdil", "--env", "AnimaRL/Silkmoth-v0", "--model",
                 str(run / f"{NAME}.zip"), "--no-render")  # fmt: skip
     assert wrong.returncode == 2 and "3 individuals that observe" in wrong.stderr
+
+
+def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
+    zoo: Callable[..., Done], small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``-i``, ``enjoy --load-best`` of what it trained, and rl_zoo3's own ``plot_train``."""
+    asked = ["--algo", "dqdil", "--env", AGENT]
+    demos = ["--env-kwargs", f"demos:{small}"]
+    assert zoo("train", *asked, *TINY, *demos).returncode == 0
+    runs = [tmp_path / "logs" / "dqdil" / f"{NAME}_{k}" for k in (1, 2)]
+    done = zoo("train", "-i", str(runs[0] / f"{NAME}.zip"), *asked, *TINY, *demos)
+    assert done.returncode == 0, done.stderr
+    best = zoo("enjoy", *asked, "--load-best", "--no-render", "-n", "100")
+    assert best.returncode == 0, best.stderr
+    assert "Loading latest experiment, id=2" in best.stdout
+    for run in runs:
+        episodes = load_results(str(run))
+        assert len(episodes) > 1 and (episodes.l >= 1).all() and (episodes.t.diff()[1:] >= 0).all()
+        assert 150 < episodes.l.sum() <= 200 + 148 * 16  # steps of all copies
+    matplotlib.use("agg")
+    plots: Any = importlib.import_module("rl_zoo3.plots.plot_train")
+    lines: list[int] = []
+    monkeypatch.setattr(plots.plt, "plot", lambda x, *_, **__: lines.append(len(x)))
+    monkeypatch.setattr(
+        sys, "argv", ["plot_train", "-a", "dqdil", "-e", NAME, "-f", "logs", "-w", "2"]
+    )
+    plots.plot_train()
+    assert len(lines) == 2 and min(lines) > 0
+
+
+def test_clients_of_rl_zoo3_without_wandb_are_told(zoo: Callable[..., Done]) -> None:
+    if importlib.util.find_spec("wandb") is not None:
+        pytest.skip("wandb is installed")
+    done = zoo("train", "--track", "--env", AGENT)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--track needs Weights & Biases: pip install wandb" in done.stderr
 
 
 def test_the_same_seed_gives_the_same_scores(

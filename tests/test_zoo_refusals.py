@@ -123,7 +123,7 @@ def test_a_damaged_or_foreign_zip_is_refused(
         (tmp_path / "bad.zip").write_bytes(content)
         for command in (["train", "-i"], ["enjoy", "--no-render", "--model"]):
             done = zoo(*command, "bad.zip", "--algo", "dqn", "--env", AGENT)
-            assert done.returncode == 2 and "bad.zip: it is no model of dqn" in done.stderr
+            assert done.returncode == 2 and "bad.zip: it is no model of" in done.stderr
     for env, word in ((AGENT, "3 that observe"), ("Three-v0", "Action spaces do not match")):
         done = zoo("train", "-i", "pole.zip", "--algo", "dqn", "--env", env)
         assert done.returncode == 2 and word in done.stderr

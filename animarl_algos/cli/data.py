@@ -12,7 +12,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from animarl_algos.cli import completion
 from animarl_algos.cli.describing import Row, demonstrations_at_a_glance, hints
+from animarl_algos.cli.lazy import SETTINGS
 from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
@@ -27,14 +29,24 @@ from animarl_envs.importing.minari_io import export_minari
 from animarl_envs.importing.readers import available_readers, read
 
 app = typer.Typer(
-    help="Look at, check, split, convert and plot demonstrations.",
     epilog="For example: animarl data show agent. COMMAND --help gives more.",
+    no_args_is_help=True,
+    **SETTINGS,
 )
 DemosArgument = Annotated[
-    str, typer.Argument(help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).")
+    str,
+    typer.Argument(
+        help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).",
+        autocompletion=completion.demonstrations,
+    ),
 ]
 SHOWN_WARNINGS = 20
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
+
+
+@app.callback()
+def data_commands() -> None:
+    """Look at, check, split, convert and plot demonstrations."""
 
 
 @app.command("sources")

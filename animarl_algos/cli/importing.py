@@ -11,6 +11,7 @@ import yaml
 from rich.console import Console
 from rich.progress import Progress
 
+from animarl_algos.cli import completion
 from animarl_algos.cli.data import report, show_rows, wide_console
 from animarl_algos.cli.describing import hints, understood
 from animarl_envs.errors import InputError
@@ -23,7 +24,11 @@ SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
 def import_command(
     files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
     source: Annotated[
-        str | None, typer.Option(help="Reader; see 'animarl data sources'. Default: by a look.")
+        str | None,
+        typer.Option(
+            help="Reader; see 'animarl data sources'. Default: by a look.",
+            autocompletion=completion.sources,
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Demonstrations to write (.npz).")] = None,
     recipe: Annotated[Path | None, typer.Option(help="Repeat this saved recipe (.yaml).")] = None,

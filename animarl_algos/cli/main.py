@@ -12,44 +12,29 @@ from animarl_envs.files import unreadable_or_unwritable
 try:
     import typer
 
-    from animarl_algos.cli import data
-    from animarl_algos.cli.evaluate import (
-        counterfactual_command,
-        evaluate_command,
-        inspect_command,
-    )
-    from animarl_algos.cli.fit import fit_command
-    from animarl_algos.cli.importing import import_command
-    from animarl_algos.cli.run import report_command, run_command, train_command
-    from animarl_algos.cli.watch import watch_command
-    from animarl_algos.learner.checkpoint_callback import TERMINATED
+    from animarl_algos.cli.lazy import SETTINGS, LazyCommands
 except ModuleNotFoundError as error:
     if (error.name or "").startswith("animarl"):
         raise
     print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
     sys.exit(2)
 
+TERMINATED = 128 + signal.SIGTERM  # as a shell gives it
 INTERRUPTED = (130, TERMINATED)  # Ctrl-C, which typer gives without a word, and SIGTERM
 
 app = typer.Typer(
     name="animarl",
-    help="Recorded animals become a simulator: fit, train, evaluate, report.",
+    cls=LazyCommands,
     epilog="First steps: animarl run packaged --steps 20000 --out runs/first, then "
     "animarl watch AnimaRL/Agent-v0 --model runs/first. COMMAND --help gives examples.",
     no_args_is_help=True,
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
+    **SETTINGS | {"add_completion": True},
 )
-app.command("import")(import_command)
-app.add_typer(data.app, name="data")
-app.command("fit")(fit_command)
-app.command("run")(run_command)
-app.command("train")(train_command)
-app.command("evaluate")(evaluate_command)
-app.command("counterfactual")(counterfactual_command)
-app.command("inspect")(inspect_command)
-app.command("report")(report_command)
-app.command("watch")(watch_command)
+
+
+@app.callback()
+def animarl() -> None:
+    """Recorded animals become a simulator: fit, train, evaluate, report."""
 
 
 def main() -> None:
@@ -59,6 +44,11 @@ def main() -> None:
         app()
     except (InputError, MissingExtraError) as error:
         print(f"animarl: {printable(str(error))}", file=sys.stderr)
+        sys.exit(2)
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("animarl"):
+            raise
+        print(f"animarl: {MissingExtraError('this command', 'algos')}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
         what = printable(unreadable_or_unwritable(error))

@@ -15,7 +15,6 @@ from rich.text import Text
 from animarl_algos.cli.fit import format_fit_table
 from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.terminal import evaluation_table
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.runs import pipeline
@@ -102,9 +101,7 @@ def report_command(
 
       animarl report runs/agents
     """
-    folder = RunFolder(run)
-    Evaluation.load(folder.path / "evaluation")
-    _console().print(f"Open {pipeline.report(folder)}", soft_wrap=True, highlight=False)
+    _console().print(f"Open {pipeline.report(RunFolder(run))}", soft_wrap=True, highlight=False)
 
 
 def parse_settings(given: list[str] | None) -> dict[str, Any]:

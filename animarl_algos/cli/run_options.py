@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from animarl_algos.cli import completion
 from animarl_algos.runs.pipeline import PACKAGED
 
 Command = Callable[..., None]
@@ -20,26 +21,38 @@ def _asked(
     file: Annotated[
         str,
         typer.Argument(
-            help="A file of recorded episodes, or 'packaged': those that come with the species."
+            help="A file of recorded episodes, or 'packaged': those that come with the species.",
+            autocompletion=completion.run_file,
         ),
     ] = PACKAGED,
     env: Annotated[
         str | None,
-        typer.Option(help="Environment id, such as AnimaRL/Fly-v0: another way to give --species."),
+        typer.Option(
+            help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
+            autocompletion=completion.environments,
+        ),
     ] = None,
     species: Annotated[
         str | None,
-        typer.Option(help="agent, fly, newt, silkmoth or custom; by default what FILE says."),
+        typer.Option(
+            help="agent, fly, newt, silkmoth or custom; by default what FILE says.",
+            autocompletion=completion.species,
+        ),
     ] = None,
     algo: Annotated[
         str,
         typer.Option(
             help="soft-bc, iq-learn, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; "
-            "qr-dqn and so on."
+            "qr-dqn and so on.",
+            autocompletion=completion.recipes,
         ),
     ] = "soft-bc",
     preset: Annotated[
-        str, typer.Option(help="Settings of zoo_configs: paper (the paper's) or default (tuned).")
+        str,
+        typer.Option(
+            help="Settings of zoo_configs: paper (the paper's) or default (tuned).",
+            autocompletion=completion.presets,
+        ),
     ] = "default",
     steps: Annotated[
         int | None,
@@ -51,7 +64,10 @@ def _asked(
     ] = Path("runs/run"),
     source: Annotated[
         str | None,
-        typer.Option(help="Format of FILE ('animarl data sources'); by default recognised."),
+        typer.Option(
+            help="Format of FILE ('animarl data sources'); by default recognised.",
+            autocompletion=completion.sources,
+        ),
     ] = None,
     copies: Annotated[
         int | None, typer.Option(help="Worlds simulated side by side; by default the preset's.")
@@ -63,7 +79,8 @@ def _asked(
     policy: Annotated[
         str | None,
         typer.Option(
-            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's."
+            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
+            autocompletion=completion.policies,
         ),
     ] = None,
     device: Annotated[str | None, typer.Option(help="cpu (default) or cuda.")] = None,
@@ -72,7 +89,10 @@ def _asked(
     ] = None,
     fit_method: Annotated[
         str | None,
-        typer.Option(help="joint or onset (the paper's rule); by default the preset's."),
+        typer.Option(
+            help="joint or onset (the paper's rule); by default the preset's.",
+            autocompletion=completion.fit_methods,
+        ),
     ] = None,
     thrusts: Annotated[
         str | None,
@@ -82,7 +102,8 @@ def _asked(
         str | None,
         typer.Option(
             help="How trained policies act: greedy, boltzmann:TEMPERATURE, epsilon:SHARE, or "
-            "chosen (by rollouts, after training); by default the preset's."
+            "chosen (by rollouts, after training); by default the preset's.",
+            autocompletion=completion.acting_rules,
         ),
     ] = None,
     settings: Annotated[

@@ -13,6 +13,7 @@ import typer
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from animarl_algos.cli import completion
 from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.cli.watch_actors import (
     Actor,
@@ -48,7 +49,12 @@ class ConditionChoice(StrEnum):
 
 
 def watch_command(
-    env: Annotated[str, typer.Argument(help="Environment id, such as AnimaRL/Newt-v0.")],
+    env: Annotated[
+        str,
+        typer.Argument(
+            help="Environment id, such as AnimaRL/Newt-v0.", autocompletion=completion.environments
+        ),
+    ],
     model: Annotated[
         Path | None, typer.Option(help="Run folder whose trained policy acts.")
     ] = None,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,3 +135,20 @@ class Feedback:
         for s in np.flatnonzero(dones):
             out[s] = self._infos[s]["terminal_observation"]
         return out
+
+
+class MixedMeansWarning(UserWarning):
+    """Returns of different individuals are about to be averaged."""
+
+
+def warn_of_mixed_means(individuals: Sequence[str]) -> None:
+    """Say that stable-baselines3 is about to average over them.
+
+    Those who do ask a VecEnv first whether it is wrapped in a ``Monitor``; nobody else does.
+    """
+    warnings.warn(
+        f"evaluate_policy, EvalCallback and VecMonitor average over {', '.join(individuals)}: use "
+        "animarl_algos.evaluate_individuals and EvaluateIndividuals for each by itself",
+        MixedMeansWarning,
+        stacklevel=4,
+    )

@@ -12,14 +12,16 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.labels import Labels
+from animarl_algos.data.slots import warn_of_mixed_means
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, knowing
 from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario
@@ -84,7 +86,8 @@ class SlotVecEnv(VecEnv):
     ) -> None:
         if split == "test":
             raise InputError("split is 'test': learners are never given the test split")
-        full = make_scenario(species, demos=demos, split=None, **options)
+        with knowing(SlotVecEnv.__init__, without=("drivers",)):
+            full = make_scenario(species, demos=demos, split=None, **options)
         everyone = full.names
         if focal is not None and focal not in everyone:
             raise InputError(f"focal is {focal!r}: choose one of {', '.join(everyone)}")
@@ -269,6 +272,8 @@ class SlotVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
+        if issubclass(wrapper_class, Monitor) and len(self.individuals) > 1:
+            warn_of_mixed_means(self.individuals)
         return [False] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

@@ -23,7 +23,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, RolloutReturn, TrainFreq
+from stable_baselines3.common.type_aliases import (
+    GymEnv,
+    MaybeCallback,
+    RolloutReturn,
+    Schedule,
+    TrainFreq,
+)
 from stable_baselines3.common.utils import configure_logger
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -41,11 +47,12 @@ from animarl_algos.learner.exploration import (
     LinearDecay,
     fit_boltzmann_temperature,
 )
+from animarl_algos.learner.habits import translated
 from animarl_algos.learner.offline import OfflineProgress, run_offline_phase
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.presets import constructor_settings
 from animarl_algos.learner.progress import BoundaryHook, with_progress_bar
-from animarl_algos.learner.recorder import Recorder, check_environment
+from animarl_algos.learner.recorder import Recorder
 from animarl_algos.learner.settings import (
     POLICIES,
     LearnerSettings,
@@ -57,6 +64,7 @@ from animarl_algos.learner.updating import Updater
 from animarl_algos.learner.validation import demonstrated_values
 from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.recipe import OfflineLoss, Recipe
+from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.networks.value_stream import into_logits
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
@@ -81,6 +89,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
     env
         Any Gymnasium environment with Discrete actions, or a VecEnv; one with the attributes
         ``individuals`` and ``num_copies`` trains all individuals.
+    learning_rate
+        Of Adam, a number or a schedule of the remaining progress.
     demonstrations
         Object with ``train`` and ``val`` datasets; by default the environment's own, if it has any.
     seed, device, verbose, tensorboard_log
@@ -157,6 +167,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         self,
         policy: str | type[GruPolicy] | None = None,
         env: GymEnv | str | None = None,
+        learning_rate: float | Schedule | None = None,
         *,
         demonstrations: DemonstrationData | None = None,
         tensorboard_log: str | None = None,
@@ -168,9 +179,13 @@ class SequenceQLearning(OffPolicyAlgorithm):
     ) -> None:
         if env is None and _init_setup_model:
             raise InputError("there is no environment to learn in: give env=")
-        given = dict(settings) | ({} if policy is None else {"policy": policy})
+        given: dict[str, Any] = dict(settings)
+        named = {"policy": policy, "learning_rate": learning_rate}
+        given |= {name: value for name, value in named.items() if value is not None}
         if given.get("offline_epochs", 0) is None:
             del given["offline_epochs"]
+        if isinstance(own := given.get("policy_kwargs"), dict):
+            given["policy_kwargs"] = translated(own)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
         policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):
@@ -203,6 +218,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         if _init_setup_model:
             checks.refuse_what_does_not_go_together(self)
             self._setup_model()
+            checks.refuse_what_cannot_be_learnt(self)
 
     # -- set up -----------------------------------------------------------------------------------
 
@@ -222,6 +238,16 @@ class SequenceQLearning(OffPolicyAlgorithm):
             self.replay_buffer = making.make_replay_buffer(self)
         self.boundary_hooks: list[BoundaryHook] = []
         self.pace = saving.pace_from(vars(self))
+
+    @property
+    def q_net(self) -> StackedQNetwork:
+        """The policy's network, under stable-baselines3's name for it."""
+        return self.policy.q_net
+
+    @property
+    def q_net_target(self) -> StackedQNetwork:
+        """Its target network."""
+        return self.policy.q_net_target
 
     def set_env(self, env: GymEnv, force_reset: bool = True) -> None:
         """Learn in ``env`` from now on, which must suit the networks and the replay memory.
@@ -274,9 +300,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         InputError
             If they do not give what the recipe learns from.
         """
-        assert self.env is not None
-        check_environment(self.env, self.layout, self.recipe)
-        if self.recipe.inverse or (self.offline_epochs and not self.offline_progress.done):
+        checks.refuse_what_cannot_be_learnt(self)
+        if checks.needs_demonstrations(self):
             refuse_foreign(self, self.demonstration_data())
 
     # -- learn ------------------------------------------------------------------------------------
@@ -346,13 +371,9 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """Those that were given, or else the environment's own."""
         if self.demonstrations is not None:
             return self.demonstrations
+        checks.refuse_without_demonstrations(self)
         own = getattr(self.env, "offline_data", None)
-        if own is None:
-            raise InputError(
-                f"recipe {self.recipe.name} learns from demonstrations and neither it nor its "
-                "environment was given demonstrations: pass demonstrations="
-            )
-        data: DemonstrationData = own() if callable(own) else own
+        data: DemonstrationData = own() if callable(own) else own  # type: ignore[assignment]
         return data
 
     def at_boundary(self) -> None:
@@ -476,8 +497,13 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """A learner from :meth:`save`; arguments as in stable-baselines3.
 
         The file holds pickles, which can run code: load only your own.
+
+        Raises
+        ------
+        InputError
+            If another class saved it.
         """
-        with saving.found_where_they_stood():
+        with saving.found_where_they_stood(), saving.only_of(cls, path):
             return super().load(path, *arguments, **keywords)
 
     def save_replay_buffer(self, path: saving.Place) -> None:

@@ -9,6 +9,7 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
 from animarl_algos.learner.exploration import Exploration, LinearDecay
 from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.learner.recorder import check_environment
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.phase import WEIGHTS, Phase
 from animarl_algos.losses.recipe import OfflineLoss
@@ -137,4 +138,41 @@ def refuse_what_does_not_go_together(model: SequenceQLearning) -> None:
     if not model.offline_epochs and not model.recipe.online:
         raise InputError(
             f"recipe {model.recipe.name} learns from demonstrations alone: give offline_epochs"
+        )
+
+
+def needs_demonstrations(model: SequenceQLearning) -> bool:
+    """Whether what is still to be done looks at demonstrations."""
+    pretraining = model.offline_epochs > 0 and not model.offline_progress.done
+    return model.recipe.inverse or pretraining
+
+
+def refuse_what_cannot_be_learnt(model: SequenceQLearning) -> None:
+    """Of the environment, as far as can be said without looking at its data.
+
+    Raises
+    ------
+    InputError
+        If it does not give what the recipe learns from.
+    """
+    assert model.env is not None
+    check_environment(model.env, model.layout, model.recipe)
+    if needs_demonstrations(model):
+        refuse_without_demonstrations(model)
+
+
+def refuse_without_demonstrations(model: SequenceQLearning) -> None:
+    """Refuse to learn from demonstrations where neither learner nor environment has any.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    own = getattr(model.env, "offline_data", None)
+    none_there = own is None or getattr(model.env, "demos", own) is None
+    if model.demonstrations is None and none_there:
+        raise InputError(
+            f"recipe {model.recipe.name} learns from demonstrations and neither it nor its "
+            "environment was given demonstrations: pass demonstrations="
         )

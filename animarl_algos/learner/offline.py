@@ -11,6 +11,7 @@ How minibatches are drawn and steps are taken is in :mod:`animarl_algos.learner.
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -100,7 +101,7 @@ def run_offline_phase(
         initial=progress.epoch,
         desc="offline",
         unit="epoch",
-        disable=not progress_bar,
+        disable=not (progress_bar and sys.stderr.isatty()),
     )
     with bar:
         while progress.epoch < model.offline_epochs:

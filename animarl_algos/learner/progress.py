@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Protocol
 
 from stable_baselines3.common.callbacks import BaseCallback, ConvertCallback
@@ -48,9 +49,9 @@ class ProgressBar(BaseCallback):
 
 
 def with_progress_bar(callback: MaybeCallback) -> list[BaseCallback]:
-    """What ``learn`` was given as its callback, and a bar."""
+    """What ``learn`` was given as its callback, and on a terminal a bar."""
     given = callback if isinstance(callback, list) else [callback]
     each = [
         c if isinstance(c, BaseCallback) else ConvertCallback(c) for c in given if c is not None
     ]
-    return [*each, ProgressBar()]
+    return [*each, ProgressBar()] if sys.stderr.isatty() else each

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import io
+import json
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -54,15 +55,25 @@ def pace_numbers(pace: Pace) -> dict[str, Any]:
 
 def pace_from(numbers: dict[str, Any]) -> Pace:
     """The pace that ``numbers`` of a file describe; they are taken out of it, if it has any."""
+    numbers.pop(SAVED_BY, None)  # was looked at before
     found = {k: numbers.pop(name) for k, name in PACE_NAMES.items() if name in numbers}
     return Pace(**found)
+
+
+SAVED_BY = "saved_by"
+"""Under this name a zip file says which class, recipe and kind of values it is of."""
+
+
+def _of(learner: type[SequenceQLearning]) -> dict[str, Any]:
+    return {"recipe": learner.recipe.name, "quantiles": learner.quantiles}
 
 
 @contextmanager
 def with_saved_numbers(model: SequenceQLearning) -> Iterator[None]:
     """While stable-baselines3 writes the attributes of ``model``, the pace's are among them."""
     model.acting_rule = model.policy.acting.to_json()
-    numbers = pace_numbers(model.pace)
+    said = {SAVED_BY: {"name": type(model).__name__} | _of(type(model))}
+    numbers = pace_numbers(model.pace) | said
     vars(model).update(numbers)
     try:
         yield
@@ -72,9 +83,52 @@ def with_saved_numbers(model: SequenceQLearning) -> Iterator[None]:
 
 
 @contextmanager
-def _opened(path: Place) -> Iterator[Any]:
+def only_of(learner: type[SequenceQLearning], path: Place) -> Iterator[None]:
+    """While a zip file is loaded as ``learner``, one that something else saved is refused.
+
+    Raises
+    ------
+    InputError
+        If it is of another recipe or another kind of values, or of no learner of this project.
+    """
+    found = _settings_in(path)
+    if found is None or "offline_epochs" not in found:
+        raise InputError(
+            f"{path}: it is no model of {learner.__name__}: load it with the class that saved it"
+        )
+    saved_by = found.get(SAVED_BY)  # older files do not say
+    if isinstance(saved_by, dict) and not _of(learner).items() <= saved_by.items():
+        name = saved_by["name"]
+        raise InputError(
+            f"{path}: it was saved by {name} and is no {learner.__name__}: load it with {name}.load"
+        )
+    try:
+        yield
+    except RuntimeError as error:  # of torch: weights of other shapes or names
+        raise InputError(
+            f"{path}: its networks are not those of {learner.__name__} "
+            f"({str(error).splitlines()[0]}): load it with the class that saved it"
+        ) from error
+
+
+def _settings_in(path: Place) -> dict[str, Any] | None:
+    """Attributes in a zip file of stable-baselines3, pickled ones unread; None if it is none."""
+    with _opened(path, "zip") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                found = json.loads(archive.read("data"))
+        except (zipfile.BadZipFile, KeyError, ValueError):
+            return None
+        finally:
+            if not isinstance(path, str | Path):  # one that was given is read again
+                path.seek(0)
+    return found if isinstance(found, dict) else None
+
+
+@contextmanager
+def _opened(path: Place, suffix: str = "npz") -> Iterator[Any]:
     """The file at ``path``, as stable-baselines3 finds it; one that was given stays open."""
-    file = open_path(path, "r", suffix="npz")
+    file = open_path(path, "r", suffix=suffix)
     try:
         yield file
     finally:

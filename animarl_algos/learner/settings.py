@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.type_aliases import Schedule, TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -23,8 +23,8 @@ class LearnerSettings(PhaseSettings, total=False):
 
     Parameters
     ----------
-    learning_rate, offline_learning_rate
-        Of Adam, a number or (online) a schedule of the remaining progress.
+    offline_learning_rate
+        Of Adam in the offline phase.
     buffer_size
         Replay memory [world steps]; whole episodes are evicted, oldest first.
     batch_size, offline_batch_size
@@ -68,13 +68,14 @@ class LearnerSettings(PhaseSettings, total=False):
         How its minibatches are drawn and its steps taken, see
         :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
     policy_kwargs
-        See :class:`animarl_algos.networks.policies.GruPolicy`. This table, ``offline_kwargs`` and
-        ``replay_buffer_kwargs`` go over the preset's key by key; None empties them.
+        See :class:`animarl_algos.networks.policies.GruPolicy`; stable-baselines3's ``net_arch`` and
+        ``activation_fn`` as :mod:`animarl_algos.learner.habits` translates them. This table,
+        ``offline_kwargs`` and ``replay_buffer_kwargs`` go over the preset's key by key; None
+        empties them.
     stats_window_size
         Episodes in the means of the log.
     """
 
-    learning_rate: float | Schedule
     buffer_size: int
     batch_size: int
     tau: float

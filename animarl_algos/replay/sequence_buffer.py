@@ -185,6 +185,10 @@ class SequenceReplayBuffer:
         """Finished episodes in the ring."""
         return int(self.ring.cursor[EPISODES])
 
+    def size(self) -> int:
+        """Steps of the world in the ring, under stable-baselines3's name for it."""
+        return self.num_steps
+
     @property
     def num_steps(self) -> int:
         """Steps of the world in the ring."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -106,6 +107,8 @@ def train(arguments: list[str]) -> None:
     model = peeked.trained_agent
     if model is not None and not (model.suffix == ".zip" and model.is_file()):
         raise InputError(f"{model}: there is no such zip file: name a model that 'train' saved")
+    if peeked.track and importlib.util.find_spec("wandb") is None:
+        raise InputError("--track needs Weights & Biases: pip install wandb, or leave it out")
     if peeked.n_trials < 1:
         raise InputError(f"--n-trials is {peeked.n_trials}: give at least 1")
     torch.set_num_threads(1)
@@ -141,6 +144,7 @@ def _peek(arguments: list[str]) -> argparse.Namespace:
     look.add_argument("-f", "--log-folder", default="logs")
     look.add_argument("-i", "--trained-agent", type=Path)
     look.add_argument("--device", default="auto")
+    look.add_argument("--track", action="store_true")
     look.add_argument("--n-trials", type=int, default=1)
     look.add_argument("--gym-packages", nargs="+", default=[])
     return look.parse_known_args(arguments)[0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from animarl_algos.data.slots import MixedMeansWarning
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.errors import InputError
 
@@ -51,7 +53,10 @@ def slot_environment(
 def validation_environment(env_id: str, copies: int, **options: Any) -> VecEnv:
     """What policies are scored in: episodes of the validation split, :class:`Scored`."""
     options["dtw"] = "closeness"  # whatever the learner is paid for, scores are comparable
-    return VecMonitor(Scored(slot_environment(env_id, copies, split="val", **options)))
+    slots = Scored(slot_environment(env_id, copies, split="val", **options))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MixedMeansWarning)  # the score is a mean over all
+        return VecMonitor(slots)
 
 
 class Scored(VecEnvWrapper):

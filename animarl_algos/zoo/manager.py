@@ -33,6 +33,7 @@ from animarl_algos.zoo.environments import (
     species_of_id,
     validation_environment,
 )
+from animarl_algos.zoo.episode_log import EpisodeLog
 from animarl_algos.zoo.models import check_fit, load_model, reading_model
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
@@ -169,7 +170,11 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             super().create_log_folder()  # type: ignore[no-untyped-call]
 
     def create_callbacks(self) -> None:
-        """rl_zoo3's, with a progress bar in steps of the world and every individual scored."""
+        """rl_zoo3's, with a progress bar in steps of the world, every individual scored, and the
+        log of episodes that plots read.
+        """
+        if self.species is not None and not self.optimize_hyperparameters:
+            self.callbacks.append(EpisodeLog(Path(self.save_path), self.env_name.gym_id))
         if self.show_progress:
             self.callbacks.append(ProgressBar())
             self.show_progress = False

@@ -17,6 +17,8 @@ LEAST_BODY = 0.03  # of a searcher with antennae
 TRAIL_WIDTH = 0.0055
 RECORDED_WIDTH = 0.0035
 OUTLINE_WIDTH = 0.0032
+PLUME_FADE = 0.2  # share of the field, before its end, in which the plume fades out
+PLUME_MARGIN = 0.04  # share of the field at its end that holds nothing, beyond the cut
 TRAIL_FADE = 25.0  # [frames] over which a trail fades towards its floor
 
 
@@ -121,6 +123,7 @@ def _draw_source(canvas: Canvas, scene: Scene) -> None:
 def _draw_plume(canvas: Canvas, plume: PlumeField) -> None:
     pygame = canvas.pygame
     strength = np.clip(plume.values, 0.0, 1.0)[::-1].T  # columns, then rows downwards
+    strength = strength * _fading(strength.shape)
     sheet = pygame.Surface(strength.shape, pygame.SRCALPHA, 32)
     sheet.fill((*palette.PLUME, 0))
     opacity = pygame.surfarray.pixels_alpha(sheet)
@@ -130,6 +133,17 @@ def _draw_plume(canvas: Canvas, plume: PlumeField) -> None:
     corner, opposite = canvas.at(np.array([[x_low, y_high], [x_high, y_low]])).round()
     size = np.maximum(opposite - corner, 1).astype(int).tolist()
     canvas.surface.blit(pygame.transform.smoothscale(sheet, size), corner.tolist())
+
+
+def _fading(shape: tuple[int, int]) -> NDArray[np.float64]:
+    """1 within the field, falling to 0 before its downwind end and its sides, where it is cut."""
+    columns, rows = ((np.arange(n) + 0.5) / n for n in shape)
+    to_side = np.minimum(rows, 1.0 - rows)
+    along, across = (
+        np.clip((left - PLUME_MARGIN) / fade, 0.0, 1.0)
+        for left, fade in ((1.0 - columns, PLUME_FADE), (to_side, PLUME_FADE / 2))
+    )
+    return np.asarray(along[:, None] * across)
 
 
 def _colour(scene: Scene, i: int) -> RGB:

@@ -49,10 +49,7 @@ def with_options(species: Species, **options: Any) -> Species:
     for key in options:
         if key not in known:
             more = {"num_pursuers", "locomotion", "rebound", "boundary"}
-            raise UnknownOptionError(
-                f"option {key!r} is unknown for {species.name} (unexpected keyword argument "
-                f"{key!r}): choose one of {', '.join(sorted(known | more))}"
-            )
+            raise UnknownOptionError.of(key, species.name, known | more)
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
     except TypeError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,9 +11,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError
+from animarl_envs.checks import is_whole
+from animarl_envs.errors import InputError, knowing
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds.base import World
@@ -25,9 +28,9 @@ Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
 
 
 def focal_scenario(
-    species: Species | str, focal: str | None, others: Others, options: dict[str, Any]
+    view: type, species: Species | str, focal: str | None, others: Others, options: dict[str, Any]
 ) -> tuple[Scenario, int, dict[int, PolicyFunction]]:
-    """The scenario of a view with one focal individual.
+    """The scenario of a ``view`` with one focal individual.
 
     Returns the scenario, the index of the focal individual, and the policies of those others that
     follow one, by index.
@@ -37,7 +40,8 @@ def focal_scenario(
             "drivers is an option of parallel_env: say with focal who acts and with others what "
             "moves the rest"
         )
-    scenario = make_scenario(species, **options)
+    with knowing(view.__init__, without=("drivers",)):  # type: ignore[misc]
+        scenario = make_scenario(species, **options)
     names = scenario.names
     focal = names[0] if focal is None else focal
     if focal not in names:
@@ -85,6 +89,38 @@ def observation_space(world: World) -> spaces.Box:
 def action_space(world: World) -> spaces.Discrete:
     """The 12 M + 1 actions of :mod:`animarl_envs.locomotion`."""
     return spaces.Discrete(world.num_actions)
+
+
+def with_limit(spec: EnvSpec | None, limit: int) -> EnvSpec | None:
+    """A spec that says the longest episode [steps], unless it says a shorter one already.
+
+    Gymnasium's registry cannot say it, since its time limit would hold for every ``time_limit``
+    that is given as an option.
+    """
+    if spec is None or (spec.max_episode_steps or limit + 1) <= limit:
+        return spec
+    said = copy.copy(spec)
+    said.max_episode_steps = limit
+    return said
+
+
+def checked_limit(name: str, most: Any) -> int | None:
+    """The most steps of an episode that a library asks for beside the options; ``None``: no such.
+
+    Raises
+    ------
+    InputError
+        If it is no whole number of steps, at least 1.
+    """
+    if most is None or (is_whole(most) and most >= 1):
+        return None if most is None else int(most)
+    raise InputError(f"{name} is {most!r}: give a whole number of steps, at least 1")
+
+
+def cut_after(world: World, most: int | None) -> None:
+    """Truncate the episodes of ``world`` that have lasted ``most`` steps, warm-up included."""
+    if most is not None:
+        world.truncated |= (world.step_count >= most) & ~world.terminated
 
 
 def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDArray[np.int64]:

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, knowing
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     action_space,
+    checked_limit,
     chosen_demos,
+    cut_after,
     observation_space,
     reset_options,
     space_of,
@@ -38,6 +40,9 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         A species or its name.
     render_mode
         ``"rgb_array"``, ``"human"`` or ``None``.
+    max_cycles
+        PettingZoo's name for the most steps of an episode, which truncate it; by default the
+        species' time limit alone does.
     options
         Of :func:`animarl_envs.scenario.make_scenario`.
 
@@ -55,9 +60,16 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
     }
 
     def __init__(
-        self, species: Species | str, *, render_mode: str | None = None, **options: Any
+        self,
+        species: Species | str,
+        *,
+        render_mode: str | None = None,
+        max_cycles: int | None = None,
+        **options: Any,
     ) -> None:
-        self.scenario = make_scenario(species, **options)
+        with knowing(AnimalParallelEnv.__init__):
+            self.scenario = make_scenario(species, **options)
+        self.max_cycles = checked_limit("max_cycles", max_cycles)
         self.world = make_world(self.scenario, 1)
         self._picture = Picture(self.world, render_mode)
         self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
@@ -95,6 +107,8 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.agents = list(self.possible_agents)
         if self.render_mode is not None:
             self._picture.start()
+            if self.render_mode == "human":
+                self.render()
         infos = self._infos(warming=False)
         for info in infos.values():
             info["scenario"] = json.loads(self._description)
@@ -132,8 +146,11 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
             self._actions[0, i] = action
         warming = world.warming.item()
         world.step(self._actions)
+        cut_after(world, self.max_cycles)
         if self.render_mode is not None:
             self._picture.follow()
+            if self.render_mode == "human":
+                self.render()
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
         agents = self.agents

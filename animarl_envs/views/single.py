@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
@@ -20,9 +21,16 @@ from animarl_envs.views.common import (
     observation_space,
     reset_options,
     stream_seed,
+    with_limit,
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
+
+KEYS = {
+    "w": 0, "wa": 30, "q": 60, "a": 90, "z": 120, "sa": 150,
+    "s": 180, "sd": 210, "c": 240, "d": 270, "e": 300, "wd": 330,
+}  # fmt: skip
+"""Directions by key, counter-clockwise from the focus [deg]."""
 
 
 class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
@@ -48,8 +56,10 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
     -----
     ``info`` holds ``demo`` (index of the paired demonstration in the chosen split, -1 without),
     ``condition``, ``step``, ``warmup`` (the step was replayed from the demonstration, so the action
-    had no effect), each reward component under its own name, ``outcome``, and at reset
-    ``scenario``. ``reset(options={"demo": 3})`` starts from demonstration 3.
+    had no effect), each reward component under its own name, ``outcome`` (k above 0: contact by
+    individual k - 1; 0: time limit, and as long as the episode goes on; -1: the target left the
+    arena; -2: a pursuer left it), and at reset ``scenario``. ``reset(options={"demo": 3})`` starts
+    from demonstration 3.
 
     Raises
     ------
@@ -77,8 +87,9 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         **options: Any,
     ) -> None:
         self.scenario, self.focal_index, self._policies = focal_scenario(
-            species, focal, others, options
+            type(self), species, focal, others, options
         )
+        self._spec: EnvSpec | None = None
         self.world = make_world(self.scenario, 1)
         self._picture = Picture(self.world, render_mode)
         self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
@@ -93,6 +104,27 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
     def time_limit(self) -> int:
         """Longest episode [steps], which truncates it."""
         return int(self.scenario.species.time_limit)
+
+    @property  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = with_limit(spec, self.time_limit)
+
+    def get_keys_to_action(self) -> dict[str, int]:
+        """Keys for :func:`gymnasium.utils.play.play`: w towards the focus, a left, s away, d right,
+        others and pairs in between, space coasts (give it as ``noop`` too).
+        """
+        vectors = self.scenario.species.locomotion[self.focal_index].action_vectors
+        angles = {key: np.deg2rad(degrees) for key, degrees in KEYS.items()}
+        pushes = {
+            key: int(np.argmax(vectors @ [np.cos(angle), np.sin(angle)]))
+            for key, angle in angles.items()
+        }
+        return pushes | {" ": self.world.num_actions - 1}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

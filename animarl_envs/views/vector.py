@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import json
 from copy import deepcopy
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from animarl_envs.drawing.picture import Pictures
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
     action_space,
     check_actions,
+    checked_limit,
     chosen_demos,
     copy_seeds,
+    cut_after,
     focal_scenario,
     observation_space,
     reset_options,
     stream_seed,
+    with_limit,
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
@@ -41,17 +45,24 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
     autoreset_mode
         ``NEXT_STEP`` (Gymnasium's default: the step after an end resets and ignores the action),
         ``SAME_STEP`` (the last observation is in ``infos["final_obs"]``) or ``DISABLED``.
+    render_mode
+        ``"rgb_array"`` or ``None``.
+    max_episode_steps
+        Gymnasium's name for the most steps of an episode, which truncate it; by default the
+        species' time limit alone does.
     species, focal, others, options
         As in :class:`~animarl_envs.views.single.AnimalEnv`.
 
     Notes
     -----
     It truncates by itself at the time limit of the scenario. ``reset_by_step`` ``(num_envs,)``
-    tells which copies the last ``step`` has reset instead of stepped (``NEXT_STEP``).
+    tells which copies the last ``step`` has reset instead of stepped (``NEXT_STEP``). ``infos``
+    hold what those of an :class:`~animarl_envs.views.single.AnimalEnv` do, as arrays
+    ``(num_envs,)``, each with its mask ``_key``; ``scenario`` is one dictionary that all share.
     """
 
     metadata: dict[str, Any] = {
-        "render_modes": [],
+        "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -64,19 +75,16 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         others: Others = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
-        if render_mode is not None:
-            raise InputError("a vector environment does not render: use gym.make for pictures")
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs!r}: it must be a whole number, at least 1")
-        most = options.pop("max_episode_steps", None)  # of Gymnasium, for which a view truncates
         self.scenario, self.focal_index, self._policies = focal_scenario(
-            species, focal, others, options
+            type(self), species, focal, others, options
         )
-        if most is not None and most < self.scenario.species.time_limit:
-            limited = replace(self.scenario.species, time_limit=most)
-            self.scenario = replace(self.scenario, species=limited)
+        self._most = checked_limit("max_episode_steps", max_episode_steps)
+        self._spec: EnvSpec | None = None
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -84,8 +92,14 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
                 f"autoreset_mode is {autoreset_mode!r}: choose one of "
                 f"{', '.join(mode.value for mode in AutoresetMode)}"
             ) from None
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.world = make_world(self.scenario, num_envs)
+        self._pictures = Pictures(self.world, render_mode)
+        self.render_mode = render_mode
+        self.metadata = {
+            **self.metadata,
+            "autoreset_mode": self.autoreset_mode,
+            "render_fps": self._pictures.frame_rate,
+        }
         self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.world)
@@ -97,6 +111,21 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         self._started = False
         self._actions = np.zeros((num_envs, self.world.num_individuals), dtype=np.int64)
         self._all = np.ones(num_envs, dtype=bool)
+
+    @property
+    def time_limit(self) -> int:
+        """Longest episode [steps], which truncates it."""
+        limit = int(self.scenario.species.time_limit)
+        return limit if self._most is None else min(limit, self._most)
+
+    @property  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = with_limit(spec, self.time_limit)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -116,7 +145,11 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False
-        return self._observation(), {**self._infos(), "scenario": json.loads(self._description)}
+        self._pictures.start(mask)
+        infos = self._infos()
+        described = np.full(self.num_envs, None, dtype=object)
+        described[:] = [json.loads(self._description)] * self.num_envs
+        return self._observation(), self._masked(infos | {"scenario": described})
 
     def _seed(self, seed: int | list[int | None] | None) -> None:
         """Start the random streams: before the first episode, and whenever a seed is given."""
@@ -166,11 +199,12 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
             world.random_state[due] = streams  # as if the step had not been
             world.reset(due)
             warming[due] = False
+        cut_after(world, self._most)
+        self._pictures.follow(due)
         ended = world.terminated | world.truncated
         reward = world.reward[:, i].copy()
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
-        infos = self._infos()
-        infos["warmup"] = warming
+        infos = self._masked(self._infos() | {"warmup": warming})
         self._ended = ended
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if ended.any():
@@ -184,12 +218,31 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         final = np.full(self.num_envs, None, dtype=object)
         for b in np.flatnonzero(ended):
             final[b] = last[b]
-        final_info = {key: value.copy() for key, value in infos.items()}
-        final_info |= {f"_{key}": ended.copy() for key in infos if not key.startswith("_")}
+        final_info = {
+            key: ended.copy() if key.startswith("_") else value.copy()
+            for key, value in infos.items()
+        }
         self.world.reset(ended)
+        self._pictures.start(ended)
         infos |= self._infos()
         infos["final_obs"], infos["_final_obs"] = final, ended.copy()
         infos["final_info"], infos["_final_info"] = final_info, ended.copy()
+
+    def render(self) -> tuple[NDArray[np.uint8], ...]:  # type: ignore[override]
+        """The present scene of each copy, ``(height, width, 3)`` uint8, as Gymnasium wants it.
+
+        Only the first :data:`~animarl_envs.drawing.picture.MOST_DRAWN` are drawn, the others are
+        blank; :meth:`render_grid` shows those in one picture.
+        """
+        return self._pictures.draw()
+
+    def render_grid(self) -> NDArray[np.uint8]:
+        """The present scenes of the first copies side by side, up to three in a row."""
+        return self._pictures.grid()
+
+    def _masked(self, infos: dict[str, Any]) -> dict[str, Any]:
+        """With a mask for each entry: every copy has it."""
+        return infos | {f"_{key}": self._all.copy() for key in infos}
 
     def _observation(self) -> NDArray[np.float32]:
         return np.array(self.world.observation[:, self.focal_index], order="C")

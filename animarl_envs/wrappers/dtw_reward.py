@@ -111,10 +111,13 @@ class DTWRewardVector(VectorWrapper):
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         tracker = self._tracker
         cost = np.where(self._inner.reset_by_step, 0.0, tracker.penalty[:, 0])
-        infos["task_reward"] = rewards
-        infos["dtw_penalty"] = cost
-        infos["dtw_distance"] = tracker.row_minimum[:, 0].copy()
-        infos["aligned_step"] = tracker.aligned[:, 0].copy()
+        told = {
+            "task_reward": rewards,
+            "dtw_penalty": cost,
+            "dtw_distance": tracker.row_minimum[:, 0].copy(),
+            "aligned_step": tracker.aligned[:, 0].copy(),
+        }
+        infos |= told | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in told}
         if "final_info" in infos:
             ended = infos["_final_info"]
             final = {

@@ -114,8 +114,13 @@ class FilamentModel:
         """The filaments of one pattern, ``(puffs, filaments, 6)``.
 
         They are s_j [s], U_j, v_j, w_j [m/s], y0_j, z0_j [m]. The same pattern number always gives
-        the same filaments; the sequence joins up with itself after ``period``.
+        the same filaments, one array that is not to be changed; the sequence joins up with itself
+        after ``period``.
         """
+        return _released(self, pattern)
+
+    def _draw(self, pattern: int) -> NDArray[np.float64]:
+        """The filaments of :meth:`release`, drawn anew."""
         rng = np.random.default_rng([pattern, 0x706C756D65])
         puffs, each = self.num_puffs, self.filaments_per_puff
         shared = np.stack([self._meander(rng), self._meander(rng)], axis=-1)
@@ -154,6 +159,11 @@ class FilamentModel:
             self.puff_rate, math.ceil(oldest * self.puff_rate) + 1, self.initial_radius,
             self.growth, self.extent, self.cell, x0, y0,
         )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=16)
+def _released(model: FilamentModel, pattern: int) -> NDArray[np.float64]:
+    return model._draw(pattern)
 
 
 @jit

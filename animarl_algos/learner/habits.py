@@ -1,0 +1,70 @@
+"""The networks' settings as users of stable-baselines3 write them, in this project's words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from torch import nn
+
+from animarl_envs.errors import InputError
+
+
+def translated(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """A table ``policy_kwargs`` without the names that only stable-baselines3 has.
+
+    ``net_arch=[64, 64]`` becomes ``hidden=64, depth=2``: the layers that encode an observation, as
+    many as are listed; the memory and the dueling head come on top. ``activation_fn=ReLU`` and
+    ``features_extractor_class=FlattenExtractor`` are what the networks do anyway.
+
+    Raises
+    ------
+    InputError
+        If something else is asked for, or one thing in both ways.
+    """
+    table = dict(policy_kwargs)
+    layers = table.pop("net_arch", None)
+    if layers is not None:
+        both = [name for name in ("hidden", "depth") if name in table]
+        if both:
+            raise InputError(
+                f"policy_kwargs: net_arch and {both[0]} say the same thing: give hidden and depth, "
+                "or net_arch alone"
+            )
+        table |= _widths(layers)
+    activation = table.pop("activation_fn", nn.ReLU)
+    if activation is not nn.ReLU:
+        raise InputError(
+            f"policy_kwargs: activation_fn is {_name(activation)}: hidden layers are rectified "
+            "here, so give torch.nn.ReLU or leave it out"
+        )
+    extractor = table.pop("features_extractor_class", FlattenExtractor)
+    if extractor is not FlattenExtractor:
+        raise InputError(
+            f"policy_kwargs: features_extractor_class is {_name(extractor)}: observations are "
+            "flattened here, so give FlattenExtractor, leave it out, or put the features into the "
+            "observation with a wrapper"
+        )
+    options = table.pop("features_extractor_kwargs", None)
+    if options:
+        raise InputError(
+            f"policy_kwargs: features_extractor_kwargs is {options!r}: flattening takes none, so "
+            "leave it out"
+        )
+    return table
+
+
+def _widths(layers: Any) -> dict[str, int]:
+    """``net_arch`` as the width of all layers and their number."""
+    listed = isinstance(layers, list | tuple) and all(type(n) is int for n in layers)
+    if listed and len(set(layers)) == 1:
+        return {"hidden": layers[0], "depth": len(layers)}
+    raise InputError(
+        f"policy_kwargs: net_arch is {layers!r}: all hidden layers are of one width here, so give "
+        "a list such as [64, 64], or hidden=64 and depth=2"
+    )
+
+
+def _name(value: Any) -> str:
+    return str(getattr(value, "__name__", repr(value)))

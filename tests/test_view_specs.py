@@ -1,0 +1,239 @@
+"""What Gymnasium and PettingZoo are told: specs, registries, infos, pictures, keys."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pettingzoo
+import pytest
+from gymnasium.utils.play import play
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import TimeAwareObservation
+from gymnasium.wrappers.vector import DictInfoToList, RecordVideo
+from recordings import dogs
+
+import animarl_envs
+from animarl_envs.drawing.picture import MOST_DRAWN
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
+
+AGENT, SILKMOTH = "AnimaRL/Agent-v0", "AnimaRL/Silkmoth-v0"
+
+
+# -- the time limit -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SPECIES)
+def test_spec_says_the_longest_episode(name: str) -> None:
+    env_id, limit = animarl_envs.environment_id(name), SPECIES[name].time_limit
+    for given, said in ((None, limit), (limit + 100, limit + 100), (40, 40)):
+        options = {} if given is None else {"time_limit": given}
+        assert gym.make(env_id, **options).spec.max_episode_steps == said  # type: ignore[union-attr]
+        assert gym.make_vec(env_id, num_envs=2, **options).spec.max_episode_steps == said  # type: ignore[union-attr]
+    assert gym.make(env_id, max_episode_steps=7).spec.max_episode_steps == 7  # type: ignore[union-attr]
+    assert gym.make_vec(env_id, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7  # type: ignore[union-attr]
+
+
+def test_spec_of_own_animals_says_their_longest_episode() -> None:
+    env = gym.make("AnimaRL/Custom-v0", demos=dogs(2))
+    assert env.spec is not None
+    assert env.spec.max_episode_steps == env.unwrapped.time_limit  # type: ignore[attr-defined]
+
+
+def test_spec_lets_time_be_observed() -> None:
+    env = TimeAwareObservation(gym.make(AGENT, demos=None), normalize_time=True)
+    assert env.reset(seed=0)[0][-1] == 0.0
+    assert env.step(12)[0][-1] == pytest.approx(1 / SPECIES["agent"].time_limit)
+
+
+@pytest.mark.parametrize("most", [1, 7, 10, 11, 13])
+def test_spec_limit_of_a_vector_is_that_of_singles_in_warm_up_too(most: int) -> None:
+    assert SPECIES["silkmoth"].warmup == 10
+    vector = gym.make_vec(SILKMOTH, num_envs=2, max_episode_steps=most)
+    singles = [gym.make(SILKMOTH, max_episode_steps=most) for _ in range(2)]
+    seen = vector.reset(seed=3)[0]
+    assert np.array_equal(seen, [env.reset(seed=3 + b)[0] for b, env in enumerate(singles)])
+    for t in range(1, most + 1):
+        seen, _, terminated, truncated, infos = vector.step(np.array([0, 4]))
+        for b, env in enumerate(singles):
+            row, _, over, cut, info = env.step([0, 4][b])
+            assert np.array_equal(row, seen[b])
+            assert (over, cut) == (terminated[b], truncated[b]) == (False, t == most)
+            assert info["warmup"] == infos["warmup"][b]
+    assert np.array_equal(vector.step(np.array([0, 0]))[0], [env.reset()[0] for env in singles])
+
+
+@pytest.mark.parametrize("most", [0, -1, 2.5, True, "7"])
+def test_spec_limits_that_are_none_are_refused(most: Any) -> None:
+    with pytest.raises(InputError, match=r"max_episode_steps is .*: give a whole number"):
+        gym.make_vec(AGENT, num_envs=2, max_episode_steps=most)
+
+
+# -- PettingZoo's registry ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*SPECIES, CUSTOM])
+def test_spec_is_in_the_registry_of_pettingzoo(name: str) -> None:
+    options = {"demos": dogs(2)} if name == CUSTOM else {}
+    env = pettingzoo.make("parallel", animarl_envs.environment_id(name), **options)
+    assert isinstance(env, AnimalParallelEnv)
+    twin = animarl_envs.parallel_env(name, **options)
+    seen, expected = env.reset(seed=1)[0], twin.reset(seed=1)[0]
+    assert all(np.array_equal(seen[agent], expected[agent]) for agent in twin.possible_agents)
+
+
+def test_spec_of_pettingzoo_takes_the_most_cycles() -> None:
+    env = pettingzoo.make("parallel", AGENT, max_cycles=3)
+    env.reset(seed=1)
+    ends = [list(env.step(dict.fromkeys(env.agents, 12))[3].values()) for _ in range(3)]
+    assert ends == [[False] * 3, [False] * 3, [True] * 3]
+    assert env.agents == []
+
+
+# -- infos of many copies -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_spec_of_infos_a_mask_for_every_entry_and_lists_equal_singles(mode: AutoresetMode) -> None:
+    options = {"demos": None, "time_limit": 4}
+    vector = gym.make_vec(AGENT, num_envs=2, autoreset_mode=mode, **options)
+    vector, single = DictInfoToList(vector), gym.make(AGENT, **options)
+    listed = vector.reset(seed=5)[1]
+    assert listed[0].keys() == single.reset(seed=5)[1].keys() - {"warmup"}
+    assert listed[0]["scenario"] == single.reset(seed=5)[1]["scenario"]
+    for t in range(1, 5):
+        listed = vector.step(np.array([0, 1]))[4]
+        info = single.step(0)[4]
+        ended = listed[0].pop("final_info", None)
+        listed[0].pop("final_obs", None)
+        assert (ended is not None) == (t == 4 and mode is AutoresetMode.SAME_STEP)
+        assert (ended or listed[0]) == info
+
+
+def test_spec_of_infos_holds_for_raw_dictionaries() -> None:
+    vector = gym.make_vec(AGENT, num_envs=3)
+    for infos in (vector.reset(seed=0)[1], vector.step(np.zeros(3, dtype=int))[4]):
+        names = {key for key in infos if not key.startswith("_")}
+        assert set(infos) == names | {f"_{key}" for key in names}
+        assert all(infos[f"_{key}"].tolist() == [True] * 3 for key in names)
+        assert not any(isinstance(value, dict) for value in infos.values())
+
+
+# -- pictures -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("copies", "columns", "rows"), [(1, 1, 1), (2, 2, 1), (5, 3, 2), (11, 3, 3)]
+)
+def test_spec_of_pictures_one_of_each_copy_and_a_grid(copies: int, columns: int, rows: int) -> None:
+    vector = gym.make_vec(AGENT, num_envs=copies, render_mode="rgb_array", time_limit=2)
+    vector.reset(seed=0)
+    vector.step(np.zeros(copies, dtype=int))
+    pictures, grid = vector.render(), vector.unwrapped.render_grid()  # type: ignore[attr-defined]
+    assert pictures is not None and len(pictures) == copies
+    height, width, _ = pictures[0].shape
+    assert grid.shape == (rows * height, columns * width, 3) and width == 600 // columns
+    for b, pixels in enumerate(pictures[:MOST_DRAWN]):
+        row, column = divmod(b, columns)
+        place = grid[row * height : (row + 1) * height, column * width : (column + 1) * width]
+        assert np.array_equal(place, pixels)
+        assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 20
+    assert all((blank == 255).all() for blank in pictures[MOST_DRAWN:])
+
+
+def test_spec_of_pictures_is_kept_through_ends_of_episodes() -> None:
+    """Copy 0 of a vector is drawn as a single environment is, in its second episode too."""
+    options = {"render_mode": "rgb_array", "time_limit": 3}
+    vector, single = gym.make_vec(AGENT, num_envs=1, **options), gym.make(AGENT, **options)
+    vector.reset(seed=2), single.reset(seed=2)
+    for t in range(6):
+        vector.step(np.array([3]))
+        single.reset() if t == 3 else single.step(3)
+        assert np.array_equal(vector.render()[0], single.render())  # type: ignore[index]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_spec_of_pictures_suits_gymnasium_s_recorder(tmp_path: Any) -> None:
+    pytest.importorskip("moviepy")
+    vector = gym.make_vec(AGENT, num_envs=4, render_mode="rgb_array", time_limit=3)
+    recorder = RecordVideo(vector, str(tmp_path), episode_trigger=lambda episode: episode == 0)
+    recorder.reset(seed=0)
+    for _ in range(5):
+        recorder.step(np.zeros(4, dtype=int))
+    recorder.close()
+    (clip,) = tmp_path.glob("*.mp4")
+    assert clip.stat().st_size > 1000
+
+
+def test_spec_of_pictures_refuses_a_window_for_many() -> None:
+    with pytest.raises(InputError, match="render_mode is 'human': choose 'rgb_array' or None"):
+        AnimalVectorEnv("agent", 2, render_mode="human")
+
+
+def test_spec_of_pictures_pettingzoo_s_window_is_drawn_at_every_step(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = animarl_envs.parallel_env("agent", render_mode="human")
+    shown: list[int] = []
+    env._picture._record()  # what draws is loaded
+    draw = env._picture.draw
+    monkeypatch.setattr(env._picture, "draw", lambda: shown.append(1) or draw())
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(dict.fromkeys(env.agents, 0))
+    env.close()
+    assert len(shown) == 4
+
+
+# -- keys, options --------------------------------------------------------------------------------
+
+
+def test_spec_of_keys_is_one_that_gymnasium_can_play(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame = pytest.importorskip("pygame")
+    env = gym.make(AGENT, render_mode="rgb_array", time_limit=3)
+    taken: list[int] = []
+
+    def after(_: Any, __: Any, action: int, ___: Any, over: bool, cut: bool, ____: Any) -> None:
+        taken.append(action)
+        if over or cut:
+            pygame.event.post(pygame.event.Event(pygame.QUIT))
+
+    play(env, callback=after, noop=12, fps=1000)
+    assert set(taken) == {12}
+
+
+@pytest.mark.parametrize("magnitudes", [(1.0,), (1.75, 1.0, 0.5)])
+def test_spec_of_keys_names_every_direction_once(magnitudes: tuple[float, ...]) -> None:
+    moves = {name: {"magnitudes": magnitudes} for name in SPECIES["agent"].individuals}
+    env = AnimalEnv("agent", locomotion=moves, demos=None)
+    keys = env.get_keys_to_action()
+    vectors = env.scenario.species.locomotion[0].action_vectors
+    assert sorted(keys.values()) == [*range(12), len(vectors) - 1]
+    assert vectors[keys["w"]] == pytest.approx([magnitudes[0], 0.0])
+    assert vectors[keys["a"]] == pytest.approx([0.0, magnitudes[0]])
+    assert vectors[keys[" "]].tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("view", [AnimalEnv, AnimalVectorEnv, AnimalParallelEnv])
+def test_spec_of_options_lists_all_of_a_view_and_what_may_be_meant(view: Any) -> None:
+    with pytest.raises(InputError, match="did you mean 'contact_radius': choose one of ") as told:
+        view("agent", contact_raduis=0.1)
+    said = str(told.value).partition("choose one of ")[2].split(", ")
+    own = {
+        name
+        for function in (view.__init__, make_scenario)
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    }
+    wanted = own if view is AnimalParallelEnv else own - {"drivers"}
+    assert wanted | {"num_pursuers", "arena", "rebound", "time_limit", "warmup"} <= set(said)
+    assert said == sorted(set(said))
+    for name in said:
+        assert name != "drivers" or view is AnimalParallelEnv
