@@ -12,7 +12,7 @@ from animarl_envs.files import unreadable_or_unwritable
 try:
     import typer
 
-    from animarl_algos.cli import data
+    from animarl_algos.cli import benchmark, data
     from animarl_algos.cli.fit import fit_command
     from animarl_algos.cli.importing import import_command
     from animarl_algos.cli.run import (
@@ -48,6 +48,7 @@ app.command("train")(train_command)
 app.command("evaluate")(evaluate_command)
 app.command("report")(report_command)
 app.command("watch")(watch_command)
+app.add_typer(benchmark.app, name="benchmark")
 
 
 def main() -> None:
