@@ -125,7 +125,8 @@ def score_command(
         table.add_row(*row)
     console.print(table)
     console.print(
-        f"{found.rollouts} rollouts from {found.starts} test starts; intervals cover {found.covers}."
+        f"{found.rollouts} rollouts from {found.starts} test starts; intervals cover "
+        f"{found.covers}."
     )
 
 
