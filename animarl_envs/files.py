@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 import tempfile
 import zipfile
@@ -63,6 +64,38 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
         raise _unwritable(path, error) from error
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def all_files_or_none(folder: str | Path) -> Iterator[Path]:
+    """Hand out an empty folder beside ``folder``; move its files there if the block succeeds.
+
+    An error or Ctrl-C inside the block leaves ``folder`` as it was, with all results of before.
+    Afterwards files of the same name are replaced; others that lie there stay.
+
+    Raises
+    ------
+    InputError
+        If ``folder`` is a file, or something cannot be written: a full disk, no permission.
+    """
+    folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: it is a file: name a folder")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".part"))
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+    try:
+        yield part
+        for file in sorted(path for path in part.rglob("*") if path.is_file()):
+            place = folder / file.relative_to(part)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def unreadable_or_unwritable(error: OSError) -> str:

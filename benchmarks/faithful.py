@@ -45,7 +45,6 @@ from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import track
-from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
 from animarl_envs.worlds import make_world
 
@@ -210,9 +209,10 @@ def trained(
     preset = asked.learner()
     asked = replace(asked, steps=preset.n_timesteps, copies=preset.n_envs)
     run = pipeline.open_run(asked, folder, shlex.join(sys.argv), demos)
-    policy = pipeline.test_policies(run, progress_bar=False)[pipeline.method_name(algo)]
+    policy = pipeline.learn(run, algo, progress_bar=False)
+    policy.policy.seed(seed)
     spec = run.species(demos, pipeline.fit(run))
-    world = partial(make_world, make_scenario(spec, demos=demos, split=split))
+    world = partial(make_world, run.scenario(split))
     starts = int((demos.split == split).sum())
     collect = partial(
         collect_rollouts, world, seed=seed, repetitions=max(2, math.ceil(rollouts / starts))

@@ -327,7 +327,18 @@ def test_bad_options_are_refused_in_one_sentence(
 
 
 def test_help_teaches_by_example(animarl: Callable[..., Done]) -> None:
-    for name in ("import", "fit", "run", "train", "evaluate", "report", "watch", "data"):
+    for name in (
+        "import",
+        "fit",
+        "run",
+        "train",
+        "evaluate",
+        "counterfactual",
+        "inspect",
+        "report",
+        "watch",
+        "data",
+    ):
         done = animarl(name, "--help")
         assert done.returncode == 0
         assert f"animarl {name}" in done.stdout

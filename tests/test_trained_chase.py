@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
+from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
 from animarl_envs.errors import InputError
@@ -33,8 +34,6 @@ from tools.packaged_data.trained_chase.comparison import (
 from tools.packaged_data.trained_chase.training import (
     PACKAGED_WEIGHTS,
     ChaseTraining,
-    load_weights,
-    make_policy,
     mixed_weights,
     train,
     weights_file,

@@ -13,14 +13,14 @@ try:
     import typer
 
     from animarl_algos.cli import benchmark, data
+    from animarl_algos.cli.evaluate import (
+        counterfactual_command,
+        evaluate_command,
+        inspect_command,
+    )
     from animarl_algos.cli.fit import fit_command
     from animarl_algos.cli.importing import import_command
-    from animarl_algos.cli.run import (
-        evaluate_command,
-        report_command,
-        run_command,
-        train_command,
-    )
+    from animarl_algos.cli.run import report_command, run_command, train_command
     from animarl_algos.cli.watch import watch_command
     from animarl_algos.learner.checkpoint_callback import TERMINATED
 except ModuleNotFoundError as error:
@@ -46,6 +46,8 @@ app.command("fit")(fit_command)
 app.command("run")(run_command)
 app.command("train")(train_command)
 app.command("evaluate")(evaluate_command)
+app.command("counterfactual")(counterfactual_command)
+app.command("inspect")(inspect_command)
 app.command("report")(report_command)
 app.command("watch")(watch_command)
 app.add_typer(benchmark.app, name="benchmark")

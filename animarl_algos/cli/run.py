@@ -1,4 +1,4 @@
-"""``animarl run``, ``train``, ``evaluate`` and ``report``: from recordings to a page."""
+"""``animarl run``, ``train`` and ``report``: from recordings to a page."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def run_command(
     _say(console, "1/4", "fitting locomotion")
     console.print(format_fit_table(pipeline.fit(run), run.demos))
     _say(console, "2/4", f"training {run.settings.algo.upper()}")
-    pipeline.learn(run, run.settings.algo)
+    pipeline.learn_all(run)
     _say(console, "3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
     console.print(evaluation_table(evaluation))
@@ -91,28 +91,6 @@ def train_command(
         run = _open(context.params)
     pipeline.learn(run, run.settings.algo)
     console.print(f"Trained: {run.path}", soft_wrap=True, highlight=False)
-
-
-def evaluate_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was trained.")],
-    acting: Annotated[
-        str | None,
-        typer.Option(
-            help="How policies act: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by default as "
-            "the run says."
-        ),
-    ] = None,
-) -> None:
-    """Roll out on the test split and compare with the recordings.
-
-    Example:
-
-      animarl evaluate runs/agents
-    """
-    evaluation = pipeline.evaluate_run(RunFolder(run, acting))
-    console = _console()
-    console.print(evaluation_table(evaluation))
-    console.print(verdict_table(evaluation.verdict))
 
 
 def report_command(

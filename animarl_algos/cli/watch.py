@@ -183,14 +183,16 @@ def prepare(
     policy = None
     if model is not None:
         name = species if isinstance(species, str) else species.name
-        policy, species, recorded, learned = load_trained(model, name, seed, acting)
+        trained = load_trained(model, name, seed, acting)
+        policy, species, learned = trained.policy, trained.species, trained.focal
         if learned is not None and focal not in (None, learned):
             raise InputError(
                 f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
             )
         focal = focal or learned
         if options.get("demos", "packaged") == "packaged":
-            options["demos"] = recorded
+            options["demos"] = trained.demos
+        options = trained.senses | options
     plain = make_scenario(species, **options)
     names = plain.names
     if focal is not None and focal not in names:

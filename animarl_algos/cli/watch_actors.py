@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,23 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
 """From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
 
 
-def load_trained(
-    folder: Path, species: str, seed: int, acting: str | None = None
-) -> tuple[Any, Species, Demonstrations, str | None]:
-    """The trained policy of a run, as it acts in tests, its fitted species, and its demonstrations.
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A run's policy with its fitted species and its demonstrations.
 
-    Last comes whom it drives, if a single individual learned; its actions for the others are idle.
+    ``focal`` is whom it drives, if a single individual learned; its actions for the others are
+    idle. ``senses`` are options of a scenario.
+    """
+
+    policy: Any
+    species: Species
+    demos: Demonstrations
+    focal: str | None
+    senses: dict[str, Any]
+
+
+def load_trained(folder: Path, species: str, seed: int, acting: str | None = None) -> Trained:
+    """The trained policy of a run, as it acts in tests, and the world that it learned in.
 
     Raises
     ------
@@ -36,6 +48,7 @@ def load_trained(
     from animarl_algos.data.focal import FocalPolicy
     from animarl_algos.runs.acting import acting_of
     from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run_world import in_the_world
 
     run = RunFolder(folder, acting)
     settings, recorded = run.settings, run.demos
@@ -51,10 +64,11 @@ def load_trained(
     run.load_policy(settings.algo, learner)
     learner.policy.acting = acting_of(run, settings.algo)
     learner.policy.seed(seed)
-    if settings.focal is None:
-        return learner, fitted, recorded, None
-    policy = FocalPolicy(learner, fitted.individuals, settings.focal)
-    return policy, fitted, recorded, settings.focal
+    policy: Any = learner
+    if settings.focal is not None:
+        policy = FocalPolicy(learner, fitted.individuals, settings.focal)
+    senses = in_the_world(run.environment_options)
+    return Trained(policy, fitted, recorded, settings.focal, senses)
 
 
 def idle_actor(world: World, start: bool) -> NDArray[np.integer]:

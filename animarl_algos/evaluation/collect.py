@@ -63,6 +63,7 @@ def collect_rollouts(
     cue: Cue | None = None,
     deterministic: bool = False,
     resolution: Resolution | Literal["recorded"] | None = "recorded",
+    reseed: Callable[[int], None] | None = None,
 ) -> Rollouts:
     """Let ``policy`` drive all individuals from the start of every demonstration of the world.
 
@@ -89,6 +90,10 @@ def collect_rollouts(
         The grid to which positions of finished rollouts are rounded, by default that of the
         world's demonstrations, so that both are at the scale at which positions were stored;
         ``None``: they stay as simulated. The simulation itself is never rounded.
+    reseed
+        Seeds the policy's own randomness before each batch of rollouts, from ``seed`` and the batch
+        alone: the same policy then meets the same random numbers whatever it is told (common
+        random numbers), so that two answers differ by the cue and by nothing else.
 
     Raises
     ------
@@ -117,6 +122,8 @@ def collect_rollouts(
         batch = tasks[first : first + MAX_COPIES]
         world = make_world(len(batch))
         world.seed([_stream_seed(seed, *task) for task in batch.tolist()])
+        if reseed is not None:
+            reseed(int(np.random.SeedSequence([seed % 2**63, first]).generate_state(1)[0]))
         parts.append(_run_batch(world, policy, demos, batch, method, seed, cue, deterministic))
     made = Rollouts.concatenate(parts)
     return replace(made, positions=rounded(made.positions, grid))

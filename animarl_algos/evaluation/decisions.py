@@ -97,8 +97,9 @@ def decide_along(
     *,
     condition_flag: bool = False,
     focal: str | None = None,
+    demo: int | None = None,
 ) -> Decisions:
-    """What ``policy`` values in the demonstration of median length, where all move as recorded.
+    """What ``policy`` values in one demonstration, where all move as recorded.
 
     Parameters
     ----------
@@ -113,9 +114,12 @@ def decide_along(
     focal
         The individual that learned, whose values are told. If all did: those of the first that
         moves towards the target or source.
+    demo
+        Which demonstration; by default the one of median length.
     """
-    order = np.argsort(demos.lengths, kind="stable")
-    demo = int(order[len(order) // 2])
+    if demo is None:
+        order = np.argsort(demos.lengths, kind="stable")
+        demo = int(order[len(order) // 2])
     one = demos.select(episodes=[demo])
     steps = int(one.lengths[0]) - 1
     if focal is None:

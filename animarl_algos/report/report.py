@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from animarl_algos.report.blocks import Section
 from animarl_algos.report.glossary import glossary
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.page import Page, render_page
@@ -13,9 +15,9 @@ from animarl_algos.report.style import method_label
 from animarl_envs.files import write_then_rename
 
 
-def render_report(inputs: ReportInputs) -> str:
-    """The report as HTML that loads nothing from anywhere."""
-    sections = build_sections(inputs)
+def render_report(inputs: ReportInputs, sections: Sequence[Section] | None = None) -> str:
+    """The report as HTML that loads nothing from anywhere; its sections may have been built."""
+    sections = build_sections(inputs) if sections is None else sections
     text = "\n".join(text for section in sections for text in section.texts)
     return render_page(
         Page(

@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -154,11 +154,15 @@ def is_recorded(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Image:
-    """A figure for a web page: a drawing that stands in it, its natural width, and its words."""
+    """A figure for a web page: a drawing that stands in it, its natural width, and its words.
+
+    ``figure`` is what it was drawn from, to write it in other formats.
+    """
 
     drawing: str  # an svg element, its colours variables of the page's style sheet
     width: int  # [CSS px]
     alt: str
+    figure: Figure | None = field(default=None, compare=False, repr=False)
 
 
 def to_image(figure: Figure, alt: str) -> Image:
@@ -182,7 +186,7 @@ def to_image(figure: Figure, alt: str) -> Image:
         'style="stroke-linejoin: round; stroke-linecap: butt">'
     )
     body = drawing[drawing.index(">") + 1 :].strip()
-    return Image(themes.themed(opening + body), width, alt)
+    return Image(themes.themed(opening + body), width, alt, figure)
 
 
 def _with_own_ids(drawing: str) -> str:

@@ -18,6 +18,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import CHOSEN
+from animarl_algos.runs.run_world import in_the_world
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.scenario import make_scenario
@@ -67,7 +68,8 @@ def _choose(run: RunFolder, model: SequenceQLearning, species: Species, file: Pa
     settings = run.settings
     demos = choice_episodes(run.learnable_demos, settings.seed)
     drivers = focal_drivers(species.individuals, settings.focal)
-    scenario = make_scenario(species, demos=demos, split=None, drivers=drivers)
+    senses = in_the_world(run.environment_options)
+    scenario = make_scenario(species, demos=demos, split=None, drivers=drivers, **senses)
 
     def acting_by(rule: Acting) -> Policy:
         model.policy.acting = rule

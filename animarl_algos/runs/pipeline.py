@@ -8,18 +8,14 @@ from __future__ import annotations
 
 from contextlib import closing
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
 
-from animarl_algos.data.focal import focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.decisions import Decisions, decide_along
-from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
@@ -30,30 +26,22 @@ from animarl_algos.learner.recorder import check_environment
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
-from animarl_algos.runs.acting import act_as_chosen, acting_file, for_all
+from animarl_algos.runs.acting import act_as_chosen, acting_file
 from animarl_algos.runs.alone import alone, holding
 from animarl_algos.runs.machine import timed, timed_stage, wall_times
+from animarl_algos.runs.rolling_out import DECISIONS, method_name, roll_out, stored_rollouts
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
+from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
-from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
-from animarl_envs.worlds import make_world
 
-DECISIONS = Path("rollouts", "decisions.npz")
 PACKAGED = "packaged"
-UNTRAINED, RANDOM = "untrained", "random"
-
-
-def method_name(algo: str) -> str:
-    """How a learner is called in tables and figures."""
-    return algo.upper()
 
 
 def open_run(
@@ -161,69 +149,17 @@ def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
     return steps_done(latest) < steps
 
 
-def test_policies(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Policy]:
-    """The trained learner and what it is compared with, ready to act as in the paper's tests."""
-    settings, demos = run.settings, run.learnable_demos
-    env = run.environment(run.species(demos, fit(run)), demos)
-    policies: dict[str, Policy] = {}
-    untrained = run.learner(settings.algo, env)
-    policies[method_name(settings.algo)] = learn(run, settings.algo, progress_bar=False)
-    for algo in settings.compared:
-        policies[method_name(algo)] = learn(run, algo, progress_bar=progress_bar)
-    if settings.baselines:
-        policies[UNTRAINED] = untrained
-        policies[RANDOM] = RandomPolicy(settings.seed, env.world.num_actions)
-    for policy in policies.values():
-        if isinstance(policy, SequenceQLearning):
-            policy.policy.seed(settings.seed)
-    return policies
-
-
-def roll_out(run: RunFolder, *, progress_bar: bool = True) -> dict[str, Rollouts]:
-    """Stage 4a: every method from each test demonstration's start, and what the learner values.
-
-    Where the learners see the condition, trained ones are also told the other one, in the same
-    world: the counterfactual.
-    """
-    settings, demos = run.settings, run.demos
-    species = run.species(demos, fit(run))
-    drivers = focal_drivers(species.individuals, settings.focal)
-    scenario = make_scenario(species, demos=demos, split="test", drivers=drivers)
-    flagged = run.environment(species, demos).condition_flag
-    policies = test_policies(run, progress_bar=progress_bar)
-    learner = policies[method_name(settings.algo)]
-    if isinstance(learner, SequenceQLearning):
-        test = demos.select(split="test")
-        along = decide_along(
-            learner.policy, species, test, condition_flag=flagged, focal=settings.focal
-        )
-        along.save(run.path / DECISIONS)
-    rollouts = {}
-    for name, policy in policies.items():
-        cues: tuple[Cue | None, ...] = (None,)
-        if flagged and name != RANDOM:
-            cues = ("actual",) if name == UNTRAINED else ("actual", "flipped")
-        collected = [
-            collect_rollouts(
-                partial(make_world, scenario),
-                for_all(policy, scenario.names, settings.focal),
-                method=name,
-                seed=settings.seed,
-                repetitions=settings.repetitions,
-                cue=cue,
-            )
-            for cue in cues
-        ]
-        rollouts[name] = Rollouts.concatenate(collected)
-        rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
-    return rollouts
+def learn_all(run: RunFolder, *, progress_bar: bool = True) -> None:
+    """Stages 2 and 3 of the run's learner and of those that it is compared with."""
+    for algo in (run.settings.algo, *run.settings.compared):
+        learn(run, algo, progress_bar=progress_bar)
 
 
 @holding
 @timed_stage("evaluation")
-def evaluate_run(run: RunFolder, *, progress_bar: bool = True) -> Evaluation:
+def evaluate_run(run: RunFolder) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
-    rollouts = roll_out(run, progress_bar=progress_bar)
+    rollouts = roll_out(run)
     demos = run.demos
     test, species = demos.select(split="test"), species_of(run)
     evaluation = evaluate(
@@ -244,25 +180,25 @@ def report(run: RunFolder) -> Path:
     """Stage 5: the page to show."""
     settings, demos, record = run.settings, run.demos, run.record
     decisions = run.path / DECISIONS
-    files = [f for f in sorted(decisions.parent.glob("*.npz")) if f != decisions]
-    if not files:
-        raise InputError(f"{run.path}: it has no rollouts yet: run 'animarl evaluate' first")
-    rollouts = {file.stem: Rollouts.load(file) for file in files}
-    learner = method_name(settings.algo)
-    ordered = {learner: rollouts.pop(learner)} | rollouts
-    species = run.species(demos, fit(run))
+    rollouts = stored_rollouts(run)
+    learner, species = method_name(settings.algo), species_of(run)
     return write_report(
         ReportInputs(
             title=f"{species.title}: {learner}",
             learner=learner,
             demos=demos.select(split="test"),
-            rollouts=ordered,
+            rollouts=rollouts,
             evaluation=Evaluation.load(run.path / "evaluation"),
             conditions=species.conditions,
             fit=fit(run),
             decisions=Decisions.load(decisions) if decisions.exists() else None,
             learning_curves=run.learning_curves(),
-            settings={"run": record["settings"], "learner": record["learner"]},
+            settings={
+                "world": world_in_words(species),
+                "environment": run.environment_options,
+                "run": record["settings"],
+                "learner": record["learner"],
+            },
             seeds=(settings.seed,),
             versions=record["versions"],
             command=record["command"],

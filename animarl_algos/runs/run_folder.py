@@ -19,25 +19,35 @@ import json
 import platform
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
-from animarl_algos.data.vec_env import SlotVecEnv, species_options
+from animarl_algos.data.focal import focal_drivers
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.machine import machine
+from animarl_algos.runs.run_curves import logged_curves
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, RunSettings, checked_species
+from animarl_algos.runs.run_world import (
+    in_the_world,
+    of_the_species,
+    of_the_training,
+    of_those_who_move,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit
 from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.scenario import Condition, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
@@ -154,8 +164,9 @@ class RunFolder:
 
     @property
     def demos(self) -> Demonstrations:
-        """The demonstrations of the run, all splits."""
-        return Demonstrations.load(self.path / "demonstrations.npz")
+        """The demonstrations of the run, all splits, of those who move in its world."""
+        demos = Demonstrations.load(self.path / "demonstrations.npz")
+        return of_those_who_move(demos, self.environment_options)
 
     @property
     def learnable_demos(self) -> Demonstrations:
@@ -168,9 +179,30 @@ class RunFolder:
         return LocomotionFit.load(self.path / "locomotion.json")
 
     def species(self, demos: Demonstrations, fit: LocomotionFit) -> Species:
-        """The species with the recording's arena and names, and the fitted locomotion."""
+        """The species that the run trains and is evaluated in.
+
+        With the recording's arena and names, the fitted locomotion, and over these the run's own
+        options (``env_kwargs``).
+        """
         species = species_of(demos, fit.locomotion, base=self.settings.species)
-        return with_options(species, **species_options(self.environment_options))
+        return with_options(species, **of_the_species(self.environment_options))
+
+    def scenario(self, split: str, condition: Condition = "demo") -> Scenario:
+        """The world of the run, from the starts of ``split``: to evaluate in and to watch.
+
+        Episodes start from each demonstration and in its condition, or in the one given. Those who
+        did not learn replay their demonstration.
+        """
+        demos, options = self.demos, self.environment_options
+        species = self.species(demos, self.fit)
+        return make_scenario(
+            species,
+            demos=demos,
+            split=split,
+            condition=condition,
+            drivers=focal_drivers(species.individuals, self.settings.focal),
+            **in_the_world(options),
+        )
 
     @property
     def environment_options(self) -> dict[str, Any]:
@@ -190,7 +222,7 @@ class RunFolder:
             demos=demos,
             focal=settings.focal,
             condition_flag=None,
-            **self.environment_options,
+            **of_the_training(self.environment_options),
         )
 
     def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
@@ -233,37 +265,15 @@ class RunFolder:
 
     def learning_curves(self) -> pd.DataFrame:
         """All logged quantities: ``method, phase, seed, step, quantity, value``."""
-        rows = []
-        for file in sorted((self.path / "logs").glob("*/*/progress.csv")):
-            if file.stat().st_size == 0:
-                continue
-            table = pd.read_csv(file)
-            names = [str(column) for column in table]
-            offline = [c for c in names if c.startswith("offline/") and c != "offline/epoch"]
-            online = [c for c in names if c.startswith(("rollout/", "train/"))]
-            phases = (
-                ("offline", offline, "offline/epoch"),
-                ("online", online, "time/total_timesteps"),
-            )
-            for phase, columns, step in phases:
-                if step not in table:
-                    continue
-                long = table.melt(id_vars=step, value_vars=columns, var_name="quantity")
-                long = long.dropna().rename(columns={step: "step"})
-                rows.append(long.assign(method=file.parent.parent.name, phase=phase))
-        columns = ["method", "phase", "seed", "step", "quantity", "value"]
-        if not rows:
-            return pd.DataFrame(columns=columns)
-        table = pd.concat(rows, ignore_index=True).assign(seed=self.settings.seed)
-        keys = ["method", "phase", "seed", "step", "quantity"]
-        return table.drop_duplicates(keys, keep="last")[columns]
+        return logged_curves(self.path / "logs", self.settings.seed)
 
 
 def _environment(
     settings: RunSettings, demos: Demonstrations, options: dict[str, Any]
 ) -> dict[str, Any]:
     """The options, and those by which worlds differ in full, whatever their defaults become."""
-    species = with_options(checked_species(settings, demos), **species_options(options))
+    moving = of_those_who_move(demos, options)
+    species = with_options(checked_species(settings, moving), **of_the_species(options))
     return {"observation": species.observation, "rebound": species.arena.rebound} | options
 
 

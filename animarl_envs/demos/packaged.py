@@ -31,3 +31,8 @@ def load_packaged(name: str) -> Demonstrations:
 def packaged_names() -> tuple[str, ...]:
     """Species that come with demonstrations."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.npz")))
+
+
+def packaged_team(name: str) -> Path:
+    """The weights of the networks that made the packaged chases of a condition of the agents."""
+    return FOLDER / "teams" / f"{name}.npz"

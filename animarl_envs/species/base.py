@@ -36,12 +36,16 @@ class Species:
     ``individuals`` are in order: pursuers first, the target (if any) last. What all species of a
     world have in common are class attributes: ``world`` and ``script`` name the simulator and the
     scripted rule (``animarl_envs.worlds`` has them by name), ``length_unit`` is what an arena unit
-    is called.
+    is called, ``condition_is_sensed`` says whether the condition changes what is sensed, and so
+    what happens, or the reward alone, and ``pretrained_main`` whether the paper's main
+    counterfactual is that of pretrained learners.
     """
 
     world: ClassVar[str]
     script: ClassVar[str]
     length_unit: ClassVar[str] = "arena unit"
+    condition_is_sensed: ClassVar[bool] = False
+    pretrained_main: ClassVar[bool] = True
 
     name: str
     title: str
@@ -206,6 +210,8 @@ class SearchSpecies(Species):
     world: ClassVar[str] = "search"
     script: ClassVar[str] = "programmed moth"
     length_unit: ClassVar[str] = "metre"
+    condition_is_sensed: ClassVar[bool] = True
+    pretrained_main: ClassVar[bool] = False
 
     metres_per_unit: float = 1.0  # the plume is in metres
     start_distance: float = 0.3  # downwind of the source [arena unit]

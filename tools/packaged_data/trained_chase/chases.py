@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import animarl_envs
+from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
@@ -18,8 +19,6 @@ from animarl_envs.species import AGENT
 from animarl_envs.worlds.chase.world import ChaseWorld
 from tools.packaged_data.trained_chase.training import (
     TRAINED,
-    load_weights,
-    make_policy,
     weights_file,
 )
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.statistics import Interval, percentile_interval
 from animarl_algos.evaluation.studentised import draw_weights
+from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -22,8 +23,6 @@ from animarl_envs.importing.readers import read
 from animarl_envs.species import AGENT
 from tools.packaged_data.trained_chase.chases import Chases, chase
 from tools.packaged_data.trained_chase.training import (
-    load_weights,
-    make_policy,
     mixed_weights,
     weights_file,
 )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.evaluation.teams import META, load_weights, trained_species
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.networks.policies import MlpPolicy
 from animarl_algos.recipes.dqn import DQN
+from animarl_envs.demos.packaged import packaged_team
 from animarl_envs.errors import InputError
-from animarl_envs.files import read_npz, write_then_rename
+from animarl_envs.files import write_then_rename
 from animarl_envs.species import AGENT
 
-PACKAGED_WEIGHTS = Path(__file__).parent / "weights"
-_META = "meta"
-TRAINED = replace(AGENT, observation="paper")  # what the packaged networks were trained on
+PACKAGED_WEIGHTS = packaged_team(AGENT.conditions[0]).parent
+TRAINED = trained_species()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +128,7 @@ def train(
         )
     meta = {"condition": condition, "seed": seed, "training": asdict(training)}
     arrays = {key: value.numpy() for key, value in model.policy.q_net.state_dict().items()}
-    arrays[_META] = np.array(json.dumps(meta))
+    arrays[META] = np.array(json.dumps(meta))
     with write_then_rename(file) as part:
         np.savez_compressed(part, **arrays)  # type: ignore[arg-type]
     return file
@@ -144,53 +144,6 @@ def _refuse_other_settings(file: Path, condition: int, seed: int, training: Chas
             f"{file}: it was trained with other settings or another seed: "
             "choose another folder or remove it"
         )
-
-
-def load_weights(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, object]]:
-    """Weights by the name of their layer, each ``(individuals, ...)``, and how they were made.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or no file of weights.
-    """
-    arrays = read_npz(file)
-    try:
-        meta = json.loads(str(arrays.pop(_META)))
-    except (KeyError, ValueError):
-        raise InputError(
-            f"{file}: it holds no weights of trained agents: make them with "
-            "python -m tools.packaged_data.trained_chase make"
-        ) from None
-    return arrays, dict(meta)
-
-
-def make_policy(
-    weights: dict[str, NDArray[np.float32]] | None, *, epsilon: float, seed: int
-) -> MlpPolicy:
-    """The networks of all individuals, epsilon-greedy; untrained where no weights are given.
-
-    Raises
-    ------
-    InputError
-        If the weights do not fit the networks.
-    """
-    env = SlotVecEnv(TRAINED, 1, demos=None, dtw=None)
-    policy = MlpPolicy(
-        env.observation_space,
-        env.action_space,
-        lambda _: 1.0,
-        individuals=AGENT.individuals,
-        epsilon=epsilon,
-        seed=seed,
-    )
-    if weights is not None:
-        try:
-            policy.q_net.load_state_dict({k: torch.from_numpy(v) for k, v in weights.items()})
-        except (RuntimeError, TypeError) as error:
-            first = str(error).splitlines()[0]
-            raise InputError(f"the weights do not fit the agents' networks ({first})") from None
-    return policy
 
 
 def mixed_weights(

@@ -1,0 +1,131 @@
+"""``animarl evaluate``, ``counterfactual`` and ``inspect``: they look at runs and train nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from animarl_algos.report.terminal import evaluation_table
+from animarl_algos.report.verdict_section import verdict_table
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.asking import counterfactual_runs
+from animarl_algos.runs.evaluating import PAGE, evaluate_runs
+from animarl_algos.runs.inspecting import inspect_run
+from animarl_algos.runs.rolling_out import lacking
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.errors import InputError
+
+Runs = Annotated[list[Path], typer.Argument(help="Run folders, of methods and seeds.")]
+Out = Annotated[Path, typer.Option(help="Folder for tables, figures and report.html.")]
+
+
+def evaluate_command(
+    runs: Runs,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for tables, figures and report.html of the comparison."),
+    ] = None,
+    acting: Annotated[
+        str | None,
+        typer.Option(
+            help="Without --out: how policies act, greedy, boltzmann:TEMPERATURE or "
+            "epsilon:SHARE; by default as the run says."
+        ),
+    ] = None,
+) -> None:
+    """Compare runs with the recordings that they share: methods and seeds together.
+
+    With --out the rollouts that the runs hold are compared, and the runs stay as they are. Without
+    it one run is rolled out again on its test split, and evaluated in its own folder. Nothing is
+    ever trained: what a run lacks is said with the command that adds it.
+
+    Examples:
+
+      animarl evaluate runs/agents
+
+      animarl evaluate runs/bc-0 runs/bc-1 runs/dqdil-pt-0 runs/dqdil-pt-1 --out out/eval
+    """
+    console = _console()
+    if out is not None:
+        if acting is not None:
+            raise InputError(
+                "--acting does not go with --out, which compares rollouts that are there: give it "
+                "to 'animarl evaluate RUN'"
+            )
+        found = evaluate_runs(runs, out)
+        evaluation, missing = found.evaluation, list(found.lacking)
+    else:
+        if len(runs) > 1:
+            raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
+        run = RunFolder(runs[0], acting)
+        evaluation, missing = pipeline.evaluate_run(run), lacking(run)
+    console.print(evaluation_table(evaluation))
+    console.print(verdict_table(evaluation.verdict))
+    _say(console, missing, out)
+
+
+def counterfactual_command(
+    runs: Runs,
+    out: Out = Path("out/counterfactual"),
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the recorded agents' weights (indiv/p1_2.4.pth, ...): the truth of "
+            "their counterfactual. That of the packaged agents is known without it."
+        ),
+    ] = None,
+    repetitions: Annotated[
+        int | None, typer.Option(min=1, help="Rollouts from each start; by default as the runs.")
+    ] = None,
+) -> None:
+    """Ask trained runs what if: predicted shifts beside the true ones and beside chance.
+
+    Every policy is told the other condition in the same world. For chases the truth is what teams
+    trained under the other condition do, for a search what the same policy does with the other
+    senses.
+
+    Example:
+
+      animarl counterfactual runs/dqcil-pt-0 runs/dqdil-pt-0 --out out/cf
+    """
+    found = counterfactual_runs(runs, out, truth=truth, repetitions=repetitions)
+    console = _console()
+    for _, row in found.effects.claims.iterrows():
+        names = found.runs.species.conditions
+        said = "an effect of the cue" if row["worded"] else f"nothing is claimed: {row['reason']}"
+        flip = f"{names[row['condition']]} -> {names[row['told']]}"
+        console.print(f"{row['method']}, {flip}: {said}", soft_wrap=True, highlight=False)
+    _say(console, [], out)
+
+
+def inspect_command(
+    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
+    episode: Annotated[
+        int, typer.Option(min=0, help="Number of the demonstration in the test split, from 0.")
+    ],
+    out: Out = Path("out/inspect"),
+) -> None:
+    """Look closely at one test demonstration: rollouts from its start, and what was valued.
+
+    Example:
+
+      animarl inspect runs/agents --episode 3 --out out/inspect
+    """
+    inspect_run(run, episode, out)
+    _say(_console(), [], out)
+
+
+def _say(console: Console, missing: list[str], out: Path | None) -> None:
+    for sentence in missing:
+        console.print(sentence, soft_wrap=True, highlight=False, markup=False)
+    if out is not None:
+        console.print(f"Open {out / PAGE}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _console() -> Console:
+    console = Console()
+    console.width = max(console.width, 128)
+    return console

@@ -1,0 +1,208 @@
+"""Many runs against the recordings they share: tables, figures, a page. Nothing is trained."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import RESAMPLES
+from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate
+from animarl_algos.evaluation.tidy import write_tables
+from animarl_algos.report.exporting import write_figures
+from animarl_algos.report.inputs import ReportInputs
+from animarl_algos.report.report import render_report
+from animarl_algos.report.sections import build_sections
+from animarl_algos.runs.acting import acting_of
+from animarl_algos.runs.rolling_out import (
+    DECISIONS,
+    UNTRAINED,
+    lacking,
+    method_name,
+    stored_rollouts,
+)
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_set import RunSet
+from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
+from animarl_algos.runs.run_world import world_in_words
+from animarl_envs.demos.episode import SPLITS
+from animarl_envs.errors import InputError
+from animarl_envs.files import all_files_or_none
+from animarl_envs.fitting.tracking import track
+
+PAGE = "report.html"
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluatedRuns:
+    """An evaluation of many runs, what it was made from, and what the runs lack, in sentences."""
+
+    runs: RunSet
+    rollouts: dict[str, Rollouts]
+    evaluation: Evaluation
+    lacking: tuple[str, ...]
+
+
+def compare_runs(folders: Sequence[str | Path], *, resamples: int = RESAMPLES) -> EvaluatedRuns:
+    """Methods times seeds against the recordings of the test split that all started from.
+
+    The methods are those of the runs; beside them stand those that the runs hold to compare with
+    (BC, an untrained network, chance), as far as they are there.
+
+    Parameters
+    ----------
+    folders
+        Run folders, with their rollouts.
+
+    Raises
+    ------
+    InputError
+        If a folder is no run or has no rollouts, or the runs differ in what is compared.
+    """
+    runs = RunSet.open(folders)
+    rollouts = joined_rollouts(runs)
+    demos, species = runs.demos, runs.species
+    test = demos.select(split="test")
+    evaluation = evaluate(
+        rollouts,
+        test,
+        seed=0,
+        planned_flip=species.planned_flip,
+        floor=track(test, species.locomotion, species.arena),
+        learner=next(iter(runs.methods)),
+        references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
+        resamples=resamples,
+    )
+    return EvaluatedRuns(runs, rollouts, evaluation, tuple(_absent(runs, rollouts)))
+
+
+def evaluate_runs(folders: Sequence[str | Path], out: str | Path) -> EvaluatedRuns:
+    """What :func:`compare_runs` finds, written to ``out``: all of it or nothing.
+
+    ``out`` gets every table of the evaluation as CSV and Parquet, ``figures/`` as SVG, PNG and PDF,
+    and ``report.html``. The same runs give the same bytes.
+
+    Raises
+    ------
+    InputError
+        As :func:`compare_runs`, or if ``out`` cannot be written or is a run folder.
+    """
+    refuse_run_folder(out)
+    found = compare_runs(folders)
+    inputs = report_inputs(found, folders)
+    sections = build_sections(inputs)
+    evaluation = found.evaluation
+    tables = {name: getattr(evaluation, name) for name in TABLES}
+    with all_files_or_none(out) as part:
+        evaluation.verdict.save(part)
+        write_tables(tables | {"verdict": evaluation.verdict.table}, part)
+        write_figures(sections, part / "figures")
+        (part / PAGE).write_text(render_report(inputs, sections), encoding="utf-8")
+    return found
+
+
+def joined_rollouts(runs: RunSet) -> dict[str, Rollouts]:
+    """By method, all seeds joined: those of the runs first, then what these compare with.
+
+    A method that a run was made for is taken from such runs alone; of what several runs hold to
+    compare with, the first of each seed counts.
+    """
+    parts: dict[str, list[Rollouts]] = {name: [] for name in runs.methods}
+    beside: dict[str, dict[int, Rollouts]] = {}
+    for run in runs.runs:
+        own = method_name(run.settings.algo)
+        for name, rollouts in stored_rollouts(run).items():
+            _refuse_stale(run, rollouts, runs)
+            if name == own:
+                parts[name].append(rollouts)
+            elif name not in runs.methods:
+                beside.setdefault(name, {}).setdefault(run.settings.seed, rollouts)
+    joined = {name: Rollouts.concatenate(some, name) for name, some in parts.items()}
+    return joined | {
+        name: Rollouts.concatenate(list(some.values()), name) for name, some in beside.items()
+    }
+
+
+def report_inputs(found: EvaluatedRuns, folders: Sequence[str | Path]) -> ReportInputs:
+    """What the page of several runs shows; its date is left out, so that it can be made again."""
+    runs, demos, species = found.runs, found.runs.demos, found.runs.species
+    first = runs.first
+    names = ", ".join(runs.methods)
+    along = first.path / DECISIONS
+    records: dict[str, Any] = {
+        f"{name} {key}": value
+        for name, some in runs.methods.items()
+        for key, value in (("learner", some[0].record["learner"]), ("acting", _acting(some)))
+    }
+    return ReportInputs(
+        title=f"{species.title}: {names}",
+        learner=next(iter(runs.methods)),
+        demos=demos.select(split="test"),
+        rollouts=found.rollouts,
+        evaluation=found.evaluation,
+        conditions=species.conditions,
+        fit=first.fit,
+        decisions=Decisions.load(along) if along.exists() else None,
+        learning_curves=pd.concat([run.learning_curves() for run in runs.runs], ignore_index=True),
+        settings={
+            "world": world_in_words(species),
+            "environment": first.environment_options,
+            **records,
+        },
+        seeds=runs.seeds,
+        versions=first.record["versions"],
+        command=command("evaluate", folders),
+        episodes={split: int((demos.split == split).sum()) for split in SPLITS},
+    )
+
+
+def command(name: str, folders: Sequence[str | Path], *more: str) -> str:
+    """How a page of several runs is made again, wherever it is put."""
+    return shlex.join(["animarl", name, *map(str, folders), *more, "--out", "OUT"])
+
+
+def refuse_run_folder(out: str | Path) -> None:
+    """Results of several runs are not mixed with those of one."""
+    if (Path(out) / "settings.json").exists():
+        raise InputError(f"{out}: it is a run folder: name another --out")
+
+
+def _absent(runs: RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
+    """What there is nothing of to compare with, each with what adds it."""
+    baseline = method_name(BEHAVIOUR_CLONING)
+    if baseline not in rollouts:
+        asked = [sentence for run in runs.runs for sentence in lacking(run)]
+        file = shlex.quote(runs.first.settings.file)
+        yield from asked or [
+            f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
+            f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
+        ]
+    if UNTRAINED not in rollouts:
+        yield (
+            "There is no untrained network to compare with: 'animarl run' without --no-baselines "
+            "rolls one out"
+        )
+
+
+def _acting(runs: Sequence[RunFolder]) -> dict[str, str]:
+    return {
+        f"seed {run.settings.seed}": str(acting_of(run, run.settings.algo))
+        for run in runs
+        if run.has_policy(run.settings.algo)
+    }
+
+
+def _refuse_stale(run: RunFolder, rollouts: Rollouts, runs: RunSet) -> None:
+    tests = int((runs.demos.split == "test").sum())
+    if rollouts.individuals != runs.demos.individuals or int(rollouts.demo.max()) >= tests:
+        raise InputError(
+            f"{run.path}: its rollouts of {rollouts.method} are of other recordings: make them "
+            f"again with 'animarl evaluate {run.path}'"
+        )

@@ -1,0 +1,217 @@
+"""Counterfactuals with a truth: the recorded agents of both conditions, learners times seeds.
+
+    python benchmarks/counterfactual.py --estimate
+    python benchmarks/counterfactual.py --seed 0 --seed 1 --seed 2 --steps 200000
+    python benchmarks/counterfactual.py --tiny --cells out/tiny --out out/tiny/results
+
+Every cell (learner and seed) is fitted and trained as ``animarl train`` does, in a run
+folder of its own under ``--cells``; one that was killed goes on, a finished one is not made again.
+Then all are asked about the other condition, as ``animarl counterfactual`` does. The truth is what
+the published teams of the other condition do from the same starts. Recordings and weights lie in
+$ANIMARL_DATA (by default ../shared/data).
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+import torch
+import typer
+from rich.console import Console
+
+from animarl_algos.evaluation import counterfactual_runs
+from animarl_algos.evaluation import effects as of
+from animarl_algos.evaluation.comparison import interval
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.report.sentences import with_interval
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_folder import RunFolder, versions
+from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
+from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.joining import join
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.importing.readers import read
+
+DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+FOLDER = DATA / "agents_collab_hunting"
+FILES = ("episodes_c2ae_indiv_slow2.4.npz", "episodes_c2ae_share_slow2.4.npz")
+ALGOS = ("dqcil-pt", "dqdil-pt", "bc", "soft-bc")
+SPECIES = "agent"
+TINY = {"offline_epochs": 1, "policy_kwargs": {"hidden": 32}}
+SHOWN = (of.PREDICTED, of.TRUE, of.MISSED, of.UNTRAINED_SHIFT, of.BLIND, of.ERROR)
+PROBE_STEPS = 1000
+
+
+def recorded(tiny: bool = False) -> Demonstrations:
+    """Both conditions of the recorded agents, with the splits of their reader."""
+    both = join([read(FOLDER / name, "agents") for name in FILES], "recorded agents")
+    if not tiny:
+        return both
+    chosen: list[int] = []
+    for split, count in (("train", 10), ("val", 4), ("test", 5)):
+        for condition in (0, 1):
+            here = (both.split == split) & (both.condition == condition)
+            chosen += here.nonzero()[0][:count].tolist()
+    return both.select(episodes=chosen)
+
+
+def asked_for(algo: str, seed: int, steps: int | None, overrides: dict[str, Any]) -> RunSettings:
+    """The default preset, with more steps for learners that adapt online."""
+    settings = RunSettings(
+        file=", ".join(FILES), species=SPECIES, algo=algo, steps=1, seed=seed, baselines=False,
+        overrides=overrides, **pipeline_settings(environment_id(SPECIES), "default"),
+    )  # fmt: skip
+    preset = settings.learner()
+    online = bool(named_recipe(algo).algorithm.recipe.online)
+    wanted = preset.n_timesteps if steps is None or not online else steps
+    return replace(settings, steps=wanted, copies=preset.n_envs)
+
+
+def cell(demos: Demonstrations, folder: Path, settings: RunSettings) -> RunFolder:
+    """Fit and train what is not there yet."""
+    run = pipeline.open_run(settings, folder, shlex.join(["python", *sys.argv]), demos)
+    pipeline.fit(run)
+    pipeline.learn(run, settings.algo, progress_bar=False)
+    return run
+
+
+def seconds(
+    demos: Demonstrations, fitted: LocomotionFit, algo: str, steps: int, epochs: int
+) -> float:
+    """Processor time of learning so many steps and epochs, in a folder that is removed."""
+    settings = replace(
+        asked_for(algo, 0, steps, {"offline_epochs": epochs}), steps=steps, acting="greedy"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        run = pipeline.open_run(settings, Path(folder) / "cell", "an estimate", demos)
+        fitted.save(run.path / "locomotion.json")
+        began = time.process_time()
+        pipeline.learn(run, algo, progress_bar=False)
+        return time.process_time() - began
+
+
+def estimate(
+    demos: Demonstrations, algos: Sequence[str], steps: int | None, seeds: int, console: Console
+) -> None:
+    """Processor time of the whole, from two epochs and a few steps of every learner."""
+    began = time.process_time()
+    fitted = fit_locomotion(demos, "joint", seed=0)
+    fit = time.process_time() - began
+    total = 0.0
+    for algo in algos:
+        whole = asked_for(algo, 0, steps, {})
+        epochs = int(whole.learner().arguments["offline_epochs"])
+        online = bool(named_recipe(algo).algorithm.recipe.online)
+        seconds(demos, fitted, algo, 1, 1)  # what is compiled and loaded once is not counted
+        one, three = (seconds(demos, fitted, algo, 1, number) for number in (1, 3))
+        epoch = max(0.0, three - one) / 2
+        further = seconds(demos, fitted, algo, PROBE_STEPS, 1) - one if online else 0.0
+        need = fit + one + (epochs - 1) * epoch + further / PROBE_STEPS * whole.steps
+        total += seeds * need
+        console.print(
+            f"{algo}: {fit + one - epoch:.0f} s around it, {epoch:.1f} s an epoch ({epochs} at "
+            f"most), {1e3 * further / PROBE_STEPS:.1f} s for 1,000 of "
+            f"{whole.steps if online else 0:,} steps: {need / 60:.0f} min a seed"
+        )
+    console.print(
+        f"{len(algos)} learners, {seeds} seeds: about {total / 3600:.1f} hours of one core"
+    )
+
+
+def main(
+    seed: Annotated[list[int] | None, typer.Option(help="Repeatable; default 0, 1, 2.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="These learners; repeatable.")] = None,
+    steps: Annotated[
+        int | None, typer.Option(help="Online steps; by default the preset's.")
+    ] = None,
+    repetitions: Annotated[int, typer.Option(help="Rollouts from each start.")] = 5,
+    tiny: Annotated[bool, typer.Option(help="Few episodes, one epoch: only to try it.")] = False,
+    estimated: Annotated[
+        bool, typer.Option("--estimate", help="Say how long the whole takes, and stop.")
+    ] = False,
+    cells: Annotated[Path, typer.Option(help="Run folders.")] = Path("out/counterfactual"),
+    out: Annotated[Path, typer.Option(help="Tables, figures, page.")] = Path(
+        "docs/results/counterfactual"
+    ),
+) -> None:
+    """Train every cell, then ask all of them."""
+    torch.set_num_threads(1)
+    console = Console(width=128)
+    if not FOLDER.is_dir():
+        raise typer.BadParameter(f"the recorded agents are not in {DATA}: set ANIMARL_DATA")
+    demos, seeds = recorded(tiny), seed or [0, 1, 2]
+    if estimated:
+        estimate(demos, only or ALGOS, steps, len(seeds), console)
+        return
+    folders = []
+    for algo in only or ALGOS:
+        for s in seeds:
+            began = time.process_time()
+            run = cell(
+                demos, cells / f"{algo}-{s}", asked_for(algo, s, steps, TINY if tiny else {})
+            )
+            console.print(f"{run.path}: {time.process_time() - began:.0f} s")
+            folders.append(run.path)
+    found = counterfactual_runs(folders, out, truth=FOLDER / "weights", repetitions=repetitions)
+    text = markdown(found.effects, found.runs.species.conditions)
+    with write_then_rename(out / "README.md") as part:
+        part.write_text(text)
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def markdown(effects: of.Effects, conditions: tuple[str, ...]) -> str:
+    """The table of shifts with their truth, and what may be claimed."""
+    table = effects.table[effects.table["counting"] == "all"]
+    lines = [
+        "# Counterfactuals with a truth: the recorded agents",
+        "",
+        f"    {shlex.join(['python', *sys.argv])}",
+        "",
+        f"{', '.join(f'{name} {number}' for name, number in versions().items())}.",
+        "",
+        "Mean path length of the predators [arena units], 95 % intervals, all episodes. The truth: "
+        "what the published teams of the other condition do from the same starts.",
+        "",
+        f"| method | variant | flip | seeds | {' | '.join(SHOWN)} |",
+        f"|{'---|' * (4 + len(SHOWN))}",
+    ]
+    predicted = table[table["quantity"] == of.PREDICTED]
+    for _, row in predicted.iterrows():
+        own = table[(table["method"] == row["method"]) & (table["condition"] == row["condition"])]
+        cells = [_cell(own, quantity) for quantity in SHOWN]
+        flip = f"{conditions[row['condition']]} to {conditions[row['told']]}"
+        head = [str(row["method"]), str(row["variant"]), flip, str(row["seeds"])]
+        lines.append(f"| {' | '.join(head + cells)} |")
+    lines += ["", "| difference of signed errors | condition | value |", "|---|---|---|"]
+    for _, row in table[table["quantity"] == of.ERROR_DIFFERENCE].iterrows():
+        value = with_interval(interval(row, "value"))
+        lines.append(f"| {row['method']} | {conditions[row['condition']]} | {value} |")
+    accuracy = table[table["quantity"] == of.ACCURACY].dropna(subset="value")
+    lines += ["", *(f"Treatment accuracy of {r['method']}: {r['value']:.2f} (0.5: blind)."
+                    for _, r in accuracy.iterrows())]  # fmt: skip
+    lines += [""]
+    for _, row in effects.claims.iterrows():
+        said = "an effect of the cue" if row["worded"] else f"no claim: {row['reason']}"
+        flip = f"{conditions[row['condition']]} to {conditions[row['told']]}"
+        lines.append(f"- {row['method']}, {flip}: {said}.")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(rows: pd.DataFrame, quantity: str) -> str:
+    chosen = rows[rows["quantity"] == quantity]
+    return "" if chosen.empty else with_interval(interval(chosen.iloc[0], "value"))
+
+
+if __name__ == "__main__":
+    typer.run(main)

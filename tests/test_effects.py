@@ -1,0 +1,265 @@
+"""A counterfactual beside its truth: planted shifts are found, and of nothing learned no claim."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from animarl_algos.evaluation import Answers, Asked, Rollouts, collect_rollouts, cue_effects
+from animarl_algos.evaluation import effects as of
+from animarl_algos.evaluation.claims import FEWEST_SEEDS, claim, over_seeds
+from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.statistics import Cells, bootstrap_mean
+from animarl_algos.networks.policies import MlpPolicy
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import make_world
+
+AWAY, COAST = 6, 12  # from the focus; no acceleration
+STEPS = 12
+SMALL = 2000  # resamples
+
+
+class Thrusting:
+    """Predators accelerate for so many steps when told 1, one step fewer when told 0.
+
+    With the damping d and the thrust u of all, a path that ends after T steps is then longer by
+    what one more thrust at step s leads to: u dt^2 (1 - (1 - d)^(T - s)) / d.
+    """
+
+    def __init__(self, start: int, noise: float = 0.0, seed: int = 0) -> None:
+        self.start, self.noise, self.step = start, noise, 0
+        self.rng = np.random.default_rng(seed)
+
+    def seed(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, Any]:  # fmt: skip
+        step = 0 if state is None else state
+        told = observation[:, -1]
+        thrusting = (step < self.start) | ((step == self.start) & (told == 1))
+        # Now and then one that was told nothing else idles, on the same draws for both cues.
+        idle = (step < self.start) & (self.rng.random(len(told)) < self.noise)
+        return np.where(thrusting & ~idle, AWAY, COAST), step + 1
+
+
+@cache
+def starts() -> Demonstrations:
+    """Ten packaged test starts of each condition."""
+    test = load_packaged("agent").select(split="test")
+    chosen = [np.flatnonzero(test.condition == c)[:10] for c in (0, 1)]
+    return test.select(episodes=np.concatenate(chosen).tolist())
+
+
+def world_of(copies: int) -> Any:
+    scenario = make_scenario(
+        "agent", demos=starts(), split=None, time_limit=STEPS, contact_radius=1e-6,
+        arena={"boundary": 50.0},
+    )  # fmt: skip
+    return make_world(scenario, copies)
+
+
+def answers(policy: Any, seed: int, reseed: Any = None) -> Answers:
+    both = [
+        collect_rollouts(
+            world_of, policy, method="m", seed=seed, repetitions=2, cue=cue, resolution=None,
+            reseed=reseed,
+        )
+        for cue in ("actual", "flipped")
+    ]  # fmt: skip
+    return Answers(*both)
+
+
+def joined(seeds: list[Answers]) -> Answers:
+    return Answers(
+        Rollouts.concatenate([one.factual for one in seeds]),
+        Rollouts.concatenate([one.flipped for one in seeds]),
+    )
+
+
+def planted(start: int) -> float:
+    """How much longer a path is for one more step of thrust after ``start`` of them [arena unit].
+
+    Everybody is at rest at first; predators flee from the prey along one line, which does not move
+    here, so that a path is as long as it is straight.
+    """
+    d, u, dt = 0.25, 3.0, 0.1
+
+    def travelled(steps: int) -> float:
+        speed, total = 0.0, 0.0
+        for step in range(STEPS):
+            speed = (1 - d) * speed + u * dt * (step < steps)
+            total += speed * dt
+        return total
+
+    return travelled(start + 1) - travelled(start)
+
+
+def still(demos: Demonstrations) -> bool:
+    return bool((demos.initial_velocity == 0).all())
+
+
+class PreyRests(Thrusting):
+    """The same, but the prey never accelerates."""
+
+    def predict(self, *arguments: Any, **more: Any) -> tuple[np.ndarray, Any]:
+        actions, state = super().predict(*arguments, **more)
+        actions[2::3] = COAST
+        return actions, state
+
+
+@cache
+def planted_effects() -> Any:
+    """Three seeds that thrust after 3, 4 or 5 steps; the truth is a team that does so after 4."""
+    trained = joined([answers(PreyRests(3 + seed, 0.2, seed), seed) for seed in range(3)])
+    team = PreyRests(4)
+    teams = tuple(
+        collect_rollouts(
+            world_of, team, method=f"team {c}", seed=0, repetitions=1, cue=c, resolution=None
+        )
+        for c in (0, 1)
+    )
+    asked = {"DQCIL": Asked(trained=trained)}
+    return cue_effects(asked, starts(), teams=teams, planned=(0, 1), resamples=SMALL)
+
+
+def value(effects: Any, quantity: str, c: int) -> Any:
+    table = effects.table
+    (row,) = [
+        row for _, row in table.iterrows()
+        if row["quantity"] == quantity and row["condition"] == c and row["counting"] == "all"
+        and row["method"] == "DQCIL"
+    ]  # fmt: skip
+    return row
+
+
+def test_a_planted_truth_is_recovered_within_its_interval() -> None:
+    assert still(starts())
+    for c, sign in ((0, 1.0), (1, -1.0)):
+        truth = sign * planted(4)
+        true = value(planted_effects(), of.TRUE, c)
+        assert true["value"] == pytest.approx(truth, abs=1e-9)
+        predicted = value(planted_effects(), of.PREDICTED, c)
+        assert predicted["value_low"] <= truth <= predicted["value_high"]
+        missed = value(planted_effects(), of.MISSED, c)
+        assert missed["value_low"] <= 0.0 <= missed["value_high"]
+        assert missed["value"] == pytest.approx(predicted["value"] - true["value"])
+
+
+def test_both_cues_meet_the_same_random_numbers() -> None:
+    """With them the shift is the planted one in every rollout; without, idling blurs it."""
+    policy = PreyRests(4, 0.3)
+    common = answers(policy, 0, policy.seed)
+    lengths = [path_lengths(r)[:, :2] for r in (common.factual, common.flipped)]
+    sign = np.where(starts().condition[common.factual.demo] == 0, 1.0, -1.0)
+    shift = (lengths[1] - lengths[0]) * sign[:, None]
+    assert np.abs(shift - planted(4)).max() < 1e-9
+    apart = answers(policy, 0)
+    lengths = [path_lengths(r)[:, :2] for r in (apart.factual, apart.flipped)]
+    assert np.ptp((lengths[1] - lengths[0]) * sign[:, None]) > 0.1
+
+
+@cache
+def untrained_shifts(number: int) -> list[Cells]:
+    """Of untrained networks told the flag, sampled: shifts from starts of condition 0."""
+    world = world_short(1)
+    size = world.observation.shape[-1] + 1
+    found = []
+    for seed in range(number):
+        policy = untrained(size, seed)
+        both = [
+            collect_rollouts(
+                world_short, policy, method="untrained", seed=seed, repetitions=2, cue=cue,
+                reseed=policy.seed,
+            )
+            for cue in ("actual", "flipped")
+        ]  # fmt: skip
+        means = [path_lengths(r)[:, :2].mean(axis=1) for r in both]
+        change = (means[1] - means[0]).reshape(-1, 2).mean(axis=1)
+        shift = change[starts().condition == 0]
+        found.append(Cells(shift[None], np.ones((1, len(shift)))))
+    return found
+
+
+def world_short(copies: int) -> Any:
+    return make_world(make_scenario("agent", demos=starts(), split=None, time_limit=30), copies)
+
+
+def untrained(size: int, seed: int) -> MlpPolicy:
+    from gymnasium.spaces import Box, Discrete
+
+    return MlpPolicy(
+        Box(-np.inf, np.inf, (size,), np.float32), Discrete(13), lambda _: 1.0,
+        individuals=starts().individuals, condition_flag=True, temperature=0.1, seed=seed,
+    )  # fmt: skip
+
+
+def stacked(some: list[Cells]) -> Cells:
+    return Cells(*(np.concatenate([getattr(c, k) for c in some]) for k in ("sums", "counts")))
+
+
+def test_of_untrained_networks_hardly_ever_a_claim_is_worded() -> None:
+    """A hundred draws of three trainings that learned nothing, beside three untrained networks."""
+    pool, rng = untrained_shifts(60), np.random.default_rng(0)
+    alone = claims = 0
+    for _ in range(100):
+        chosen = rng.choice(len(pool), 6, replace=False)
+        shift, null = stacked([pool[i] for i in chosen[:3]]), stacked([pool[i] for i in chosen[3:]])
+        claims += claim(shift, null, rng, 500).worded
+        alone += bootstrap_mean(pool[chosen[0]], rng, 500).excludes_zero
+    assert claims <= 10
+    assert alone > 10  # one network over its starts does seem to show an effect
+
+
+def test_an_effect_that_all_seeds_share_is_claimed() -> None:
+    rng = np.random.default_rng(1)
+    shift = Cells(2.0 + 0.1 * rng.normal(size=(4, 12)), np.ones((4, 12)))
+    null = Cells(0.1 * rng.normal(size=(4, 12)), np.ones((4, 12)))
+    assert claim(shift, null, rng, SMALL).worded
+    assert "untrained" in claim(shift, None, rng, SMALL).reason
+    alike = replace(null, sums=null.sums + 2.0)
+    assert "not told apart" in claim(shift, alike, rng, SMALL).reason
+    few = Cells(shift.sums[: FEWEST_SEEDS - 1], shift.counts[: FEWEST_SEEDS - 1])
+    assert claim(few, null, rng, SMALL).reason.startswith("2 training seeds")
+    torn = Cells(np.repeat([[3.0], [-2.0], [4.0]], 12, axis=1), np.ones((3, 12)))
+    assert "do not agree" in claim(torn, null, rng, SMALL).reason
+
+
+def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
+    one = answers(PreyRests(4, 0.2), 0)
+    effects = cue_effects({"DQCIL": Asked(trained=one)}, starts(), planned=(0, 1), resamples=200)
+    assert not effects.claims["worded"].any()
+    rows = effects.table[effects.table["quantity"] == of.PREDICTED]
+    assert (rows["speaks_of"] == "this network only").all()
+    missing = effects.table[effects.table["value"].isna()]
+    assert len(missing) and (missing["reason"] != "").all()
+    assert set(missing.loc[missing["quantity"] == of.TRUE, "reason"]) == {of.NO_TRUTH}
+
+
+def test_student_interval_over_seeds() -> None:
+    """Textbook: means 1, 2, 3 with t(0.975, 2) = 4.3027 and standard error 1 / sqrt(3)."""
+    found = over_seeds(Cells(np.repeat([[1.0], [2.0], [3.0]], 4, axis=1), np.ones((3, 4))))
+    assert found.estimate == pytest.approx(2.0)
+    assert found.high - 2.0 == pytest.approx(4.302653 / np.sqrt(3), rel=1e-6)
+
+
+def test_errors_of_the_two_learners_are_paired() -> None:
+    first, second = (joined([answers(PreyRests(k + s), s) for s in range(2)]) for k in (3, 4))
+    asked = {"DQCIL-PT": Asked(trained=first), "DQDIL-PT": Asked(trained=second)}
+    table = cue_effects(asked, starts(), resamples=SMALL).table
+    rows = table[table["quantity"] == of.ERROR_DIFFERENCE]
+    assert set(rows["method"]) == {"DQCIL-PT - DQDIL-PT"}
+    errors = table[(table["quantity"] == of.ERROR) & (table["counting"] == "all")]
+    for c in (0, 1):
+        mine = errors[errors["condition"] == c].set_index("method")["value"]
+        row = rows[(rows["condition"] == c) & (rows["counting"] == "all")].iloc[0]
+        assert row["value"] == pytest.approx(mine["DQCIL-PT"] - mine["DQDIL-PT"])
+        assert row["value_low"] <= row["value"] <= row["value_high"]

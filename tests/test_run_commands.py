@@ -1,0 +1,335 @@
+"""``animarl evaluate``, ``counterfactual`` and ``inspect``: many runs in, tables and a page out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import resource
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import Done
+from small_runs import few, made
+
+from animarl_algos.cli.main import main
+from animarl_algos.evaluation import Rollouts
+from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.tables import TABLES
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.files import all_files_or_none
+
+METHODS = ("dqcil-pt", "dqdil-pt")
+
+
+@pytest.fixture
+def animarl(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> Callable[..., Done]:
+    """The command line in this process, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> Done:
+        monkeypatch.setattr(sys, "argv", ["animarl", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capsys.readouterr()
+        return Done(int(ended.value.code or 0), said.out, said.err)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two methods times two seeds."""
+    folder = tmp_path_factory.mktemp("runs")
+    return [made(folder, algo, seed).path for algo in METHODS for seed in (0, 1)]
+
+
+@pytest.fixture(scope="module")
+def untouched(runs: list[Path]) -> Iterator[None]:
+    """Whatever is asked of runs, their folders stay as they are."""
+    before = [contents(run) for run in runs]
+    yield
+    assert [contents(run) for run in runs] == before
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Digest of every file below a folder, by its name."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def whole(folder: Path, tables: set[str]) -> None:
+    """Every table in both formats with the same numbers and its reasons, every figure in three."""
+    assert {path.stem for path in folder.glob("*.parquet")} == tables
+    for name in tables:
+        plain = pd.read_csv(folder / f"{name}.csv", keep_default_na=False)
+        stored = pd.read_parquet(folder / f"{name}.parquet")
+        assert list(plain) == list(stored) and len(plain) == len(stored)
+        undefined = stored.select_dtypes("number").isna().any(axis=1)
+        assert (stored.loc[undefined, "reason"] != "").all(), name
+    figures = [path for path in (folder / "figures").iterdir()]
+    stems = {path.stem for path in figures}
+    assert stems and {path.name for path in figures} == {
+        f"{stem}.{suffix}" for stem in stems for suffix in ("svg", "png", "pdf")
+    }
+    page = (folder / "report.html").read_text()
+    assert page.startswith("<!DOCTYPE html>") and "None" not in page.split("provenance")[0]
+
+
+def refused(done: Done, *words: str) -> None:
+    assert done.returncode == 2, done.stdout
+    assert len(done.stderr.strip().splitlines()) == 1 and "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr, done.stderr
+
+
+# -- evaluate -------------------------------------------------------------------------------------
+
+
+def test_methods_times_seeds_twice_the_same(
+    animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
+) -> None:
+    for out in ("first", "second"):
+        done = animarl("evaluate", *runs, "--out", out)
+        assert done.returncode == 0, done.stderr
+    assert "train it with 'animarl run few.npz --algo bc --out RUN'" in done.stdout
+    assert "no untrained network to compare with" in done.stdout
+    whole(tmp_path / "first", {*TABLES, "verdict"})
+    comparison = pd.read_csv(tmp_path / "first" / "comparison.csv")
+    seeds = comparison.set_index("method")["seeds"]
+    assert set(seeds[["DQCIL-PT", "DQDIL-PT"]]) == {2}
+    metrics = pd.read_csv(tmp_path / "first" / "metrics.csv")
+    lengths = metrics[(metrics["method"] == "DQDIL-PT") & (metrics["seed"] == 1)]["path_length"]
+    own = Rollouts.load(runs[3] / "rollouts" / "DQDIL-PT.npz")
+    assert np.allclose(lengths, path_lengths(own)[:, :2].mean(axis=1))
+    assert contents(tmp_path / "first") == contents(tmp_path / "second")
+
+
+def test_one_run_is_rolled_out_again_in_its_own_folder(
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(runs[2], copy)
+    shutil.rmtree(copy / "rollouts")
+    done = animarl("evaluate", copy, "--acting", "greedy")
+    assert done.returncode == 0, done.stderr
+    assert (copy / "rollouts" / "DQDIL-PT.npz").exists() and (copy / "evaluation").is_dir()
+    assert animarl("report", copy).returncode == 0
+    assert (copy / "report.html").exists()
+    before = contents(runs[2] / "policies")
+    assert contents(copy / "policies") == before  # nothing was trained
+
+
+def test_what_a_run_lacks_is_said_with_the_command_that_adds_it(
+    animarl: Callable[..., Done], tmp_path: Path
+) -> None:
+    run = made(tmp_path, "dqdil-pt", baselines=True)
+    policies = sorted(path.name for path in (run.path / "policies").iterdir())
+    done = animarl("evaluate", run.path, "--out", "eval")
+    assert done.returncode == 0, done.stderr
+    assert "no trained BC to compare with" in done.stdout
+    assert f"animarl run few.npz --algo dqdil-pt --seed 0 --out {run.path}" in done.stdout
+    assert sorted(path.name for path in (run.path / "policies").iterdir()) == policies
+    methods = set(pd.read_csv(tmp_path / "eval" / "comparison.csv")["method"])
+    assert methods == {"recorded", "DQDIL-PT", "untrained", "random"}
+
+
+def test_runs_that_differ_are_refused_by_what_differs(
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    demos = few()
+    moved = np.array(demos.split)
+    here, there = np.flatnonzero(moved == "train")[0], np.flatnonzero(moved == "val")[0]
+    moved[[here, there]] = moved[[there, here]]
+    other = {
+        "split": made(tmp_path / "s", demos=replace(demos, split=moved), rolled_out=False),
+        "recordings": made(tmp_path / "r", demos=few(test=2), rolled_out=False),
+        "contact radius": made(tmp_path / "w", env_kwargs={"contact_radius": 0.2}),
+        "seed 0: name each training once": RunFolder(runs[0]),
+    }
+    for word, run in other.items():
+        refused(animarl("evaluate", runs[0], run.path, "--out", "never"), word, str(runs[0]))
+    unlike = made(tmp_path / "x", seed=5)
+    file = unlike.path / "settings.json"
+    record = json.loads(file.read_text())
+    record["learner"]["gamma"] = 0.5
+    file.write_text(json.dumps(record))
+    refused(animarl("evaluate", runs[0], unlike.path, "--out", "never"), "gamma", "0.5")
+    assert not (tmp_path / "never").exists()
+
+
+@pytest.mark.parametrize("command", ["evaluate", "counterfactual", "inspect"])
+def test_bad_input_is_one_sentence(
+    command: str, animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    more = ["--episode", "0"] if command == "inspect" else []
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    refused(animarl(command, "nowhere", *more, "--out", "o"), "nowhere", "not a run folder")
+    refused(animarl(command, empty, *more, "--out", "o"), "not a run folder")
+    copy = tmp_path / "copy"
+    shutil.copytree(runs[0], copy)
+    if command == "counterfactual":
+        shutil.rmtree(copy / "policies")
+        refused(animarl(command, copy, "--out", "o"), "no trained policy", "animarl run")
+    else:
+        shutil.rmtree(copy / "rollouts")
+        refused(animarl(command, copy, *more, "--out", "o"), "no rollouts", "animarl evaluate")
+    (tmp_path / "file").write_text("in the way")
+    refused(animarl(command, runs[0], *more, "--out", "file"), "it is a file")
+    refused(animarl(command, runs[0], *more, "--out", runs[1]), "it is a run folder")
+    assert not (tmp_path / "o").exists()
+
+
+def test_two_species_are_refused(
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    moth = made(tmp_path, species="silkmoth", rolled_out=False)
+    for command in ("evaluate", "counterfactual"):
+        refused(animarl(command, runs[0], moth.path, "--out", "o"), "species: silkmoth and agent")
+
+
+def test_damaged_rollouts_and_tables_are_refused(
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(runs[0], copy)
+    (table,) = (copy / "logs").rglob("progress.csv")
+    table.write_bytes(b'"a,b\n1,2,3\n\xff\xfe')
+    refused(animarl("evaluate", copy, "--out", "o"), "progress.csv", "cannot be read")
+    (copy / "rollouts" / "DQCIL-PT.npz").write_bytes(b"PK\x03\x04 cut")
+    for command in (["evaluate", copy], ["inspect", copy, "--episode", "0"]):
+        refused(animarl(*command, "--out", "o"), "DQCIL-PT.npz", "damaged")
+
+
+def test_acting_belongs_to_a_run_that_is_rolled_out_again(
+    animarl: Callable[..., Done], runs: list[Path]
+) -> None:
+    refused(animarl("evaluate", *runs, "--acting", "greedy", "--out", "o"), "--acting")
+    refused(animarl("evaluate", *runs), "--out")
+
+
+def test_a_full_disk_leaves_earlier_results(
+    animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
+) -> None:
+    command = ("inspect", runs[0], "--episode", 0, "--out", "out")
+    assert animarl(*command).returncode == 0
+    before = contents(tmp_path / "out")
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    unlimited = (resource.RLIM_INFINITY,) * 2
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+    try:
+        done = animarl("inspect", runs[0], "--episode", 1, "--out", "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    refused(done, "cannot be written", "make room")
+    assert contents(tmp_path / "out") == before
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_files_are_moved_only_when_all_are_there(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "old.csv").write_text("old")
+    with pytest.raises(RuntimeError), all_files_or_none(out) as part:
+        (part / "old.csv").write_text("new")
+        raise RuntimeError
+    assert contents(out).keys() == {"old.csv"} and (out / "old.csv").read_text() == "old"
+    with all_files_or_none(out) as part:
+        (part / "below").mkdir()
+        (part / "below" / "new.csv").write_text("new")
+    assert contents(out).keys() == {"old.csv", "below/new.csv"}
+
+
+# -- inspect --------------------------------------------------------------------------------------
+
+
+def test_one_episode_is_looked_at(
+    animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
+) -> None:
+    done = animarl("inspect", runs[0], "--episode", 3, "--out", "out")
+    assert done.returncode == 0, done.stderr
+    whole(tmp_path / "out", {"steps", "values", "metrics"})
+    steps = pd.read_parquet(tmp_path / "out" / "steps.parquet")
+    test = few().select(split="test")
+    recorded = steps[(steps["method"] == "recorded") & (steps["individual"] == "prey")]
+    assert np.allclose(recorded[["x", "y"]], test.episode(3).positions[:, 2])
+    assert set(steps["demo"]) == {3}
+    values = pd.read_csv(tmp_path / "out" / "values.csv")
+    assert values["step"].max() + 1 == test.lengths[3] - 1
+    assert np.allclose(values.groupby("step")["advantage"].sum(), 0.0, atol=1e-6)
+    gone = animarl("inspect", runs[0], "--episode", 6, "--out", "out")
+    refused(gone, "no test episode 6", "0 to 5")
+
+
+# -- counterfactual -------------------------------------------------------------------------------
+
+
+def test_shifts_have_their_truth(
+    animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
+) -> None:
+    for out in ("first", "second"):
+        done = animarl("counterfactual", *runs, "--out", out)
+        assert done.returncode == 0, done.stderr
+    assert "nothing is claimed: 2 training seeds" in done.stdout
+    out = tmp_path / "first"
+    whole(out, {"counterfactual", "claims", "episodes"})
+    assert contents(out) == contents(tmp_path / "second")
+    table = pd.read_csv(out / "counterfactual.csv")
+    episodes = pd.read_csv(out / "episodes.csv")
+    test = few().select(split="test")
+    means = episodes[episodes["answer"] == "truth"].groupby(["method", "demo"])["path_length"]
+    by_start = means.mean()
+    true = (by_start["team: shared"] - by_start["team: individual"])[test.condition == 0]
+    row = table[
+        (table["quantity"] == "true shift") & (table["condition"] == 0)
+        & (table["counting"] == "all") & (table["method"] == "DQCIL-PT")
+    ].iloc[0]  # fmt: skip
+    assert row["value"] == pytest.approx(true.mean()) and row["planned"]
+    assert row["value_low"] <= row["value"] <= row["value_high"]
+    accuracy = table[table["quantity"] == "treatment accuracy"].set_index("method")["value"]
+    assert 0 <= accuracy["DQCIL-PT"] <= 1 and np.isnan(accuracy["DQDIL-PT"])
+    assert set(table["variant"].dropna()) == {"main"}
+    page = (out / "report.html").read_text()
+    assert "no effect of the cue is claimed" in page and "predicted" in page.casefold()
+
+
+def test_a_search_is_its_own_truth_in_the_other_world(
+    animarl: Callable[..., Done], tmp_path: Path
+) -> None:
+    options = {"time_limit": 60, "labels": "soft"}
+    demos = few("silkmoth", test=1)
+    run = made(tmp_path, "dqdil", species="silkmoth", demos=demos, env_kwargs=options)
+    done = animarl("counterfactual", run.path, "--repetitions", 2, "--out", "out")
+    assert done.returncode == 0, done.stderr
+    episodes = pd.read_csv(tmp_path / "out" / "episodes.csv")
+    recorded = episodes[episodes["answer"] == "recorded"].set_index("demo")["condition"]
+    other = episodes[episodes["answer"] == "other world"]
+    assert len(other) == 4  # two starts, twice each
+    assert (other["condition"].to_numpy() == 1 - recorded.loc[other["demo"]].to_numpy()).all()
+    assert (other["cue"] == other["condition"]).all()
+    table = pd.read_csv(tmp_path / "out" / "counterfactual.csv")
+    rows = table[(table["quantity"] == "true shift") & (table["counting"] == "all")]
+    assert rows["value"].notna().all() and set(table["variant"].dropna()) == {"main"}
+    refused(animarl("counterfactual", run.path, "--truth", tmp_path, "--out", "never"), "--truth")
+
+
+def test_the_api_is_where_evaluation_is() -> None:
+    import animarl_algos.evaluation as evaluation
+
+    for name in evaluation.__all__:
+        assert getattr(evaluation, name) is not None
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        evaluation.no_such_thing  # noqa: B018
