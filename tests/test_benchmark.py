@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from animarl_algos.benchmark.cells import Cell, Done, Piece, attempt, recorded_error
 from animarl_algos.benchmark.engine import perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.matrix import Matrix, matrix_names, read_matrix
+from animarl_algos.benchmark.pieces import Done, Piece, attempt, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_envs.errors import InputError
 
@@ -140,7 +141,7 @@ def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path, number: 
     paths = f"{tests.parent}:{tests}"
     child = subprocess.Popen(
         [sys.executable, str(script), str(out)],
-        env={**__import__("os").environ, "PYTHONPATH": paths},
+        env={**os.environ, "PYTHONPATH": paths},
     )
     began = time.monotonic()
     while not list(out.glob("cells/*/cost.json")) and child.poll() is None:
@@ -245,4 +246,3 @@ def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
     assert cell.settings is not None
     moved = replace(cell, settings=replace(cell.settings, file="elsewhere"))
     assert moved.key == cell.key
-    assert Cell.key is not None

@@ -8,73 +8,27 @@ method over its seeds, measured).
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import time
-import traceback
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Protocol
-
-import torch
-from threadpoolctl import threadpool_limits
+from typing import Any
 
 from animarl_algos.benchmark.methods import Checked, MethodSetting, load_factory, source_of
+from animarl_algos.benchmark.pieces import code, hashed, write_json
 from animarl_algos.benchmark.references import reference_rollouts
 from animarl_algos.benchmark.scores import Score, score
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run_folder import RunFolder, versions
+from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings
-from animarl_envs.compiling import source_key
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 from animarl_envs.worlds import make_world
 
 COMMAND = "animarl benchmark"
-ERROR = "error.json"
-
-
-class Piece(Protocol):
-    """A piece of work; it may be sent to another process."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def key(self) -> str: ...
-
-    def folder(self, out: Path) -> Path:
-        """Where everything of it lies."""
-        ...
-
-    def finished(self, out: Path) -> bool:
-        """Whether its result is there."""
-        ...
-
-    def lacks(self, out: Path) -> str:
-        """What it needs and is not there; empty if it can be done."""
-        ...
-
-    def perform(self, out: Path) -> None:
-        """Make the result, going on from what an earlier attempt left."""
-        ...
-
-
-def hashed(determining: Mapping[str, Any]) -> str:
-    """A key of 16 hexadecimal digits."""
-    text = json.dumps(determining, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def code() -> dict[str, Any]:
-    """What decides a result beside settings and recordings: versions, and the kernels' sources."""
-    return {"versions": versions(), "kernels": source_key("animarl_algos")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,49 +200,6 @@ class Scoring:
 
     def result(self, out: Path) -> Score:
         return Score.from_json(json.loads((self.folder(out) / "score.json").read_text()))
-
-
-@dataclass(frozen=True)
-class Done:
-    """How an attempt ended: ``error`` is empty where it succeeded."""
-
-    name: str
-    seconds: float
-    error: str = ""
-
-
-def attempt(piece: Piece, out: Path) -> Done:
-    """Do a piece of work in one thread; an error is recorded in its folder, and the rest goes on.
-
-    Ctrl-C and a signal to end go through.
-    """
-    began = time.monotonic()
-    folder = piece.folder(out)
-    (folder / ERROR).unlink(missing_ok=True)
-    torch.set_num_threads(1)
-    try:
-        with threadpool_limits(1):
-            piece.perform(out)
-    except Exception as error:  # a failing cell is one line of the results, whatever failed
-        said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        record_error(piece, out, said, traceback.format_exc())
-        return Done(piece.name, time.monotonic() - began, said)
-    return Done(piece.name, time.monotonic() - began)
-
-
-def record_error(piece: Piece, out: Path, said: str, where: str = "") -> None:
-    write_json(piece.folder(out) / ERROR, {"error": said, "traceback": where})
-
-
-def recorded_error(piece: Piece, out: Path) -> str:
-    """What the last attempt failed with; empty if it did not."""
-    file = piece.folder(out) / ERROR
-    return str(json.loads(file.read_text())["error"]) if file.exists() else ""
-
-
-def write_json(path: Path, content: Any) -> None:
-    with write_then_rename(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def _resolved(settings: RunSettings) -> dict[str, Any]:

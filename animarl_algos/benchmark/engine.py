@@ -17,7 +17,7 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Protocol
 
-from animarl_algos.benchmark.cells import Done, Piece, attempt, record_error
+from animarl_algos.benchmark.pieces import Done, Piece, attempt, record_error
 from animarl_algos.benchmark.plan import Plan
 
 TERMINATED = 143

@@ -12,7 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.benchmark.cells import Cell, Scoring, code, recorded_error, write_json
+from animarl_algos.benchmark.cells import Cell, Scoring
+from animarl_algos.benchmark.pieces import code, recorded_error, write_json
 from animarl_algos.benchmark.plan import Plan
 from animarl_algos.benchmark.ranks import ranked
 from animarl_algos.benchmark.scores import LABELS, Measured, Score

@@ -9,8 +9,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.benchmark.cells import Cell, Piece, Scoring, World, write_json
+from animarl_algos.benchmark.cells import Cell, Scoring, World
 from animarl_algos.benchmark.matrix import Matrix
+from animarl_algos.benchmark.pieces import Piece, write_json
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pipeline import rehearse
 from animarl_algos.runs.run_folder import versions

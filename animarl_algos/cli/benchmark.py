@@ -12,11 +12,11 @@ from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 
-from animarl_algos.benchmark.cells import Done, Piece, recorded_error
 from animarl_algos.benchmark.engine import perform_all
 from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
 from animarl_algos.benchmark.matrix import read_matrix
 from animarl_algos.benchmark.methods import parse_method
+from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.screen import PlainConsole
