@@ -14,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from commands import Done as Ended
 
 from animarl_algos.benchmark.engine import perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.matrix import Matrix, matrix_names, read_matrix
 from animarl_algos.benchmark.pieces import Done, Piece, attempt, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
+from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 
 BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json")
@@ -246,3 +248,39 @@ def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
     assert cell.settings is not None
     moved = replace(cell, settings=replace(cell.settings, file="elsewhere"))
     assert moved.key == cell.key
+
+
+def said_by(arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Ended:
+    """The command in this process."""
+    monkeypatch.setattr(sys, "argv", ["animarl", "benchmark", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    return Ended(int(ended.value.code or 0), said.out, said.err)
+
+
+def test_benchmark_command_lists_and_refuses(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    file = tmp_path / "tiny.yml"
+    file.write_text(json.dumps(TINY))  # JSON is YAML
+    asked = ["--config", str(file), "--out", str(finished)]
+    listed = said_by([*asked, "--list"], monkeypatch, capsys)
+    assert listed.returncode == 0 and listed.stdout.count("finished") == 4
+    before = bytes_of(finished)
+    done = said_by([*asked, "--engine", "local", "--processes", "2"], monkeypatch, capsys)
+    assert done.returncode == 0 and "leaderboard.md" in done.stdout
+    assert bytes_of(finished) == before
+    for wrong, sentence in (
+        (["--engine", "cloud"], "engine 'cloud' is unknown"),
+        (["--processes", "0"], "at least 1"),
+        (["--species", "fly"], "it is not in the matrix"),
+        (["--only", "agent/x"], "no cell is called so"),
+        (["--method", "soft-bc=test_benchmark_methods:make_raising"], "a row of that name"),
+        (["--method", "mine=nowhere:f"], "cannot be imported"),
+    ):
+        refused = said_by([*asked, *wrong], monkeypatch, capsys)
+        assert refused.returncode == 2 and sentence in refused.stderr, refused
+        assert refused.stderr.count("\n") == 1
+    refused = said_by(["score", str(tmp_path / "none.json")], monkeypatch, capsys)
+    assert refused.returncode == 2 and "there is no such file" in refused.stderr
