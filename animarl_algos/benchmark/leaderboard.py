@@ -26,6 +26,7 @@ PARTS = (
 )
 HOW = """\
 Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds.
+With several seeds that is of training runs like these, with one of this network only.
 **Bold**: no larger than its null, so chance alone gives as much (for the AUC: recordings among
 themselves; for energy scores and DTW: other recordings of the same condition). Outcome, duration,
 path length and speed are differences to the recordings; lower is better everywhere else. Ranks go
@@ -109,7 +110,7 @@ def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any]) -> s
 
     ordered = sorted(scores, key=place)
     most = max(ordered, key=lambda one: one.rollouts)
-    text = f"\n## {name}\n\n{most.starts} test starts; intervals cover {most.covers}.\n"
+    text = f"\n## {name}\n\n{most.starts} test starts; beside each method seeds × rollouts.\n"
     for number, keys in enumerate(PARTS):
         heads = [_heading(most.of(key)) for key in keys]
         first = ["rank", "method"] if number == 0 else ["method"]

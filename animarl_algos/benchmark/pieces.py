@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import torch
+from filelock import FileLock
 from threadpoolctl import threadpool_limits
 
 from animarl_algos.runs.run_folder import versions
@@ -20,7 +21,7 @@ from animarl_envs.compiling import source_key
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
-ERROR = "error.json"
+ERROR, LOCK = "error.json", ".piece.lock"
 
 
 class Piece(Protocol):
@@ -73,12 +74,21 @@ def attempt(piece: Piece, out: Path) -> Done:
     """Do a piece of work in one thread; an error is recorded in its folder, and the rest goes on.
 
     Warnings are kept there too: dozens of them would hide the table of what runs.
+    Several commands may be at work in the same results: each piece is done by one of them.
     Ctrl-C and a signal to end go through.
     """
-    began = time.monotonic()
     folder = piece.folder(out)
-    (folder / ERROR).unlink(missing_ok=True)
     torch.set_num_threads(1)
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / LOCK):
+        if piece.finished(out):  # by another command, while this one waited
+            return Done(piece.name, 0.0)
+        return _performed(piece, out)
+
+
+def _performed(piece: Piece, out: Path) -> Done:
+    folder, began = piece.folder(out), time.monotonic()
+    (folder / ERROR).unlink(missing_ok=True)
     try:
         with threadpool_limits(1), warnings.catch_warnings(record=True) as said_by_the_way:
             piece.perform(out)

@@ -20,7 +20,6 @@ from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.runs.alone import alone
 from animarl_envs.errors import InputError
 
 ENGINES = ("local",)
@@ -96,14 +95,13 @@ def benchmark_command(
         console.print(_listing(asked, out))
         return
     claim_folder(out)
-    with alone(out):
-        watch = LiveTable(asked, out, processes)
-        with Live(watch, console=console, refresh_per_second=1):
-            perform_all(asked, out, processes, watch)
-        for piece, error in watch.failed:
-            console.print(f"{piece} failed: {error}", soft_wrap=True)
-        page = write_leaderboard(asked, out)
-    console.print(f"Open {page}", soft_wrap=True, highlight=False)
+    watch = LiveTable(asked, out, processes)
+    with Live(watch, console=console, refresh_per_second=1):
+        perform_all(asked, out, processes, watch)
+    for piece, error in watch.failed:
+        console.print(f"\n{piece} failed: {error}", soft_wrap=True)
+    page = write_leaderboard(asked, out)
+    console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
 
 
 @app.command("score")
