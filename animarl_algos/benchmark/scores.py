@@ -197,7 +197,9 @@ def start_energies(drawn: Floats, seed: Any, demo: Any, true: Floats) -> Floats:
     found = np.full((len(seeds), len(true)), math.nan)
     for row, one in enumerate(seeds):
         for start in np.unique(demo):
-            found[row, start] = energy_score(drawn[(seed == one) & (demo == start)], true[start])
+            chosen = (seed == one) & (demo == start)
+            if chosen.any():
+                found[row, start] = energy_score(drawn[chosen], true[start])
     return found
 
 
