@@ -229,7 +229,7 @@ def test_benchmark_refuses_unknown_keys_and_settings(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="setting 'learning_speed'"):
         plan(tiny(settings={"soft-bc": {"learning_speed": 1}}))
     with pytest.raises(InputError, match="needs two experimental conditions"):
-        plan(tiny(species=["silkmoth"], recipes=["dqcil"], settings={}))
+        plan(tiny(species=["fly"], recipes=["dqcil"], settings={}))
 
 
 def test_benchmark_refuses_other_results(tmp_path: Path) -> None:

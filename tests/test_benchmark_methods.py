@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable
 from functools import partial
@@ -12,7 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.methods import Checked, MethodSetting, parse_method, source_of
+from animarl_algos.benchmark.pieces import attempt
+from animarl_algos.benchmark.plan import plan
 from animarl_algos.benchmark.references import Steering, others_as_rollouts
 from animarl_algos.benchmark.scores import Measured, Score, first_second, start_energies
 from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
@@ -77,6 +81,21 @@ def test_benchmark_looks_methods_up_at_once() -> None:
     ):
         with pytest.raises(InputError, match=said):
             parse_method(given)
+
+
+def test_benchmark_examples_learn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples" / "benchmark"))
+    methods = importlib.import_module("methods")
+    monkeypatch.setattr(methods, "STEPS", 1)
+    matrix = Matrix(
+        species=("fly",), episodes={"train": 4, "val": 2, "test": 2}, repetitions=1, thrusts="1"
+    )
+    asked = plan(matrix, {"ppo": "methods:make_ppo", "rppo": "methods:make_recurrent_ppo"})
+    assert not attempt(asked.worlds[0], tmp_path).error
+    for cell in asked.cells:
+        if cell.kind == "method":
+            assert not attempt(cell, tmp_path).error
+            assert cell.rollouts(tmp_path).method == cell.method
 
 
 # -- references -----------------------------------------------------------------------------------

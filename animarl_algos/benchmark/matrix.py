@@ -27,6 +27,7 @@ FOLDER = resources.files("zoo_configs") / "benchmark"
 REFERENCES = ("recordings", "tracking", "scripted", "constant-velocity", "still", "random")
 AROUND = ("acting", "fit_method", "thrusts")
 WORLD_ALGO = "bc"  # any: the world of those who learned nothing is that of its preset
+WORLD_COPIES = 16  # side by side, of the environment that others' methods train in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,7 +150,8 @@ class Matrix:
     def world_settings(self, name: str, demos: Demonstrations) -> RunSettings:
         """Of the world that all methods share, and that those without training act in."""
         asked = self.run_settings(name, demos, WORLD_ALGO, 0)
-        return replace(asked, overrides={"env_kwargs": {"observation": "full"}})
+        seen = {"env_kwargs": {"observation": "full"}}
+        return replace(asked, overrides=seen, copies=WORLD_COPIES)
 
 
 def read_matrix(preset: str, config: Path | None = None) -> Matrix:

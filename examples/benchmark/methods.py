@@ -16,13 +16,13 @@ STEPS = 100_000  # of slots: one individual of one copy
 
 def make_ppo(setting: MethodSetting) -> PPO:
     """PPO on the task reward alone; one network for all individuals."""
-    model = PPO("MlpPolicy", setting.environment(), n_steps=256, seed=setting.seed, device="cpu")
+    model = PPO("MlpPolicy", setting.environment(), n_steps=64, seed=setting.seed, device="cpu")
     return model.learn(STEPS)
 
 
 def make_recurrent_ppo(setting: MethodSetting) -> RecurrentPPO:
     """The same with a memory."""
     model = RecurrentPPO(
-        "MlpLstmPolicy", setting.environment(), n_steps=256, seed=setting.seed, device="cpu"
+        "MlpLstmPolicy", setting.environment(), n_steps=64, seed=setting.seed, device="cpu"
     )
     return model.learn(STEPS)
