@@ -9,8 +9,11 @@ checkpoints.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import sys
+import threading
+import time
 from collections import Counter, deque
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +24,7 @@ from animarl_algos.benchmark.pieces import Done, Piece, attempt, record_error
 from animarl_algos.benchmark.plan import Plan
 
 TERMINATED = 143
+PATIENCE = 5.0  # [s]
 ATTEMPTS = 2  # of a piece whose process died
 
 
@@ -84,5 +88,16 @@ def _in_processes(todo: deque[Piece], out: Path, processes: int, watch: Watch) -
 
 
 def _end_politely() -> None:
-    """A worker that is told to end leaves no half-written file behind."""
+    """A worker that is told to end leaves no half-written file behind, and none outlives us."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Told to end in a piece of work, a worker waits for the next one: so it is told again."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    while True:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(PATIENCE)

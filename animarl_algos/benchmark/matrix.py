@@ -77,9 +77,20 @@ class Matrix:
         for key in ("species", "recipes", "references"):
             _listed(self, key, str, "names")
         _listed(self, "seeds", int, "whole numbers")
-        for key in ("files", "settings", "episodes"):
-            if not isinstance(getattr(self, key), Mapping):
-                raise InputError(f"{key} is {getattr(self, key)!r}: give a table")
+        for key, kind in (("files", str), ("settings", Mapping), ("episodes", int)):
+            table = getattr(self, key)
+            if not isinstance(table, Mapping) or not all(isinstance(k, str) for k in table):
+                raise InputError(f"{key} is {table!r}: give a table")
+            if wrong := [name for name, one in table.items() if not isinstance(one, kind)]:
+                raise InputError(
+                    f"{key} of {wrong[0]} is {table[wrong[0]]!r}: see what belongs there"
+                )
+        for key in AROUND:
+            value = getattr(self, key)
+            if type(value) is int:  # 3 thrusts are "3" of them
+                object.__setattr__(self, key, str(value))
+            elif not isinstance(value, str | None):
+                raise InputError(f"{key} is {value!r}: give a text")
         if not (self.species or self.files):
             raise InputError("species is empty: name one at least")
         for name in self.species:
