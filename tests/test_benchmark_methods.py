@@ -87,6 +87,7 @@ def test_benchmark_examples_learn(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples" / "benchmark"))
     methods = importlib.import_module("methods")
     monkeypatch.setattr(methods, "STEPS", 1)
+    monkeypatch.setattr("animarl_algos.benchmark.matrix.WORLD_COPIES", 2)
     matrix = Matrix(
         species=("fly",), episodes={"train": 4, "val": 2, "test": 2}, repetitions=1, thrusts="1"
     )
