@@ -117,10 +117,10 @@ class Score:
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> Score:
-        measures = tuple(
-            Measured(**{k: math.nan if v is None else v for k, v in one.items()})
-            for one in plain["measures"]
-        )
+        rows: list[dict[str, Any]] = [
+            {k: math.nan if v is None else v for k, v in one.items()} for one in plain["measures"]
+        ]
+        measures = tuple(Measured(**row) for row in rows)
         energies = np.array(plain["energies"], dtype=np.float64)
         seeds = tuple(plain["seeds"])
         return cls(**{**plain, "measures": measures, "energies": energies, "seeds": seeds})
