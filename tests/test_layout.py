@@ -50,6 +50,7 @@ ROOMS = (
     "animarl_algos.evaluation",
     "animarl_algos.report",
     "animarl_algos.runs",
+    "animarl_algos.benchmark",
     "animarl_algos.cli",
     "animarl_algos.zoo",
     "animarl_algos",

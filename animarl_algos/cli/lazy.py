@@ -57,6 +57,7 @@ COMMANDS = {
     "inspect": Place("evaluate", "inspect_command"),
     "report": Place("run", "report_command"),
     "watch": Place("watch", "watch_command"),
+    "benchmark": Place("benchmark", "benchmark_command", app="app"),
 }
 """By name, in the order of the help."""
 

@@ -1,0 +1,1 @@
+"""The benchmark: every method on every species with every seed, and a leaderboard."""

@@ -1,0 +1,209 @@
+"""The pieces of work of a benchmark, each keyed by a hash of everything that determines it.
+
+A piece has a folder of its own, named by its key: what is there is never made again, and a changed
+setting, recording, version or kernel makes another key and so another folder. The order is worlds
+(the fitted locomotion of a species), cells (a method with a seed: trained, rolled out), scores (a
+method over its seeds, measured).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+from animarl_algos.benchmark.methods import Checked, MethodSetting, load_factory, source_of
+from animarl_algos.benchmark.pieces import code, hashed, write_json
+from animarl_algos.benchmark.references import reference_rollouts
+from animarl_algos.benchmark.scores import Score, score
+from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_settings import RunSettings
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.worlds import make_world
+
+COMMAND = "animarl benchmark"
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """The fitted world of one set of demonstrations, in which everybody acts."""
+
+    data: str
+    settings: RunSettings
+    demos: Demonstrations
+
+    @property
+    def name(self) -> str:
+        return f"{self.data}/world"
+
+    @cached_property
+    def key(self) -> str:
+        fingerprint = self.demos.fingerprint()
+        return hashed(_resolved(self.settings) | code() | {"demonstrations": fingerprint})
+
+    def folder(self, out: Path) -> Path:
+        return out / "worlds" / f"{self.data}-{self.key}"
+
+    def finished(self, out: Path) -> bool:
+        return (self.folder(out) / "locomotion.json").exists()
+
+    def lacks(self, out: Path) -> str:
+        return ""
+
+    def perform(self, out: Path) -> None:
+        pipeline.fit(pipeline.open_run(self.settings, self.folder(out), COMMAND, self.demos))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """A method with a seed: trained if it learns, and rolled out from the test starts.
+
+    ``settings`` are those of a recipe; without them it is a reference, or, with a ``factory``
+    (``module:factory``), somebody's own method.
+    """
+
+    data: str
+    method: str
+    seed: int
+    repetitions: int
+    world: str
+    settings: RunSettings | None = None
+    factory: str | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.data}/{self.method}/{self.seed}"
+
+    @property
+    def kind(self) -> str:
+        if self.settings is not None:
+            return "recipe"
+        return "reference" if self.factory is None else "method"
+
+    @cached_property
+    def key(self) -> str:
+        own: dict[str, Any] = {
+            "method": self.method, "seed": self.seed, "repetitions": self.repetitions,
+            "world": self.world, "factory": self.factory and source_of(self.factory),
+        }  # fmt: skip
+        return hashed(own | (_resolved(self.settings) if self.settings else {}) | code())
+
+    def folder(self, out: Path) -> Path:
+        return out / "cells" / f"{self.name.replace('/', '-')}-{self.key}"
+
+    def finished(self, out: Path) -> bool:
+        return (self.folder(out) / "cost.json").exists()
+
+    def world_folder(self, out: Path) -> RunFolder:
+        return RunFolder(out / "worlds" / f"{self.data}-{self.world}")
+
+    def lacks(self, out: Path) -> str:
+        there = (self.world_folder(out).path / "locomotion.json").exists()
+        return "" if there else f"the world of {self.data} could not be fitted"
+
+    def perform(self, out: Path) -> None:
+        began = time.process_time()
+        folder, world = self.folder(out), self.world_folder(out)
+        rollouts, parameters = self._rolled_out(folder, world)
+        rollouts.save(folder / "rollouts.npz")
+        cost = {"processor_seconds": time.process_time() - began, "parameters": parameters}
+        write_json(folder / "cost.json", cost)
+
+    def _rolled_out(self, folder: Path, world: RunFolder) -> tuple[Rollouts, int | None]:
+        if self.settings is not None:
+            return self._trained(folder, world, self.settings)
+        if self.factory is None:
+            made = reference_rollouts(self.method, world, self.seed, self.repetitions)
+            return made, None
+        setting = MethodSetting(world, self.seed)
+        policy = load_factory(self.factory)(setting)
+        made = collect_rollouts(
+            partial(make_world, world.scenario("test")),
+            Checked(self.method, policy, setting.species.num_actions),
+            method=self.method, seed=self.seed, repetitions=self.repetitions,
+            cue="actual" if setting.environment().condition_flag else None,
+        )  # fmt: skip
+        return made, None
+
+    def _trained(
+        self, folder: Path, world: RunFolder, settings: RunSettings
+    ) -> tuple[Rollouts, int]:
+        run = pipeline.open_run(settings, folder / "run", COMMAND, world.demos)
+        shutil.copyfile(world.path / "locomotion.json", run.path / "locomotion.json")
+        model = pipeline.learn(run, settings.algo, progress_bar=False)
+        model.policy.seed(self.seed)
+        made = collect_rollouts(
+            partial(make_world, run.scenario("test")),
+            model,
+            method=self.method,
+            seed=self.seed,
+            repetitions=self.repetitions,
+            cue="actual" if model.layout.condition_flag else None,
+        )
+        return made, sum(p.numel() for p in model.policy.q_net.parameters())
+
+    def rollouts(self, out: Path) -> Rollouts:
+        return Rollouts.load(self.folder(out) / "rollouts.npz")
+
+    def cost(self, out: Path) -> dict[str, Any]:
+        return dict(json.loads((self.folder(out) / "cost.json").read_text()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scoring:
+    """A method over all its seeds, measured against the recordings of the test split."""
+
+    cells: tuple[Cell, ...]
+    resamples: int
+
+    @property
+    def data(self) -> str:
+        return self.cells[0].data
+
+    @property
+    def method(self) -> str:
+        return self.cells[0].method
+
+    @property
+    def name(self) -> str:
+        return f"{self.data}/{self.method}/score"
+
+    @cached_property
+    def key(self) -> str:
+        own = {"cells": [cell.key for cell in self.cells], "resamples": self.resamples}
+        return hashed(own | code())
+
+    def folder(self, out: Path) -> Path:
+        return out / "scores" / f"{self.data}-{self.method}-{self.key}"
+
+    def finished(self, out: Path) -> bool:
+        return (self.folder(out) / "score.json").exists()
+
+    def lacks(self, out: Path) -> str:
+        lacking = [cell.name for cell in self.cells if not cell.finished(out)]
+        return f"{', '.join(lacking)} did not finish" if lacking else ""
+
+    def perform(self, out: Path) -> None:
+        first = self.cells[0]
+        world = first.world_folder(out)
+        rollouts = Rollouts.concatenate([cell.rollouts(out) for cell in self.cells], self.method)
+        found = score(rollouts, world.demos, resamples=self.resamples)
+        found = replace(found, data=self.data, kind=first.kind)
+        write_json(self.folder(out) / "score.json", found.to_json())
+
+    def result(self, out: Path) -> Score:
+        return Score.from_json(json.loads((self.folder(out) / "score.json").read_text()))
+
+
+def _resolved(settings: RunSettings) -> dict[str, Any]:
+    """A run's settings with everything that they leave to presets; where the file lies is not."""
+    learner = settings.learner()
+    own = {k: v for k, v in asdict(settings).items() if k not in ("file", "source", "config")}
+    return {"settings": own, "learner": learner.arguments, "environment": learner.env_kwargs}

@@ -1,0 +1,169 @@
+"""Methods of others: anything with SB3's ``predict``, or a callable, made by ``module:factory``."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.species import Species
+
+
+@dataclass(frozen=True)
+class MethodSetting:
+    """What the factory of a method is handed: everything to train on, and no test episode."""
+
+    world: RunFolder
+    seed: int
+
+    @cached_property
+    def demos(self) -> Demonstrations:
+        """The demonstrations of the splits train and val."""
+        return self.world.learnable_demos
+
+    @cached_property
+    def species(self) -> Species:
+        """The world's numbers, with the fitted locomotion."""
+        return self.world.species(self.demos, self.world.fit)
+
+    def environment(self) -> SlotVecEnv:
+        """A vectorised environment to train in, one slot per copy and individual.
+
+        Its observations are those that the method is asked about afterwards: where recordings of
+        both conditions are there, the last component is the condition.
+        """
+        return self.world.environment(self.species, self.demos)
+
+
+class Checked:
+    """A method that is asked for actions, every answer checked.
+
+    Parameters
+    ----------
+    name
+        Of the method, for messages.
+    policy
+        With ``predict`` as SB3 has it, or a callable from observations ``(slots, n)`` to actions
+        ``(slots,)``; slot = copy * individuals + individual.
+    num_actions
+        Actions go from 0 to one below it.
+    """
+
+    def __init__(self, name: str, policy: Any, num_actions: int) -> None:
+        if not callable(policy) and not hasattr(policy, "predict"):
+            raise InputError(
+                f"method {name}: its factory made {type(policy).__name__}, which has no predict "
+                "and is no callable: return what acts"
+            )
+        self._name, self._policy, self._num_actions = name, policy, num_actions
+
+    def predict(
+        self,
+        observation: NDArray[np.floating],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        """One action per slot.
+
+        Raises
+        ------
+        InputError
+            If the method raises, or answers anything but one action per slot.
+        """
+        try:
+            if hasattr(self._policy, "predict"):
+                actions, state = self._policy.predict(
+                    observation, state=state, episode_start=episode_start,
+                    deterministic=deterministic,
+                )  # fmt: skip
+            else:
+                actions = self._policy(observation)
+        except Exception as error:
+            raise InputError(
+                f"method {self._name}: its predict raised {type(error).__name__} ({error}): mend it"
+            ) from error
+        return self._checked(actions, len(observation)), state
+
+    def _checked(self, actions: Any, slots: int) -> NDArray[np.int64]:
+        found = np.asarray(actions)
+        wrong = ""
+        if found.shape != (slots,) or found.dtype.kind not in "iuf":
+            wrong = f"{found.dtype} of shape {found.shape}"
+        elif not np.isfinite(found).all():
+            wrong = "NaN or infinity"
+        elif (found != np.floor(found)).any():
+            wrong = f"{found[found != np.floor(found)][0]:g}"
+        elif found.min() < 0 or found.max() >= self._num_actions:
+            beyond = found[(found < 0) | (found >= self._num_actions)]
+            wrong = f"action {int(beyond[0])}"
+        if wrong:
+            raise InputError(
+                f"method {self._name}: its predict gave {wrong}: give {slots} whole numbers from 0 "
+                f"to {self._num_actions - 1}"
+            )
+        return found.astype(np.int64)
+
+
+def parse_method(given: str) -> tuple[str, str]:
+    """``NAME=module:factory`` as name and ``module:factory``, which is looked up now.
+
+    Raises
+    ------
+    InputError
+        If it is not of that form, or there is no such factory.
+    """
+    name, equals, place = given.partition("=")
+    if not equals or not name.replace("-", "").replace("_", "").isalnum():
+        raise InputError(
+            f"--method {given}: write NAME=module:factory, the name of letters, digits, - and _"
+        )
+    load_factory(place)
+    return name, place
+
+
+def load_factory(place: str) -> Callable[[MethodSetting], Any]:
+    """What ``module:factory`` names; modules in the working directory are found too.
+
+    Raises
+    ------
+    InputError
+        If it cannot be imported or is no callable.
+    """
+    module, colon, name = place.partition(":")
+    if not (module and colon and name):
+        raise InputError(f"method {place!r}: write module:factory")
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except Exception as error:  # whatever a foreign module does when it is imported
+        raise InputError(
+            f"method {place!r}: it cannot be imported ({type(error).__name__}: {error}): see to "
+            "its module"
+        ) from error
+    if not callable(found):
+        raise InputError(f"method {place!r}: it is no callable: name a factory")
+    made: Callable[[MethodSetting], Any] = found
+    return made
+
+
+def source_of(place: str) -> str:
+    """The factory with a hash of its module's file, so that another source is another method."""
+    spec = importlib.util.find_spec(place.partition(":")[0])
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        return place
+    return f"{place}#{hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()[:16]}"

@@ -1,0 +1,137 @@
+"""Everything that a matrix asks for, as pieces of work; refused as a whole before anything runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+from animarl_algos.benchmark.cells import Cell, Scoring, World
+from animarl_algos.benchmark.matrix import Matrix
+from animarl_algos.benchmark.pieces import Piece, write_json
+from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.runs.pipeline import rehearse
+from animarl_algos.runs.run_folder import versions
+from animarl_envs.errors import InputError
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Worlds first, then cells, then scores; within these three any order gives the same."""
+
+    matrix: Matrix
+    worlds: tuple[World, ...]
+    cells: tuple[Cell, ...]
+    scorings: tuple[Scoring, ...]
+
+    @property
+    def stages(self) -> tuple[tuple[Piece, ...], ...]:
+        return self.worlds, self.cells, self.scorings
+
+    def only(self, patterns: Sequence[str]) -> Plan:
+        """The rows that match a pattern, ``species/method`` or ``species/method/seed``.
+
+        Raises
+        ------
+        InputError
+            If a pattern matches nothing.
+        """
+        if not patterns:
+            return self
+        for pattern in patterns:
+            if not any(_matches(cell, pattern) for cell in self.cells):
+                some = ", ".join(cell.name for cell in self.cells[:3])
+                raise InputError(f"--only {pattern}: no cell is called so: write as in {some}")
+        kept = tuple(c for c in self.cells if any(_matches(c, p) for p in patterns))
+        needed = {cell.data for cell in kept}
+        chosen = {cell.key for cell in kept}
+        return Plan(
+            self.matrix,
+            tuple(world for world in self.worlds if world.data in needed),
+            kept,
+            tuple(
+                one for one in self.scorings if chosen.issuperset(cell.key for cell in one.cells)
+            ),
+        )
+
+    def resolved(self) -> dict[str, Any]:
+        """The matrix, and the key of every cell."""
+        keys = {cell.name: cell.key for cell in self.cells}
+        prints = {world.data: world.demos.fingerprint() for world in self.worlds}
+        plain = asdict(self.matrix)
+        return {"settings": plain, "demonstrations": prints, "cells": keys}
+
+
+def plan(matrix: Matrix, methods: Mapping[str, str] | None = None) -> Plan:
+    """What there is to do.
+
+    Parameters
+    ----------
+    methods
+        Others' methods: ``module:factory`` by name.
+
+    Raises
+    ------
+    InputError
+        If a recipe cannot learn from a set of demonstrations, or a method has the name of a row.
+    """
+    methods = methods or {}
+    for name in methods:
+        if name in (*RECIPES, *matrix.references):
+            raise InputError(f"--method {name}: there is a row of that name: choose another")
+    worlds: list[World] = []
+    cells: list[Cell] = []
+    for data, demos in matrix.recorded().items():
+        world = World(data, matrix.world_settings(data, demos), demos)
+        worlds.append(world)
+        shared: dict[str, Any] = {
+            "data": data, "repetitions": matrix.repetitions, "world": world.key,
+        }  # fmt: skip
+        for algo in matrix.recipes:
+            settings = [matrix.run_settings(data, demos, algo, seed) for seed in matrix.seeds]
+            rehearse(settings[0], demos)
+            cells += [Cell(**shared, method=algo, seed=s.seed, settings=s) for s in settings]
+        for name, factory in methods.items():
+            cells += [Cell(**shared, method=name, seed=s, factory=factory) for s in matrix.seeds]
+        cells += [Cell(**shared, method=r, seed=matrix.seeds[0]) for r in matrix.references]
+    rows: dict[tuple[str, str], list[Cell]] = {}
+    for cell in cells:
+        rows.setdefault((cell.data, cell.method), []).append(cell)
+    scorings = [Scoring(cells=tuple(row), resamples=matrix.resamples) for row in rows.values()]
+    return Plan(matrix, tuple(worlds), tuple(cells), tuple(scorings))
+
+
+def claim_folder(out: Path) -> None:
+    """Mark a folder as one of results of this version, or make sure that it is.
+
+    Raises
+    ------
+    InputError
+        If it holds the results of another version, or something else.
+    """
+    file, own = out / "benchmark.json", {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
+    if file.exists():
+        try:
+            there = json.loads(file.read_text())
+        except ValueError as error:
+            raise InputError(f"{file}: it is damaged ({error}): name another --out") from None
+        if there != own:
+            found = there.get("animarl", "none") if isinstance(there, dict) else "none"
+            raise InputError(
+                f"{out}: its results are of animarl {found} (format "
+                f"{there.get('format') if isinstance(there, dict) else 'unknown'}), this is "
+                f"{own['animarl']} (format {FORMAT_VERSION}): name another --out"
+            )
+    elif out.is_dir() and any(out.iterdir()):
+        raise InputError(f"{out}: it holds something that is no benchmark: name another --out")
+    else:
+        write_json(file, own)
+
+
+def _matches(cell: Cell, pattern: str) -> bool:
+    return fnmatchcase(cell.name, pattern) or fnmatchcase(f"{cell.data}/{cell.method}", pattern)

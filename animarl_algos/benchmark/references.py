@@ -1,0 +1,179 @@
+"""Rows that the learners are read beside: none of them is trained.
+
+``recordings``
+    Other recordings of the same condition, each given to one test start: how alike recordings are.
+``tracking``
+    The test recordings themselves as the fitted locomotion follows them in closed loop, knowing
+    where to go: what the locomotion model allows.
+``scripted``
+    Pursuers straight at the target, which evades; a moth that surges, zigzags and loops.
+``constant-velocity``, ``still``, ``random``
+    The action that changes the velocity least, that stops soonest, any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.told_apart import followed
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import track
+from animarl_envs.locomotion import next_velocity
+from animarl_envs.scenario import Scenario
+from animarl_envs.species import SearchSpecies
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
+
+Floats = NDArray[np.float64]
+OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", "velocity left"))
+"""By what names worlds have an individual's velocity, in the frame of its actions."""
+
+
+def reference_rollouts(name: str, world: RunFolder, seed: int, repetitions: int) -> Rollouts:
+    """The rollouts of one row, from every test start."""
+    demos = world.demos
+    test, species = demos.select(split="test"), world.species(demos, world.fit)
+    if name == "recordings":
+        return others_as_rollouts(learnable(demos), test, seed)
+    if name == "tracking":
+        tracked = followed(test, track(test, species.locomotion, species.arena))
+        return replace(tracked, method=name, seed=np.full(len(tracked), seed))
+    scenario = world.scenario("test")
+    if name == "scripted" and not isinstance(species, SearchSpecies):
+        scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
+    return collect_rollouts(
+        partial(make_world, scenario),
+        _policy(name, scenario, seed),
+        method=name,
+        seed=seed,
+        repetitions=repetitions,
+    )
+
+
+def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:
+    """Each of the ``others`` as if it were a rollout from a test start of its condition.
+
+    They are dealt evenly and each once, so that no classifier meets one of them twice.
+
+    Raises
+    ------
+    InputError
+        If none has the condition of a test episode.
+    """
+    rng = np.random.default_rng(seed)
+    taken, start, repetition = [], [], []
+    for condition in np.unique(test.condition).tolist():
+        starts = rng.permutation(np.flatnonzero(test.condition == condition))
+        there = rng.permutation(np.flatnonzero(others.condition == condition))
+        taken += there.tolist()
+        start += [starts[i % len(starts)] for i in range(len(there))]
+        repetition += [i // len(starts) for i in range(len(there))]
+    if not taken:
+        raise InputError(f"{test.name}: no other recording has the condition of a test episode")
+    made = Rollouts.from_demonstrations(others).select(np.array(taken))
+    return replace(
+        made,
+        method="recordings",
+        demo=np.array(start),
+        repetition=np.array(repetition),
+        seed=np.full(len(taken), seed),
+    )
+
+
+def _policy(name: str, scenario: Scenario, seed: int) -> Policy:
+    species = scenario.species
+    if name == "random":
+        return RandomPolicy(seed, species.num_actions)
+    if name == "scripted":
+        return ProgrammedPolicy(species, seed) if isinstance(species, SearchSpecies) else Idle()
+    return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
+
+
+class Idle:
+    """Action 0 for everybody, where the world's script decides."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        return np.zeros(len(observation), dtype=np.int64), state
+
+
+class ProgrammedPolicy:
+    """The programmed moth, one per slot; new ones wherever no state is handed on."""
+
+    def __init__(self, species: SearchSpecies, seed: int) -> None:
+        self._species, self._rng = species, np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: NDArray[np.floating],
+        state: ProgrammedMoth | None = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], ProgrammedMoth]:
+        if state is None:
+            state = ProgrammedMoth(len(observation), self._rng, self._species)
+            state.reset()
+        return state.act(observation[:, None]).ravel().astype(np.int64), state
+
+
+class Steering:
+    """The action after which the velocity is nearest to ``keep`` times what it is.
+
+    Parameters
+    ----------
+    scenario
+        Whose observations hold each individual's own velocity.
+    keep
+        1 holds the velocity, 0 stops.
+    """
+
+    def __init__(self, scenario: Scenario, keep: float) -> None:
+        species = scenario.species
+        names = [one.name for one in make_world(scenario, 1).observation_components]
+        found = [pair for pair in OWN_VELOCITY if set(pair) <= set(names)]
+        if not found:
+            raise InputError(f"{species.name}: what is observed holds no velocity of one's own")
+        self._columns = [names.index(name) for name in found[0]]
+        self._keep = keep
+        self._next: list[Callable[[Floats], Floats]] = [
+            partial(
+                next_velocity,
+                acceleration=own.action_vectors[None],
+                damping=own.damping,
+                thrust=own.thrust,
+                dt=species.dt,
+            )
+            for own in species.locomotion
+        ]
+
+    def predict(
+        self,
+        observation: NDArray[np.floating],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        own = observation[:, self._columns].astype(np.float64)
+        actions = np.empty(len(own), dtype=np.int64)
+        number = len(self._next)
+        for k, after in enumerate(self._next):
+            now = own[k::number, None]
+            missed = np.linalg.norm(after(now) - self._keep * now, axis=-1)
+            actions[k::number] = missed.argmin(axis=1)
+        return actions, state

@@ -1,0 +1,291 @@
+"""What is measured of a method: value, interval and null of every measure of the leaderboard."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.benchmark.references import others_as_rollouts
+from animarl_algos.evaluation.distances import bootstrap_distances
+from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
+from animarl_algos.evaluation.metrics import dtw_alignments
+from animarl_algos.evaluation.motion import MEASURES
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.prepared import Prepared, factual
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Cells,
+    Draws,
+    Interval,
+    bootstrap_difference,
+    bootstrap_mean,
+    cells,
+    covers,
+)
+from animarl_algos.evaluation.verdict import SUMMARY, Verdict, verdict
+from animarl_algos.evaluation.windows import comparison_smoothing
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
+from animarl_envs.dtw import dtw_alignment
+from animarl_envs.species import SPECIES
+
+Floats = NDArray[np.float64]
+
+SEED = 0  # of all resampling
+AUC, ENERGY = "auc", "energy"
+DIFFERENCES = ("reached", "duration", "path_length", "mean_speed")
+UNITS = {measure.key: measure.unit for measure in MEASURES}
+DISTRIBUTIONS = ("duration", "path_length")
+LABELS = {
+    AUC: "classifier AUC",
+    ENERGY: "energy score",
+    "energy_duration": "energy score of duration",
+    "energy_path_length": "energy score of path length",
+    "energy_mean_speed": "energy score of speed",
+    "outcomes": "endings (chi-squared)",
+    "reached": "target reached",
+    "duration": "duration",
+    "path_length": "path length",
+    "mean_speed": "mean speed",
+    "dtw_per_step": "DTW per step",
+    "dtw_first_second": "DTW per step, first second",
+    "kde_duration": "KDE distance of durations",
+    "kde_path_length": "KDE distance of path lengths",
+}
+"""The measures in their order: what a simulator is judged by first."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One measure of one method.
+
+    ``value`` has the interval ``low`` to ``high``, over demonstrations and seeds; ``reason`` says
+    why there is none. Of outcome, duration, path length and speed it is the difference to the
+    recordings. ``null`` is what chance alone stays below in 95 % of cases, and what recordings of
+    other starts come to where ``p`` is not given (energy scores, DTW). NaN is what is not defined.
+    """
+
+    measure: str
+    unit: str = ""
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    null: float = math.nan
+    p: float = math.nan
+    reason: str = ""
+
+    @property
+    def inside(self) -> bool:
+        """Whether it is no larger than its null."""
+        return abs(self.value) <= self.null
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """A method on one set of demonstrations; ``energies`` is ``(seeds, starts)``, NaN for none."""
+
+    data: str = ""
+    kind: str = ""
+    method: str
+    seeds: tuple[int, ...]
+    starts: int
+    rollouts: int
+    covers: str
+    words: str
+    measures: tuple[Measured, ...]
+    energies: Floats
+
+    def of(self, measure: str) -> Measured:
+        """One measure."""
+        return next(one for one in self.measures if one.measure == measure)
+
+    @property
+    def energy_cells(self) -> Cells:
+        """The joint energy score by seed and start."""
+        present = np.isfinite(self.energies)
+        return Cells(np.where(present, self.energies, 0.0), present.astype(np.float64))
+
+    def to_json(self) -> dict[str, Any]:
+        plain = asdict(self) | {"energies": self.energies.tolist()}
+        return dict(_without_nan(plain))
+
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> Score:
+        rows: list[dict[str, Any]] = [
+            {k: math.nan if v is None else v for k, v in one.items()} for one in plain["measures"]
+        ]
+        measures = tuple(Measured(**row) for row in rows)
+        energies = np.array(plain["energies"], dtype=np.float64)
+        seeds = tuple(plain["seeds"])
+        return cls(**{**plain, "measures": measures, "energies": energies, "seeds": seeds})
+
+
+def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score:
+    """Measure rollouts from the test starts of ``demos`` against the recordings.
+
+    Parameters
+    ----------
+    rollouts
+        Of one method and all its seeds; ``rollouts.demo`` counts the test episodes.
+    demos
+        All splits: recordings of train and val are what recordings are compared with.
+    resamples
+        Of the intervals.
+    """
+    test, others = demos.select(split="test"), learnable(demos)
+    rng_verdict, rng_draws, rng_null, rng_kde = np.random.default_rng(SEED).spawn(4)
+    found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
+    prepared = Prepared.of(test, comparison_smoothing(test))
+    counted = factual(rollouts, test)
+    seen = prepared.filtered(counted)
+    simulated, recorded = prepared.measures(seen), prepared.measures(prepared.recorded)
+    draws = Draws.by(rng_draws, resamples)
+    energies, measures = {}, [_auc(found)]
+    for name, keys in {ENERGY: SUMMARY, **{f"energy_{key}": (key,) for key in SUMMARY}}.items():
+        spread = [float(np.std(recorded[k])) or 1.0 for k in keys]
+        drawn, true = (
+            np.stack([side[k] / s for k, s in zip(keys, spread)], axis=1)
+            for side in (simulated, recorded)
+        )
+        energies[name] = start_energies(drawn, counted.seed, counted.demo, true)
+        mean = _mean(energies[name], draws)
+        measures.append(_of(name, "recorded SD", mean, null=pooled_score(true)))
+    measures.append(_endings(found))
+    measures += _closeness(counted, test, others, draws)
+    exchanges = Exchanges.draw(counted.demo, len(test), rng_null, resamples)
+    for key in DIFFERENCES:
+        gap = _difference(simulated[key], counted, recorded[key], draws)
+        tested = exchanges.difference(np.concatenate([recorded[key], simulated[key]]))
+        unit = UNITS[key].format(length=prepared.unit.name)
+        measures.append(_of(key, unit, gap, null=tested.null, p=tested.p))
+    for key in DISTRIBUTIONS:
+        kde = bootstrap_distances(
+            simulated[key], recorded[key], counted.seed, counted.demo, rng_kde, resamples
+        ).kde
+        null = exchanges.distances(np.concatenate([recorded[key], simulated[key]]))
+        measures.append(_of(f"kde_{key}", "", kde, null=null.kde.high, p=null.kde_p))
+    ordered = {one.measure: one for one in measures}
+    return Score(
+        method=rollouts.method,
+        seeds=tuple(np.unique(counted.seed).tolist()),
+        starts=len(np.unique(counted.demo)),
+        rollouts=len(counted),
+        covers=covers(cells(simulated["duration"], counted.seed, counted.demo, len(test))),
+        words=found.overall,
+        measures=tuple(ordered[key] for key in LABELS),
+        energies=energies[ENERGY],
+    )
+
+
+def start_energies(drawn: Floats, seed: Any, demo: Any, true: Floats) -> Floats:
+    """The energy score of every seed at every start, ``(seeds, starts)``; NaN below two rollouts.
+
+    Parameters
+    ----------
+    drawn, seed, demo
+        ``(rollouts, d)`` values, and seed and start of each.
+    true
+        ``(starts, d)``.
+    """
+    seeds = np.unique(seed)
+    found = np.full((len(seeds), len(true)), math.nan)
+    for row, one in enumerate(seeds):
+        for start in np.unique(demo):
+            chosen = (seed == one) & (demo == start)
+            if chosen.any():
+                found[row, start] = energy_score(drawn[chosen], true[start])
+    return found
+
+
+def first_second(rollouts: Rollouts, demos: Demonstrations, warmup: int) -> Floats:
+    """DTW distance per aligned pair of frames, of the first second after the warm-up.
+
+    Mean over those who move by themselves, ``(rollouts,)`` [arena unit]; NaN where either is over
+    before it begins.
+    """
+    last = warmup + 1 + max(1, round(1 / rollouts.dt))
+    found = np.full(len(rollouts), math.nan)
+    for i, demo in enumerate(rollouts.demo.tolist()):
+        start = demos.offsets[demo]
+        recorded = demos.positions[start : demos.offsets[demo + 1]][warmup:last]
+        path = rollouts.path(i)[warmup:last]
+        if len(path) and len(recorded):
+            each = [dtw_alignment(path[:, k], recorded[:, k]) for k in rollouts.movers]
+            found[i] = np.mean([distance / pairs for distance, pairs in each])
+    return found
+
+
+def _closeness(
+    counted: Rollouts, test: Demonstrations, others: Demonstrations, draws: Draws
+) -> list[Measured]:
+    """DTW of whole episodes and of the first second, beside what other recordings come to."""
+    beside = others_as_rollouts(others, test, SEED)
+    spec = SPECIES.get(test.species)
+    warmup = spec.warmup if spec is not None else 0
+
+    def per_step(rollouts: Rollouts) -> Floats:
+        distance, pairs = dtw_alignments(rollouts, test)
+        return np.asarray((distance / pairs)[:, rollouts.movers].mean(axis=1))
+
+    def early(rollouts: Rollouts) -> Floats:
+        return first_second(rollouts, test, warmup)
+
+    found = []
+    for key, of in (("dtw_per_step", per_step), ("dtw_first_second", early)):
+        data = cells(of(counted), counted.seed, counted.demo, len(test))
+        null = float(np.nanmean(of(beside)))
+        found.append(_of(key, "arena unit", bootstrap_mean(data, draws), null=null))
+    return found
+
+
+def _difference(values: Floats, counted: Rollouts, recorded: Floats, draws: Draws) -> Interval:
+    """Mean of the rollouts less that of the recordings."""
+    starts = np.arange(len(recorded))
+    many = cells(values, counted.seed, counted.demo, len(recorded))
+    one = cells(recorded, np.full(len(recorded), -1), starts, len(recorded))
+    return bootstrap_difference(many, one, draws)
+
+
+def _auc(found: Verdict) -> Measured:
+    reason = "" if math.isfinite(found.auc.low) else found.row(AUC)["verdict"]
+    value = Interval(found.auc.estimate, found.auc.low, found.auc.high, reason)
+    return _of(AUC, "", value, null=found.among.high)
+
+
+def _endings(found: Verdict) -> Measured:
+    row = found.row("outcomes")
+    return Measured(
+        "outcomes",
+        value=row["distance"],
+        null=row["null"],
+        p=row["p"],
+        reason="a test: no interval",
+    )
+
+
+def _of(measure: str, unit: str, value: Interval, *, null: float, p: float = math.nan) -> Measured:
+    return Measured(measure, unit, value.estimate, value.low, value.high, null, p, value.reason)
+
+
+def _mean(energies: Floats, draws: Draws) -> Interval:
+    present = np.isfinite(energies)
+    if not present.any():
+        return Interval.without_ends(UNDEFINED.estimate, FEW_ROLLOUTS)
+    return bootstrap_mean(Cells(np.where(present, energies, 0.0), present.astype(float)), draws)
+
+
+def _without_nan(value: Any) -> Any:
+    """As JSON has it: None for what is not finite."""
+    if isinstance(value, dict):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

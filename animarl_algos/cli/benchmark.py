@@ -1,0 +1,199 @@
+"""``animarl benchmark``: every method, every species, every seed, and a leaderboard."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+
+from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
+from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.methods import parse_method
+from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
+from animarl_algos.benchmark.plan import Plan, claim_folder, plan
+from animarl_algos.benchmark.submission import score_submission
+from animarl_algos.cli.screen import PlainConsole
+from animarl_envs.errors import InputError
+
+ENGINES = ("local",)
+STAGES = ("worlds", "cells", "scores")
+
+app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
+
+
+@app.callback()
+def benchmark_command(
+    context: typer.Context,
+    preset: Annotated[
+        str, typer.Option(help="smoke (minutes), short (default trainings) or paper.")
+    ] = "smoke",
+    config: Annotated[
+        Path | None, typer.Option(help="A YAML file of your own instead of a preset.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the results; what is finished in it is kept.")
+    ] = Path("out/benchmark"),
+    species: Annotated[
+        list[str] | None, typer.Option(help="Only these of the matrix; repeatable.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'."),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(help="Your own method, NAME=module:factory; repeatable."),
+    ] = None,
+    engine: Annotated[str, typer.Option(help="local: processes of this machine.")] = "local",
+    processes: Annotated[int, typer.Option(help="So many, one thread each.")] = 1,
+    show: Annotated[
+        bool, typer.Option("--list", help="Say what there is to do, and do nothing.")
+    ] = False,
+) -> None:
+    """Train, roll out and score every method on every species with every seed.
+
+    Given again, the command goes on where it was; finished cells are never run again.
+
+    Examples:
+
+      animarl benchmark --preset smoke --out out/bench --processes 2
+
+      animarl benchmark --preset short --species agent --list
+
+      animarl benchmark --preset short --only 'fly/*' --method mine=my_module:make
+
+      animarl benchmark score submission.json
+    """
+    if context.invoked_subcommand is not None:
+        return
+    if engine not in ENGINES:
+        raise InputError(f"engine {engine!r} is unknown: choose {', '.join(ENGINES)}")
+    if processes < 1:
+        raise InputError(f"processes is {processes}: it must be at least 1")
+    matrix = read_matrix(preset, config)
+    for name in species or []:
+        if name not in (*matrix.species, *matrix.files):
+            known = ", ".join((*matrix.species, *matrix.files))
+            raise InputError(f"--species {name}: it is not in the matrix: choose among {known}")
+    if species:
+        matrix = replace(
+            matrix,
+            species=tuple(s for s in matrix.species if s in species),
+            files={name: file for name, file in matrix.files.items() if name in species},
+        )
+    methods = dict(parse_method(given) for given in method or [])
+    asked = plan(matrix, methods).only(only or [])
+    console = PlainConsole(least_width=100)
+    if show:
+        console.print(_listing(asked, out))
+        return
+    claim_folder(out)
+    watch = LiveTable(asked, out, processes)
+    with Live(watch, console=console, refresh_per_second=1):
+        perform_all(asked, out, processes, watch)
+    for piece, error in watch.failed:
+        console.print(f"\n{piece} failed: {error}", soft_wrap=True)
+    page = write_leaderboard(asked, out)
+    console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
+
+
+@app.command("score")
+def score_command(
+    file: Annotated[Path, typer.Argument(help="A submission: one JSON with rollouts.")],
+) -> None:
+    """Check and score somebody's rollouts; none of their code is run.
+
+    Example:
+
+      animarl benchmark score submission.json
+    """
+    found = score_submission(file)
+    console = PlainConsole(least_width=100)
+    table = Table(title=f"{found.method} on {found.data}: {found.words}")
+    for heading in ("measure", "value [95 % interval]", "null", "remark"):
+        table.add_column(heading)
+    for row in measure_rows(found):
+        table.add_row(*row)
+    console.print(table)
+    console.print(
+        f"{found.rollouts} rollouts from {found.starts} test starts; intervals cover "
+        f"{found.covers}."
+    )
+
+
+class LiveTable:
+    """How far each stage is, what runs, and about how long it will take.
+
+    The time left goes by what pieces of the same method took, or else others of the stage.
+    """
+
+    def __init__(self, asked: Plan, out: Path, processes: int) -> None:
+        self.failed: list[tuple[str, str]] = []
+        self._processes = processes
+        self._left = [
+            {piece.name for piece in stage if not piece.finished(out)} for stage in asked.stages
+        ]
+        self._all = [len(stage) for stage in asked.stages]
+        self._running: dict[str, float] = {}
+        self._took: dict[str, list[float]] = {}
+
+    def started(self, piece: Piece) -> None:
+        self._running[piece.name] = time.monotonic()
+
+    def ended(self, piece: Piece, done: Done) -> None:
+        self._running.pop(piece.name, None)
+        for left in self._left:
+            left.discard(piece.name)
+        if done.error:
+            self.failed.append((done.name, done.error))
+        else:
+            for key in (_kind(piece.name), ""):
+                self._took.setdefault(key, []).append(done.seconds)
+
+    def seconds_left(self) -> float | None:
+        """As far as it can be told."""
+        if not self._took:
+            return None
+        total = 0.0
+        for left in self._left:
+            for name in left:
+                took = self._took.get(_kind(name)) or self._took[""]
+                already = time.monotonic() - self._running.get(name, time.monotonic())
+                total += max(0.0, sum(took) / len(took) - already)
+        return total / self._processes
+
+    def __rich__(self) -> RenderableType:
+        table = Table("stage", "finished", "of", "failed", "running")
+        for name, left, every in zip(STAGES, self._left, self._all):
+            stage = [p for p in self._running if p in left]
+            failed = [p for p, _ in self.failed if _stage(p) == name]
+            there = every - len(left) - len(failed)
+            table.add_row(name, str(there), str(every), str(len(failed)), ", ".join(stage))
+        left_over = self.seconds_left()
+        told = "not known yet" if left_over is None else f"{left_over / 60:.1f} min"
+        return Group(table, f"time left: about {told}")
+
+
+def _kind(name: str) -> str:
+    """What takes about as long: a method on a species, whatever the seed."""
+    return name.rpartition("/")[0] + ("/score" if name.endswith("/score") else "")
+
+
+def _stage(name: str) -> str:
+    last = name.rpartition("/")[2]
+    return {"world": STAGES[0], "score": STAGES[2]}.get(last, STAGES[1])
+
+
+def _listing(asked: Plan, out: Path) -> Table:
+    table = Table("cell", "kind", "key", "state")
+    for cell in asked.cells:
+        state = "finished" if cell.finished(out) else recorded_error(cell, out) or "to do"
+        table.add_row(cell.name, cell.kind, cell.key, state)
+    return table
