@@ -85,7 +85,7 @@ def test_the_users_own_folder_is_kept_to(copied: Path, tmp_path: Path) -> None:
     assert not list((copied / "animarl_envs").glob("__pycache__/kernels-*"))
 
 
-def test_without_a_folder_to_write_to_a_temporary_one_is_used_and_said_once(
+def test_a_read_only_install_uses_a_temporary_folder_and_says_so_once(
     copied: Path, tmp_path: Path
 ) -> None:
     # Files where folders should be are refused to everybody, root included.

@@ -17,6 +17,7 @@ from animarl_algos.cli.importing import import_command
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
+from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read
 from tools.fuzz.layouts import write_agents, write_long, write_native, write_slp, write_trex
@@ -272,3 +273,8 @@ def test_exported_minari_folder_is_read_by_its_name(tmp_path: Path) -> None:
         animarl("data", "convert", native, "--out", tmp_path / "demos.txt")
     with pytest.raises(InputError, match=r"ends in \.png"):
         animarl("data", "plot", native, "--out", tmp_path / "figure.txt")
+
+
+def test_no_recording_at_all_is_said() -> None:
+    with pytest.raises(InputError, match="tracks: there is no recording in it"):
+        demonstrations_from_tracks([], ImportRecipe())

@@ -39,6 +39,8 @@ def demonstrations_from_tracks(
     InputError
         One sentence that names the file, the place and the remedy.
     """
+    if not recordings:
+        raise InputError(f"{name}: there is no recording in it: give at least one")
     cleaned, bodies, scales, done = [], [], {}, {}
     for tracks in recordings:
         tracks = _named(tracks, recipe)
