@@ -68,5 +68,6 @@ NAMES_A_SPECIES = {
     "animarl_envs/__init__.py",
     "animarl_envs/importing/readers/agents.py",
     "animarl_envs/importing/readers/authors.py",
+    "animarl_envs/importing/readers/habits.py",
     "animarl_envs/importing/readers/mothvr.py",
 }

@@ -48,7 +48,10 @@ def test_a_recipe_that_needs_the_simulator_and_is_given_none(
 
 def test_a_recipe_that_needs_recordings_in_the_simulator_and_is_given_none() -> None:
     bare = SlotVecEnv("fly", 2, demos=None)
-    for recipe, lacks in ((IQLearn, "has no demonstrations"), (DQDIL, "needs the distance to a")):
+    for recipe, lacks in (
+        (IQLearn, "was given demonstrations"),
+        (DQDIL, "needs the distance to a"),
+    ):
         model = recipe("MlpPolicy", bare, offline_epochs=0, buffer_size=2000, device="cpu")
         with pytest.raises(InputError, match=lacks) as said:
             model.learn(10)

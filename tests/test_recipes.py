@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -95,7 +96,9 @@ def test_learn_can_be_continued_with_its_memory() -> None:
     assert torch.equal(weights(once), weights(twice))
 
 
-def test_progress_callbacks_and_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_callbacks_and_logs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen = []
 
     def callback(variables: dict[str, Any], _: dict[str, Any]) -> bool:
@@ -103,6 +106,7 @@ def test_progress_callbacks_and_logs(tmp_path: Path, capsys: pytest.CaptureFixtu
         return True
 
     model = make_pair_learner("dqcil-pt")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with closing(configure(str(tmp_path), ["csv"])) as logger:
         model.set_logger(logger)
         model.learn(60, callback=callback, log_interval=1, progress_bar=True)

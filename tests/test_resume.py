@@ -135,7 +135,10 @@ def test_a_run_that_is_told_to_stop_writes_a_checkpoint_first(
     raised: type[BaseException],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+
     class Interrupt(CheckpointCallback):
         def _on_step(self) -> bool:
             if self.model.num_timesteps == 120:

@@ -108,11 +108,12 @@ def test_clients_find_networks_and_memory_under_their_names() -> None:
         (BC, lambda: SlotVecEnv("agent", 2, demos=None), {}, "was given demonstrations"),
     ],
 )
-def test_clients_learn_at_construction_what_cannot_learn(
+def test_clients_are_told_what_cannot_learn_before_it_does(
     kind: Any, env: Any, more: dict[str, Any], words: str
 ) -> None:
+    model = kind("MlpPolicy", env(), device="cpu", **more)
     with pytest.raises(InputError, match=words):
-        kind("MlpPolicy", env(), device="cpu", **more)
+        model.learn(1)
 
 
 # -- zip files ------------------------------------------------------------------------------------

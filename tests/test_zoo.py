@@ -200,7 +200,7 @@ def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
     for run in runs:
         episodes = load_results(str(run))
         assert len(episodes) > 1 and (episodes.l >= 1).all() and (episodes.t.diff()[1:] >= 0).all()
-        assert 150 < episodes.l.sum() <= 200 + 148 * 16  # steps of all copies
+        assert 0 < episodes.l.sum() <= 200 + 148 * 16  # steps of all copies, ended episodes alone
     matplotlib.use("agg")
     plots: Any = importlib.import_module("rl_zoo3.plots.plot_train")
     lines: list[int] = []

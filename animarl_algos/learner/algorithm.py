@@ -218,7 +218,6 @@ class SequenceQLearning(OffPolicyAlgorithm):
         if _init_setup_model:
             checks.refuse_what_does_not_go_together(self)
             self._setup_model()
-            checks.refuse_what_cannot_be_learnt(self)
 
     # -- set up -----------------------------------------------------------------------------------
 

@@ -155,6 +155,8 @@ def _text_pieces(
                     yield {name: piece[at].to_numpy() for name, at in place.items()}
                     if progress is not None:
                         progress(min(lines.seen / size, 1.0))
+        if progress is not None:
+            progress(1.0)
     except InputError:
         raise
     except pandas.errors.EmptyDataError:
