@@ -6,9 +6,9 @@ for name in chromium-headless-shell chromium chromium-browser google-chrome; do
 done
 [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null || exit 1
 install() {
-  timeout 300 apt-get install -qq -y --no-install-recommends "$1" >/dev/null 2>&1
+  timeout 90 apt-get install -qq -y --no-install-recommends "$1" >/dev/null 2>&1
 }
 export DEBIAN_FRONTEND=noninteractive
 install chromium-headless-shell && exit 0
-timeout 120 apt-get update -qq >/dev/null 2>&1 || exit 1
+timeout 45 apt-get update -qq >/dev/null 2>&1 || exit 1
 install chromium-headless-shell || install chromium
