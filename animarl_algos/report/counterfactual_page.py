@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,9 +32,6 @@ from animarl_algos.report.page import Page, render_page
 from animarl_algos.report.provenance import flattened
 from animarl_algos.report.sentences import NOTHING, with_interval
 from animarl_algos.report.style import method_label
-
-if TYPE_CHECKING:
-    pass
 
 
 def counterfactual_page(inputs: CounterfactualInputs) -> tuple[list[Section], str]:

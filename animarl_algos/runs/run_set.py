@@ -97,16 +97,8 @@ class _Compared:
         ):
             if here != there:
                 raise self._refused(other, what, here, there, mend)
-        here, there = _both(self, other, _world)
-        for key in here | there:
-            if here.get(key) != there.get(key):
-                raise self._refused(
-                    other,
-                    f"world ({key.replace('_', ' ')})",
-                    here.get(key),
-                    there.get(key),
-                    "train them in the same world",
-                )
+        mend = "train them in the same world"
+        self._refuse_differing(other, *_both(self, other, _world), "world ({})", mend)
 
     def refuse_other_method(self, other: _Compared) -> None:
         if self.settings.seed == other.settings.seed:
@@ -115,16 +107,23 @@ class _Compared:
                 f"{method_name(self.settings.algo)} with seed {self.settings.seed}: name each "
                 "training once"
             )
-        here, there = _both(self, other, _method)
-        for key in here | there:
+        named = f"settings of {method_name(self.settings.algo)} ({{}})"
+        mend = "seeds of one method must have the same settings"
+        self._refuse_differing(other, *_both(self, other, _method), named, mend)
+
+    def _refuse_differing(
+        self,
+        other: _Compared,
+        here: Mapping[str, object],
+        there: Mapping[str, object],
+        named: str,
+        mend: str,
+    ) -> None:
+        """Refuse the first entry that is not the same here and there."""
+        for key in {**here, **there}:
             if here.get(key) != there.get(key):
-                raise self._refused(
-                    other,
-                    f"settings of {method_name(self.settings.algo)} ({key})",
-                    here.get(key),
-                    there.get(key),
-                    "seeds of one method must have the same settings",
-                )
+                what = named.format(key)
+                raise self._refused(other, what, here.get(key), there.get(key), mend)
 
     def _refused(
         self, other: _Compared, what: str, here: object, there: object, mend: str
@@ -163,7 +162,8 @@ def _world(one: _Compared) -> dict[str, Any]:
     named = {f.name for f in fields(one.species)} - set(TOLD)
     world = {name: getattr(one.species, name) for name in sorted(named)}
     replaying = {"who learned": one.settings.focal or "all"}
-    return world | in_the_world(one.run.environment_options) | replaying
+    everything = world | in_the_world(one.run.environment_options) | replaying
+    return {key.replace("_", " "): value for key, value in everything.items()}
 
 
 def _method(one: _Compared) -> dict[str, Any]:
