@@ -63,8 +63,8 @@ class SlotVecEnv(VecEnv):
     ----------
     extras
         Arrays ``(slots,)`` that came with the last step: ``task_reward``, ``warmup``, ``demo``,
-        ``condition``, ``executed`` (the actions; during warm-up the demonstrated ones), and with
-        ``dtw`` also ``dtw_penalty`` and ``aligned_action``.
+        ``condition``, where a copy warms up ``executed`` (its demonstrated actions, the others'
+        as given), and with ``dtw`` also ``dtw_penalty`` and ``aligned_action``.
     """
 
     render_mode = None
@@ -161,8 +161,9 @@ class SlotVecEnv(VecEnv):
             "warmup": np.repeat(world.warming, K),
             "demo": np.repeat(world.demo, K),
             "condition": np.repeat(world.condition, K),
-            "executed": self._executed(self._all_actions)[:, self._learners].ravel(),
         }
+        if world.warming.any():
+            extras["executed"] = self._executed(self._all_actions)[:, self._learners].ravel()
         if self._tracker is not None:
             extras["aligned_action"] = self._aligned_actions().ravel()
         world.step(self._all_actions)

@@ -37,6 +37,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
+from animarl_envs.fitting.result import Method
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
 from animarl_envs.species import Species
@@ -97,13 +98,13 @@ def fit(run: RunFolder) -> LocomotionFit:
     file = run.path / "locomotion.json"
     if file.exists():
         return run.fit
-    settings = run.settings
-    method = "onset" if settings.fit_method == "onset" else "joint"
+    settings, demos = run.settings, run.learnable_demos
+    method: Method = "onset" if settings.fit_method == "onset" else "joint"
     if settings.thrusts == AUTO:
-        thrusts = choose_thrusts(run.learnable_demos, seed=settings.seed)
+        thrusts = choose_thrusts(demos, seed=settings.seed)
     else:
         thrusts = int(settings.thrusts)
-    result = fit_locomotion(run.learnable_demos, method, seed=settings.seed, thrusts=thrusts)  # type: ignore[arg-type]
+    result = fit_locomotion(demos, method, seed=settings.seed, thrusts=thrusts)
     result.save(file)
     return result
 
