@@ -68,8 +68,8 @@ def random_rollouts(env: SlotVecEnv, steps: int) -> list[Rollout]:
 @pytest.mark.parametrize(
     ("species", "options", "steps", "least"),
     [
-        ("agent", {}, 250, 25),
-        ("agent", {"dtw": "increment"}, 250, 25),
+        ("agent", {}, 300, 30),
+        ("agent", {"dtw": "increment"}, 300, 30),
         ("agent", {"dtw": "cumulative"}, 100, 10),
         ("agent", {"focal": "prey"}, 150, 15),
         ("fly", {"rebound": False}, 150, 20),
