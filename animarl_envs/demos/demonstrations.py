@@ -188,7 +188,7 @@ class Demonstrations:
             index=index,
             positions=positions,
             velocities=velocities(positions, self.initial_velocity[index], self.dt)
-            * (self.dt / self.intervals()[frames])[:, None, None],
+            * (self.dt / self.intervals(frames))[:, None, None],
             signals={key: value[frames] for key, value in self.signals.items()},
             condition=int(self.condition[index]),
             outcome=int(self.outcome[index]),
@@ -200,10 +200,11 @@ class Demonstrations:
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(i) for i in range(self.num_episodes))
 
-    def intervals(self) -> NDArray[np.float64]:
+    def intervals(self, frames: slice = slice(None)) -> NDArray[np.float64]:
         """Time that led to each frame ``(frames,)`` [s]: dt, or less at a last frame kept so."""
-        kept = self.signals.get(INTERVAL)
-        return np.full(len(self.positions), self.dt) if kept is None else kept.astype(np.float64)
+        if INTERVAL in self.signals:
+            return self.signals[INTERVAL][frames].astype(np.float64)
+        return np.full(len(self.positions[frames]), self.dt)
 
     def velocities(self) -> NDArray[np.float64]:
         """Velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
