@@ -1,10 +1,12 @@
 """SIGKILL at random moments: is every resume the same to the bit, and is nothing half-written?
 
     python benchmarks/kills.py --kills 60
-    python benchmarks/kills.py --kills 1000 --only train --only run
+    python benchmarks/kills.py --kills 1000 --counts out/kills    # called again, it goes on
 
 Each of the commands import, train, run, evaluate, watch and zoo is run once in peace. Then it is
-begun in a new folder and killed after a random time, up to five times, and at last left to end.
+begun in a new folder and killed at a random moment, begun there again, up to five times, and at
+last left to end. Moments are uniform over the processor time that the undisturbed one took,
+whatever else the machine does; one that ends before its moment counts as no kill.
 What it leaves must be what the undisturbed one left, to the bit; times and paths are not compared.
 While it is killed, every file that bears its final name must be whole. The zoo, which is rl_zoo3's,
 starts anew: its model must come out the same, or it refuses in a sentence.
@@ -18,13 +20,14 @@ import io
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import tempfile
 import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,7 +35,7 @@ import numpy as np
 import torch
 import typer
 from rich.console import Console
-from rich.progress import track as progress
+from rich.progress import Progress
 from rich.table import Table
 
 from animarl_algos.cli.main import main as animarl
@@ -56,7 +59,7 @@ class Tally:
     """What became of the kills of one command."""
 
     kills: int = 0
-    too_late: int = 0  # it had ended before
+    chains: int = 0  # folders that were begun, killed up to five times, and let end
     equal: int = 0  # ends that equal the undisturbed one
     refused: int = 0
     failures: list[str] = field(default_factory=list)
@@ -69,26 +72,32 @@ class Command:
     work: Callable[[Path], None]
     left: Callable[[Path], dict[str, str]]
     prepare: Callable[[Path], None] = lambda folder: None
+    share: int = 1  # of all kills: fewer of the long ones
 
 
 def main(
     kills: Annotated[int, typer.Option(help="Of all commands together.")] = 60,
     only: Annotated[list[str] | None, typer.Option(help="These commands; repeatable.")] = None,
     seed: Annotated[int, typer.Option(help="Of the moments.")] = 0,
+    counts: Annotated[Path | None, typer.Option(help="Keep counts here and go on.")] = None,
 ) -> None:
     """Kill, resume, compare, count."""
     torch.set_num_threads(1)
-    rng = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as place:
         warm(Path(place) / "warm")
-        commands = {k: c for k, c in all_commands(Path(place)).items() if not only or k in only}
-        shares = {k: kills // len(commands) for k in commands}
-        tallies = {k: killed(k, c, shares[k], Path(place), rng) for k, c in commands.items()}
+        commands = all_commands(Path(place))
+        chosen = [name for name in commands if not only or name in only]
+        kept = {name: counts / f"{name}-{seed}.json" for name in chosen} if counts else {}
+        tallies = {name: earlier(kept.get(name)) for name in chosen}
+        parts = sum(commands[name].share for name in chosen)
+        for name, t in tallies.items():
+            share = -(-kills * commands[name].share // parts)
+            kill(name, commands[name], t, share, Path(place), seed, kept.get(name))
     table = Table(title=f"{sum(t.kills for t in tallies.values())} kills, seed {seed}")
-    for heading in ("command", "killed", "had ended", "ends as in peace", "refused", "failures"):
+    for heading in ("command", "kills", "folders", "ends as in peace", "refused", "failures"):
         table.add_column(heading)
     for name, t in tallies.items():
-        cells = (t.kills, t.too_late, t.equal, t.refused, len(t.failures))
+        cells = (t.kills, t.chains, t.equal, t.refused, len(t.failures))
         table.add_row(name, *(str(cell) for cell in cells))
     console = Console()
     console.print(table)
@@ -98,41 +107,84 @@ def main(
     raise typer.Exit(int(any(t.failures for t in tallies.values())))
 
 
-def killed(name: str, command: Command, kills: int, place: Path, rng: np.random.Generator) -> Tally:
-    """Kill ``command`` so many times."""
-    peace, tally = place / name / "peace", Tally()
+def earlier(kept: Path | None) -> Tally:
+    """The counts of an earlier call."""
+    return Tally(**json.loads(kept.read_text())) if kept and kept.exists() else Tally()
+
+
+def kill(
+    name: str, command: Command, tally: Tally, kills: int, place: Path, seed: int, kept: Path | None
+) -> None:
+    """Kill ``command`` until ``tally`` counts so many kills."""
+    if tally.kills >= kills:
+        return
+    peace = place / name / "peace"
     command.prepare(peace)
-    began = time.perf_counter()
-    code, said = ended(begun(command.work, peace), peace)
+    lasts, process = 0.0, begun(command.work, peace)
+    while process.is_alive():
+        lasts = max(lasts, used(process))
+        process.join(0.005)
+    code, said = ended(process, peace)
     if code:
         raise RuntimeError(f"{name} fails undisturbed with {code}: {said}")
-    lasts, expected = time.perf_counter() - began, command.left(peace)
-    folder, here = place / name / "killed-0", 0
+    expected = command.left(peace)
+    with Progress() as progress:
+        bar = progress.add_task(f"{name}, {lasts:.1f} s each", total=kills, completed=tally.kills)
+        while tally.kills < kills:
+            rng = np.random.default_rng([seed, tally.chains])
+            folder = place / name / f"killed-{tally.chains}"
+            one_chain(
+                command, folder, min(MOST_KILLS, kills - tally.kills), lasts, expected, rng, tally
+            )
+            shutil.rmtree(folder)
+            progress.update(bar, completed=tally.kills)
+            if kept:
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                kept.write_text(json.dumps(asdict(tally)))
+
+
+def one_chain(
+    command: Command,
+    folder: Path,
+    most: int,
+    lasts: float,
+    expected: dict[str, str],
+    rng: np.random.Generator,
+    tally: Tally,
+) -> None:
+    """Begin, kill after a random share of ``lasts`` [s], begin again, until it is let end."""
     command.prepare(folder)
-    for k in progress(range(kills), f"{name}, {lasts:.1f} s each"):
+    tally.chains += 1
+    for turn in range(most + 1):
         process = begun(command.work, folder)
-        process.join(rng.uniform(0.0, lasts))
+        moment = rng.uniform(0.0, lasts) if turn < most else np.inf
+        while process.is_alive() and (left := moment - used(process)) > 0.0:
+            process.join(left if turn < most else None)
         if process.is_alive():
-            os.kill(process.pid or 0, signal.SIGKILL)
-            tally.kills += 1
-        else:
-            tally.too_late += 1
-        ended(process, folder)
-        here += 1
+            os.kill(process.pid, signal.SIGKILL)
+        code, said = ended(process, folder)
+        if code != -signal.SIGKILL:
+            break
+        tally.kills += 1
         tally.failures += [f"{path.name} is damaged" for path in folder.rglob("*") if broken(path)]
-        if here < MOST_KILLS and k < kills - 1:
-            continue
-        code, said = ended(begun(command.work, folder), folder)
-        if code == 2 and "Traceback" not in said and said.strip():
-            tally.refused += 1
-        elif code or command.left(folder) != expected:
-            differs = sorted(k for k, v in expected.items() if command.left(folder).get(k) != v)
-            tally.failures.append(f"exit {code}, differs in {differs}: {said[-300:]}")
-        else:
-            tally.equal += 1
-        folder, here = place / name / f"killed-{k + 1}", 0
-        command.prepare(folder)
-    return tally
+    if code == 2 and "Traceback" not in said and said.strip():
+        tally.refused += 1
+        return
+    left = command.left(folder) if not code else {}
+    if code or left != expected:
+        differs = sorted(k for k in expected.keys() | left.keys() if left.get(k) != expected.get(k))
+        tally.failures.append(f"exit {code}, differs in {differs}: {said[-300:]}")
+    else:
+        tally.equal += 1
+
+
+def used(process: Any) -> float:
+    """Processor time of a process so far [s]; none of one that has just ended."""
+    with contextlib.suppress(OSError):
+        return time.clock_gettime(
+            (~process.pid << 3) | 2
+        )  # CPUCLOCK_SCHED, see clock_getcpuclockid
+    return 0.0
 
 
 def warm(folder: Path) -> None:
@@ -143,6 +195,7 @@ def warm(folder: Path) -> None:
     pipeline.learn_all(begin, progress_bar=False)
     pipeline.evaluate_run(begin)
     pipeline.report(begin)
+    zoo(folder / "zoo")
 
 
 def settings_of(file: Path, baselines: bool, steps: int = STEPS) -> RunSettings:
@@ -220,45 +273,38 @@ def all_commands(place: Path) -> dict[str, Command]:
     def evaluate(folder: Path) -> None:
         pipeline.evaluate_run(RunFolder(folder))
 
+    def trained(folder: Path) -> None:
+        if not (place / "trained").exists():
+            train(place / "trained")
+        shutil.copytree(place / "trained", folder)
+
+    def made(folder: Path) -> None:
+        folder.mkdir(parents=True)
+
+    def import_(folder: Path) -> None:
+        call(
+            "import", str(table), "--target", "prey", "--fps", "10",
+            "--out", str(folder / "made.npz"),
+        )  # fmt: skip
+
+    def watch(folder: Path) -> None:
+        call(
+            "watch", "AnimaRL/Agent-v0", "--seed", "3", "--steps", "40", "--size", "200",
+            "--out", str(folder / "clip.gif"),
+        )  # fmt: skip
+
+    results = ("evaluation/*.csv", "rollouts/*")
     return {
         "import": Command(
-            lambda folder: call(
-                "import",
-                str(table),
-                "--target",
-                "prey",
-                "--fps",
-                "10",
-                "--out",
-                str(folder / "made.npz"),
-            ),
-            lambda folder: {"made.npz": array_digest(folder / "made.npz")},
-            lambda folder: folder.mkdir(parents=True),
+            import_, lambda folder: {"made.npz": array_digest(folder / "made.npz")}, made, 3
         ),
-        "train": Command(train, lambda folder: digests(folder, "policies/*", "locomotion.json")),
-        "run": Command(
-            run, lambda folder: digests(folder, "policies/*", "evaluation/*.csv", "rollouts/*")
+        "train": Command(
+            train, lambda folder: digests(folder, "policies/*", "locomotion.json"), share=2
         ),
-        "evaluate": Command(
-            evaluate, lambda folder: digests(folder, "evaluation/*.csv", "rollouts/*"), train
-        ),
-        "watch": Command(
-            lambda folder: call(
-                "watch",
-                "AnimaRL/Agent-v0",
-                "--seed",
-                "3",
-                "--steps",
-                "40",
-                "--size",
-                "200",
-                "--out",
-                str(folder / "clip.gif"),
-            ),
-            lambda folder: digests(folder, "clip.gif"),
-            lambda folder: folder.mkdir(parents=True),
-        ),
-        "zoo": Command(zoo, lambda folder: zoo_weights(folder)),
+        "run": Command(run, lambda folder: digests(folder, "policies/*", *results)),
+        "evaluate": Command(evaluate, lambda folder: digests(folder, *results), trained, 2),
+        "watch": Command(watch, lambda folder: digests(folder, "clip.gif"), made, 3),
+        "zoo": Command(zoo, zoo_weights, share=3),
     }
 
 
