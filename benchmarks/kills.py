@@ -296,15 +296,15 @@ def all_commands(place: Path) -> dict[str, Command]:
     results = ("evaluation/*.csv", "rollouts/*")
     return {
         "import": Command(
-            import_, lambda folder: {"made.npz": array_digest(folder / "made.npz")}, made, 3
+            import_, lambda folder: {"made.npz": array_digest(folder / "made.npz")}, made, 6
         ),
         "train": Command(
-            train, lambda folder: digests(folder, "policies/*", "locomotion.json"), share=2
+            train, lambda folder: digests(folder, "policies/*", "locomotion.json"), share=3
         ),
         "run": Command(run, lambda folder: digests(folder, "policies/*", *results)),
         "evaluate": Command(evaluate, lambda folder: digests(folder, *results), trained, 2),
-        "watch": Command(watch, lambda folder: digests(folder, "clip.gif"), made, 3),
-        "zoo": Command(zoo, zoo_weights, share=3),
+        "watch": Command(watch, lambda folder: digests(folder, "clip.gif"), made, 6),
+        "zoo": Command(zoo, zoo_weights, share=6),
     }
 
 
