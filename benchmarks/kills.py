@@ -84,8 +84,10 @@ def main(
     """Kill, resume, compare, count."""
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as place:
-        warm(Path(place) / "warm")
         commands = all_commands(Path(place))
+        for name in only or ():
+            if name not in commands:
+                raise typer.BadParameter(f"{name} is none of {', '.join(commands)}")
         chosen = [name for name in commands if not only or name in only]
         kept = {name: counts / f"{name}-{seed}.json" for name in chosen} if counts else {}
         tallies = {name: earlier(kept.get(name)) for name in chosen}
@@ -118,6 +120,7 @@ def kill(
     """Kill ``command`` until ``tally`` counts so many kills."""
     if tally.kills >= kills:
         return
+    warm(command, place / name / "warm")
     peace = place / name / "peace"
     command.prepare(peace)
     lasts, process = 0.0, begun(command.work, peace)
@@ -187,21 +190,26 @@ def used(process: Any) -> float:
     return 0.0
 
 
-def warm(folder: Path) -> None:
+def warm(command: Command, folder: Path) -> None:
     """Import and compile here what the forked processes would each anew."""
-    few = load_packaged("agent").select(episodes=np.arange(6))
-    file = replace(few, split=np.resize(["train", "val", "test"], 6)).save(folder / "chases.npz")
-    begin = pipeline.open_run(settings_of(file, True, steps=EVERY), folder / "run", "kills")
-    pipeline.learn_all(begin, progress_bar=False)
-    pipeline.evaluate_run(begin)
-    pipeline.report(begin)
-    zoo(folder / "zoo")
+    folder.parent.mkdir(parents=True)
+    command.prepare(folder)
+    with (
+        folder.with_suffix(".txt").open("w") as said,
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+    ):
+        try:
+            command.work(folder)
+        except SystemExit as end:
+            if end.code:
+                raise
 
 
-def settings_of(file: Path, baselines: bool, steps: int = STEPS) -> RunSettings:
+def settings_of(file: Path, baselines: bool) -> RunSettings:
     """A training of seconds."""
     return RunSettings(
-        file=str(file), species="agent", algo=ALGO, steps=steps, seed=1, copies=4,
+        file=str(file), species="agent", algo=ALGO, steps=STEPS, seed=1, copies=4,
         checkpoint_every=EVERY, baselines=baselines, repetitions=1, thrusts="1",
         acting="greedy", overrides=SMALL,
     )  # fmt: skip

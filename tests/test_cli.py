@@ -304,7 +304,7 @@ def test_bad_files_are_refused_in_one_sentence(
         (["train", "--preset", "fast"], "'fast' is unknown: choose paper or default"),
         (["train", "--env", "AnimaRL/Fly-v0", "--algo", "dqcil"], "fly has none: choose dqdil"),
         (["train", "--species", "custom"], "custom"),
-        (["train", "--fit-method", "guess"], "'guess' is unknown: choose joint or onset"),
+        (["train", "--fit-method", "guess"], "'guess' is unknown: choose joint, onset or noise"),
         (["train", "--focal", "wolf"], "focal is 'wolf'"),
         (["train", "--policy", "CnnPolicy"], "choose GruPolicy or MlpPolicy"),
         (["train", "--device", "abacus"], "choose cpu or cuda"),

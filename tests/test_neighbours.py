@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,29 @@ def test_equal_distances_are_ordered_by_index(pursuers: int) -> None:
         at for at, name in enumerate(names) if name.startswith("other") and "velocity y" in name
     ]
     np.testing.assert_allclose(seen[0, -1, going][:pursuers], np.arange(pursuers))
+
+
+@pytest.mark.parametrize("pursuers", [1, 2, FEW + 3])
+@pytest.mark.parametrize("target", [False, True])
+def test_nothing_but_observations_depends_on_who_observes(pursuers: int, target: bool) -> None:
+    scenario = make_scenario("agent", demos=None, num_pursuers=pursuers, observation_noise=0.01)
+    one = pursuers if target else 0
+    all_, few = make_world(scenario, 9), make_world(scenario, 9, [one])
+    rng = np.random.default_rng(pursuers)
+    for world in (all_, few):
+        world.reset()
+    for t in range(12):
+        actions = rng.integers(13, size=(9, pursuers + 1))
+        for world in (all_, few):
+            world.step(actions)
+            world.reset(world.terminated | world.truncated)
+        full, asked = all_.get_state(), few.get_state()
+        for name in full.keys() - {"sensed", "observation", "history"}:
+            np.testing.assert_array_equal(asked[name], full[name], err_msg=f"{name}, step {t}")
+        assert np.array_equal(few.observation[:, one], all_.observation[:, one])
+        others = np.arange(pursuers + 1) != one
+        assert not few.sensed[:, others].any()
+        few = pickle.loads(pickle.dumps(few))
 
 
 def test_the_focus_at_distance_zero_is_the_same_in_worlds_and_in_recordings() -> None:

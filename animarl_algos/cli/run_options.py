@@ -90,7 +90,8 @@ def _asked(
     fit_method: Annotated[
         str | None,
         typer.Option(
-            help="joint or onset (the paper's rule); by default the preset's.",
+            help="joint, onset (the paper's rule) or noise (for noisy tracks); by default "
+            "the preset's.",
             autocompletion=completion.fit_methods,
         ),
     ] = None,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -99,11 +100,11 @@ def fit(run: RunFolder) -> LocomotionFit:
     if file.exists():
         return run.fit
     settings, demos = run.settings, run.learnable_demos
-    method: Method = "onset" if settings.fit_method == "onset" else "joint"
-    if settings.thrusts == AUTO:
-        thrusts = choose_thrusts(demos, seed=settings.seed)
-    else:
+    method = cast(Method, settings.fit_method)
+    if settings.thrusts != AUTO:
         thrusts = int(settings.thrusts)
+    else:
+        thrusts = choose_thrusts(demos, seed=settings.seed) if method == "joint" else 1
     result = fit_locomotion(demos, method, seed=settings.seed, thrusts=thrusts)
     result.save(file)
     return result

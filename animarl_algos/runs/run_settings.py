@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium as gym
 import torch
@@ -17,12 +17,13 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.fitting.result import Method
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import refuse_other_species
 from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
 
 BEHAVIOUR_CLONING = "bc"
-FIT_METHODS = ("joint", "onset")
+FIT_METHODS = get_args(Method)  # joint, onset, noise
 CHOSEN, AUTO = "chosen", "auto"
 PIPELINE: dict[str, Any] = {"acting": CHOSEN, "fit_method": "joint", "thrusts": AUTO}
 """Keys of ``zoo_configs/pipeline.yml``, each with a value of its kind."""
@@ -36,7 +37,8 @@ class RunSettings:
     settings, ``overrides`` go over them. Only the individual ``focal`` learns, if one is named.
     ``acting`` is ``"chosen"`` after training, or a rule as
     :meth:`animarl_algos.networks.acting_rule.Acting.parse` reads it. ``thrusts`` is the number of
-    thrust magnitudes, or ``"auto"``: chosen on the training split.
+    thrust magnitudes, or ``"auto"``: chosen on the training split, or 1 where ``fit_method`` is not
+    ``"joint"``.
     """
 
     file: str
@@ -66,7 +68,7 @@ class RunSettings:
             raise InputError(f"preset {self.preset!r} is unknown: choose {' or '.join(PRESETS)}")
         if self.fit_method not in FIT_METHODS:
             raise InputError(
-                f"fit_method {self.fit_method!r} is unknown: choose {' or '.join(FIT_METHODS)}"
+                f"fit_method {self.fit_method!r} is unknown: choose joint, onset or noise"
             )
         for name in ("steps", "copies", "repetitions", "checkpoint_every"):
             if getattr(self, name) < 1:
@@ -75,6 +77,11 @@ class RunSettings:
             Acting.parse(self.acting)
         if self.thrusts != AUTO and not (self.thrusts.isdecimal() and 1 <= int(self.thrusts) <= 10):
             raise InputError(f"thrusts is {self.thrusts!r}: give a number from 1 to 10, or {AUTO}")
+        if self.fit_method != "joint" and self.thrusts not in ("1", AUTO):
+            raise InputError(
+                f"thrusts is {self.thrusts!r} but fit_method {self.fit_method} fits one thrust: "
+                "choose 1, or fit_method joint"
+            )
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}: it must not be negative")
         check_device(self.device)

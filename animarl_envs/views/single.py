@@ -90,7 +90,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
             type(self), species, focal, others, options
         )
         self._spec: EnvSpec | None = None
-        self.world = make_world(self.scenario, 1)
+        self.world = make_world(self.scenario, 1, {self.focal_index, *self._policies})
         self._picture = Picture(self.world, render_mode)
         self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]

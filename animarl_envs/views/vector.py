@@ -92,7 +92,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
                 f"autoreset_mode is {autoreset_mode!r}: choose one of "
                 f"{', '.join(mode.value for mode in AutoresetMode)}"
             ) from None
-        self.world = make_world(self.scenario, num_envs)
+        self.world = make_world(self.scenario, num_envs, {self.focal_index, *self._policies})
         self._pictures = Pictures(self.world, render_mode)
         self.render_mode = render_mode
         self.metadata = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -26,10 +27,15 @@ WORLDS = {
 ``demonstration_observations(species, demos)``."""
 
 
-def make_world(scenario: Scenario, num_copies: int = 1) -> World:
-    """The world of the scenario's species, with so many copies."""
+def make_world(
+    scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
+) -> World:
+    """The world of the scenario's species, with so many copies.
+
+    ``observers`` are the individuals whose observations are wanted, by default all.
+    """
     module, name = WORLDS[scenario.species.world]
-    world: World = getattr(import_module(module), name)(scenario, num_copies)
+    world: World = getattr(import_module(module), name)(scenario, num_copies, observers)
     return world
 
 

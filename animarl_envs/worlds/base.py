@@ -7,7 +7,7 @@ stepped, and its arrays, which it owns and overwrites in place, are read.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -70,6 +70,8 @@ class World(ABC):
         ``(B,)``: steps since the start, paired demonstration (-1 without), experimental condition.
     warming
         ``(B,)`` bool: the next step is a warm-up step, replayed from the demonstration.
+    observers
+        ``(K,)`` bool: whose observations are made. Those of others stay zero; nothing else differs.
     trackers
         Are told of every start and step.
     """
@@ -81,13 +83,18 @@ class World(ABC):
         "outcome", "step_count", "demo", "condition", "warming", "random_state",
     )  # fmt: skip
 
-    def __init__(self, scenario: Scenario, num_copies: int) -> None:
+    def __init__(
+        self, scenario: Scenario, num_copies: int, observers: Iterable[int] | None = None
+    ) -> None:
         if num_copies < 1:
             raise InputError(f"num_copies is {num_copies}: it must be at least 1")
         self.scenario = scenario
         self.num_copies = num_copies
         B, K = num_copies, scenario.species.num_individuals
         C, n = len(self.reward_components), len(self.observation_components)
+        self.observers = np.full(K, observers is None)
+        if observers is not None:
+            self.observers[list(observers)] = True
         # Kernels see the copy as the last, contiguous axis, so that their loops over copies
         # compile to vector instructions; everybody else sees it first.
         self._position = np.zeros((K, 2, B))
@@ -204,8 +211,10 @@ class World(ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy by value: made anew from the scenario, then brought to the same state."""
-        arguments = (type(self), self.scenario, self.num_copies, self.trackers, self.get_state())
-        return _restored, arguments
+        return _restored, (
+            type(self), self.scenario, self.num_copies, np.flatnonzero(self.observers),
+            self.trackers, self.get_state(),
+        )  # fmt: skip
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copies of all arrays that decide the future; with :meth:`set_state` it goes on alike."""
@@ -235,10 +244,11 @@ def _restored(
     kind: type[World],
     scenario: Scenario,
     num_copies: int,
+    observers: NDArray[np.integer],
     trackers: list[Tracker],
     state: dict[str, NDArray[Any]],
 ) -> World:
-    world = kind(scenario, num_copies)
+    world = kind(scenario, num_copies, observers)
     world.trackers = trackers
     world.set_state(state)
     return world

@@ -18,6 +18,7 @@ from animarl_envs.compiling import jit, part
 DX, DY, DVX, DVY, APART = 0, 1, 2, 3, 4
 RELATIVE = 5
 FEW = 4  # pursuers: up to so many are sorted in all copies at once
+LINE = 8  # copies that lie in one cache line
 
 
 class Neighbours(NamedTuple):
@@ -25,7 +26,8 @@ class Neighbours(NamedTuple):
 
     others: NDArray[np.float64]  # (K - 1, RELATIVE, B), of the individual that is looking
     order: NDArray[np.int16]  # (K, B, n), pursuers by distance at the last step; n = 0 for few
-    distance: NDArray[np.float64]  # (K,)
+    state: NDArray[np.float64]  # (B, 4, K) for many: x, y and velocity, each copy's in one place
+    distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
 
 
 def neighbours_of(num_individuals: int, num_copies: int) -> Neighbours:
@@ -36,7 +38,52 @@ def neighbours_of(num_individuals: int, num_copies: int) -> Neighbours:
     for i in range(K if many else 0):
         pursuers = [j for j in range(K - 1) if j != i]
         order[i, :, : len(pursuers)] = pursuers
-    return Neighbours(np.zeros((K - 1, RELATIVE, B)), order, np.zeros(K))
+    state = np.zeros((B if many else 0, 4, K))
+    return Neighbours(np.zeros((K - 1, RELATIVE, B)), order, state, np.zeros((LINE, K)))
+
+
+@part
+def lay_out(position, velocity, observers, neighbours):  # type: ignore[no-untyped-def]
+    """Before anybody looks: where there are many, each copy's state is copied to one place."""
+    if neighbours.order.shape[2] > 0 and np.any(observers):
+        _lay_out(position, velocity, neighbours.state)
+
+
+@jit
+def _lay_out(position, velocity, state):  # type: ignore[no-untyped-def]
+    K, _, B = position.shape
+    for first in range(0, B, LINE):
+        last = min(B, first + LINE)
+        for j in range(K):
+            for x in range(2):
+                for b in range(first, last):
+                    state[b, x, j] = position[j, x, b]
+                    state[b, 2 + x, j] = velocity[j, x, b]
+
+
+@part
+def find_focus(i, position, others):  # type: ignore[no-untyped-def]
+    """Of ``others``, the first alone and no velocity: what individual ``i`` turns to."""
+    target = position.shape[0] - 1
+    if i != target:
+        for b in range(position.shape[2]):
+            dx = position[target, 0, b] - position[i, 0, b]
+            dy = position[target, 1, b] - position[i, 1, b]
+            others[0, DX, b] = dx
+            others[0, DY, b] = dy
+            others[0, APART, b] = math.sqrt(dx * dx + dy * dy)
+        return
+    for b in range(position.shape[2]):
+        others[0, APART, b] = np.inf
+    for j in range(target):
+        for b in range(position.shape[2]):
+            dx = position[j, 0, b] - position[i, 0, b]
+            dy = position[j, 1, b] - position[i, 1, b]
+            apart = math.sqrt(dx * dx + dy * dy)
+            nearer = apart < others[0, APART, b]
+            others[0, DX, b] = dx if nearer else others[0, DX, b]
+            others[0, DY, b] = dy if nearer else others[0, DY, b]
+            others[0, APART, b] = apart if nearer else others[0, APART, b]
 
 
 @part
@@ -50,7 +97,7 @@ def look(i, position, velocity, neighbours):  # type: ignore[no-untyped-def]
         seen = 1
     if neighbours.order.shape[2] > 0:
         pursuers = target if i == target else target - 1
-        _in_each_copy(i, seen, pursuers, position, velocity, neighbours)
+        _in_each_copy(i, seen, pursuers, neighbours)
         return seen + pursuers
     sorted_from = seen
     for j in range(target):
@@ -89,29 +136,42 @@ def _exchange(rank, others):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _in_each_copy(i, first, pursuers, position, velocity, neighbours):  # type: ignore[no-untyped-def]
-    """The pursuers seen by ``i``, from rank ``first``, by insertion into their last order."""
-    others, distance = neighbours.others, neighbours.distance
-    for b in range(position.shape[2]):
-        order = neighbours.order[i, b]
-        x, y = position[i, 0, b], position[i, 1, b]
-        for j in range(position.shape[0]):
-            dx, dy = position[j, 0, b] - x, position[j, 1, b] - y
-            distance[j] = math.sqrt(dx * dx + dy * dy)
-        for rank in range(1, pursuers):
-            j = order[rank]
-            at = rank
-            while at > 0 and (
-                distance[order[at - 1]] > distance[j]
-                or (distance[order[at - 1]] == distance[j] and order[at - 1] > j)
-            ):
-                order[at] = order[at - 1]
-                at -= 1
-            order[at] = j
+def _in_each_copy(i, first, pursuers, neighbours):  # type: ignore[no-untyped-def]
+    """The pursuers seen by ``i``, from rank ``first``; a cache line of copies at a time."""
+    others, state, distance = neighbours.others, neighbours.state, neighbours.distance
+    for begin in range(0, others.shape[2], LINE):
+        end = min(others.shape[2], begin + LINE)
+        for b in range(begin, end):
+            _measure(state[b, 0], state[b, 1], i, distance[b - begin])
+            _insert(neighbours.order[i, b], pursuers, distance[b - begin])
         for rank in range(pursuers):
-            j = order[rank]
-            others[first + rank, DX, b] = position[j, 0, b] - x
-            others[first + rank, DY, b] = position[j, 1, b] - y
-            others[first + rank, DVX, b] = velocity[j, 0, b] - velocity[i, 0, b]
-            others[first + rank, DVY, b] = velocity[j, 1, b] - velocity[i, 1, b]
-            others[first + rank, APART, b] = distance[j]
+            for b in range(begin, end):
+                j = neighbours.order[i, b, rank]
+                others[first + rank, DX, b] = state[b, 0, j] - state[b, 0, i]
+                others[first + rank, DY, b] = state[b, 1, j] - state[b, 1, i]
+                others[first + rank, DVX, b] = state[b, 2, j] - state[b, 2, i]
+                others[first + rank, DVY, b] = state[b, 3, j] - state[b, 3, i]
+                others[first + rank, APART, b] = distance[b - begin, j]
+
+
+@part
+def _measure(x, y, i, distance):  # type: ignore[no-untyped-def]
+    """Distances of all from ``i`` in one copy."""
+    for j in range(len(x)):
+        dx, dy = x[j] - x[i], y[j] - y[i]
+        distance[j] = math.sqrt(dx * dx + dy * dy)
+
+
+@part
+def _insert(order, pursuers, distance):  # type: ignore[no-untyped-def]
+    """Sort by distance, ties by index, by insertion into the last order."""
+    for rank in range(1, pursuers):
+        j = order[rank]
+        own, at = distance[j], rank
+        while at > 0:
+            before = order[at - 1]
+            if not (distance[before] > own or (distance[before] == own and before > j)):
+                break
+            order[at] = before
+            at -= 1
+        order[at] = j

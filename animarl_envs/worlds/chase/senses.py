@@ -19,7 +19,16 @@ from animarl_envs.focus import FALLBACK
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.arctangent import angle_of
 from animarl_envs.worlds.chase import layout
-from animarl_envs.worlds.chase.neighbours import APART, DVX, DVY, DX, DY, look
+from animarl_envs.worlds.chase.neighbours import (
+    APART,
+    DVX,
+    DVY,
+    DX,
+    DY,
+    find_focus,
+    lay_out,
+    look,
+)
 from animarl_envs.worlds.exponential import log_of, tanh_of
 
 ABSENT, REST, HARDEST = layout.ABSENT, layout.REST, layout.HARDEST
@@ -30,17 +39,19 @@ class Senses(NamedTuple):
     """Numbers of the senses, as the kernels need them."""
 
     first: NDArray[np.int64]  # of layout.first_rows
+    observers: NDArray[np.bool_]  # whose observations are made
     stride: NDArray[np.float64]  # u dt of each individual [arena unit / s]
     near: float  # added to distances before they are inverted [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
 
 
-def senses_of(species: ChaseSpecies) -> Senses:
-    """The senses of a species."""
+def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
+    """The senses of a species; ``observers`` ``(K,)`` tells whose observations are made."""
     arena = species.arena
     return Senses(
         layout.first_rows(species),
+        observers,
         np.array([m.thrust * species.dt for m in species.locomotion]),
         layout.NEAR * arena.size,
         SHAPE_CODES[arena.shape],
@@ -50,36 +61,46 @@ def senses_of(species: ChaseSpecies) -> Senses:
 
 @jit
 def observe(position, velocity, acceleration, towards, neighbours, senses, observation):  # type: ignore[no-untyped-def]
-    """Focus directions and observations; ``neighbours`` is scratch.
+    """Focus directions of all and the observers' observations; ``neighbours`` is scratch.
 
     ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust. The first
     of the others is the focus; see :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    first, stride, near, shape, edge = senses
+    first, observers, stride, near, shape, edge = senses
     others = neighbours.others
+    lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
+        if not observers[i]:
+            find_focus(i, position, others)
+            _face(i, others, towards)
+            continue
         seen = look(i, position, velocity, neighbours)
-        _observe_own(
-            i, position, velocity, acceleration, others, towards, first, stride[i], observation
-        )
+        _face(i, others, towards)
+        _observe_own(i, position, velocity, acceleration, towards, first, stride[i], observation)
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
 
 
 @part
+def _face(i, others, towards):  # type: ignore[no-untyped-def]
+    """The unit vector towards the focus, which is the first of the others."""
+    for x in range(2):
+        for b in range(others.shape[2]):
+            apart = others[0, APART, b]
+            towards[i, x, b] = others[0, DX + x, b] / apart if apart > 0.0 else FALLBACK[x]
+
+
+@part
 def _observe_own(  # type: ignore[no-untyped-def]
-    i, position, velocity, acceleration, others, towards, first, stride, observation
+    i, position, velocity, acceleration, towards, first, stride, observation
 ):
     """Own position, direction of the focus, own acceleration, and velocity on several scales."""
     place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
     B = position.shape[2]
     for x in range(2):
         for b in range(B):
-            apart = others[0, APART, b]
-            e = others[0, DX + x, b] / apart if apart > 0.0 else FALLBACK[x]
-            towards[i, x, b] = e
             observation[i, place + x, b] = position[i, x, b]
-            observation[i, focus + x, b] = e
+            observation[i, focus + x, b] = towards[i, x, b]
     at = first[0, layout.VELOCITY]
     for b in range(B):
         ahead, left = _egocentric(velocity[i, 0, b], velocity[i, 1, b], i, b, towards)

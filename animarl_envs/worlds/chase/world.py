@@ -7,6 +7,7 @@ nearest pursuer, chosen anew at each step (ties: the lower index).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import cast
 
 import numpy as np
@@ -45,20 +46,22 @@ class ChaseWorld(World):
     reward_components = ("touch", "elapsed", "boundary")
     _state_names = (*World._state_names, "acceleration", "towards")
 
-    def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
+    def __init__(
+        self, scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
+    ) -> None:
         species = scenario.species
         assert isinstance(species, ChaseSpecies)
         self.observation_components = observation_components(
             species, recorded_speed(scenario), recorded_reach(scenario)
         )
-        super().__init__(scenario, num_copies)
+        super().__init__(scenario, num_copies, observers)
         B, K = num_copies, species.num_individuals
         self._acceleration = np.zeros((K, 2, B))
         self.acceleration = self._acceleration.transpose(2, 0, 1)
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
-        self._senses = senses.senses_of(species)
+        self._senses = senses.senses_of(species, self.observers)
         self._neighbours = neighbours_of(K, B)
         damping = np.array([m.damping for m in species.locomotion])
         thrust = np.array([m.thrust for m in species.locomotion])
@@ -131,7 +134,7 @@ def observe(
         *copy_last,
         towards,
         neighbours_of(K, frames),
-        senses.senses_of(species),
+        senses.senses_of(species, np.ones(K, dtype=bool)),
         observation,
     )
     return (

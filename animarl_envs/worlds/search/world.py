@@ -11,6 +11,7 @@ present state.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +57,9 @@ class SearchWorld(World):
         *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "pattern", "phase",
     )  # fmt: skip
 
-    def __init__(self, scenario: Scenario, num_copies: int = 1) -> None:
+    def __init__(
+        self, scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
+    ) -> None:
         species = scenario.species
         assert isinstance(species, SearchSpecies)
         if species.num_individuals != 1:
@@ -69,7 +72,7 @@ class SearchWorld(World):
                 "for instance with animarl_envs.worlds.search.programmed_moth"
             )
         self.observation_components = observation_components(species, recorded_speed(scenario))
-        super().__init__(scenario, num_copies)
+        super().__init__(scenario, num_copies, observers)
         B = num_copies
         self._body = body = Body.of(B, species.odour_baseline)
         self.heading, self.odour, self.trace = body.heading.T, body.odour.T, body.trace.T
