@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from small_runs import few
 from thrust_walks import walk
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.fitting import fit_joint, fit_locomotion, transitions
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.locomotion import Locomotion
@@ -63,3 +68,13 @@ def test_animarl_fit_warns_of_noise_that_matters(tmp_path) -> None:  # type: ign
         done = CliRunner().invoke(app, ["fit", str(file), "--bootstrap", "0"])
         assert done.exit_code == 0, done.output
         assert ("see --method noise" in done.output) == warned
+
+
+def test_a_run_takes_it_with_one_thrust(tmp_path: Path) -> None:
+    asked = RunSettings(
+        file="few.npz", species="agent", algo="dqn", steps=20, copies=2, fit_method="noise"
+    )
+    fit = pipeline.fit(pipeline.open_run(asked, tmp_path / "run", "animarl train", few()))
+    assert fit.method == "noise"
+    assert all(one.tracking_noise is not None for one in fit.individuals)
+    assert all(one.magnitudes == (1.0,) for one in fit.individuals)
