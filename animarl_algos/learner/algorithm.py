@@ -488,8 +488,8 @@ class SequenceQLearning(OffPolicyAlgorithm):
         include: Iterable[str] | None = None,
     ) -> None:
         """All settings and the networks, as in stable-baselines3; epsilon and temperature too."""
-        with saving.with_saved_numbers(self):
-            super().save(path, exclude, include)
+        with saving.with_saved_numbers(self), saving.whole_zip(path) as file:
+            super().save(file, exclude, include)
 
     @classmethod
     def load(cls, path: saving.Place, *arguments: Any, **keywords: Any) -> Self:  # type: ignore[override]

@@ -83,6 +83,17 @@ def with_saved_numbers(model: SequenceQLearning) -> Iterator[None]:
 
 
 @contextmanager
+def whole_zip(path: Place) -> Iterator[Place]:
+    """Where to write a zip file that is to be at ``path``, whole or not at all; a stream itself."""
+    if not isinstance(path, (str, Path)):
+        yield path
+        return
+    named = Path(path)
+    with write_then_rename(named if named.suffix else Path(f"{path}.zip")) as part:
+        yield part
+
+
+@contextmanager
 def only_of(learner: type[SequenceQLearning], path: Place) -> Iterator[None]:
     """While a zip file is loaded as ``learner``, one that something else saved is refused.
 
