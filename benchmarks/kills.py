@@ -240,8 +240,12 @@ def ended(process: Any, folder: Path) -> tuple[int, str]:
 
 
 def broken(path: Path) -> bool:
-    """Whether a file that bears its final name is not whole; temporary ones begin with a dot."""
-    if not path.is_file() or any(part.startswith(".") for part in path.parts[-3:]):
+    """Whether a file that bears its final name is not whole.
+
+    Temporary names begin with a dot; a checkpoint's folder is ``.part`` until it is whole.
+    """
+    temporary = any(p.startswith(".") or p.endswith(".part") for p in path.parts[-3:])
+    if temporary or not path.is_file():
         return False
     if path.suffix in {".npz", ".zip"}:
         with path.open("rb") as file:
