@@ -376,10 +376,49 @@ def test_all_sense_the_edge_and_where_the_centre_is(options: Any, edge: float) -
         np.linalg.norm(made.position, axis=2) if round_field else np.abs(made.position).max(axis=2)
     )
     names = [c.name for c in made.observation_components]
-    assert names[-3:] == ["distance to the edge", "centre of the arena ahead",
-                          "centre of the arena left"]  # fmt: skip
-    assert made.observation[..., -3] == pytest.approx(edge - out, abs=1e-6)
-    ahead, left = made.observation[..., -2], made.observation[..., -1]
+    at = names.index("distance to the edge")
+    assert names[at + 1 : at + 3] == ["centre of the arena ahead", "centre of the arena left"]
+    assert ("direction of the wall cosine" in names) == options.get("rebound", False)
+    assert made.observation[..., at] == pytest.approx(edge - out, abs=1e-6)
+    ahead, left = made.observation[..., at + 1], made.observation[..., at + 2]
     ex, ey = made.towards[..., 0], made.towards[..., 1]
     back = np.stack([ahead * ex - left * ey, ahead * ey + left * ex], axis=2)
     assert back == pytest.approx(-made.position, abs=1e-6)
+
+
+@pytest.mark.parametrize("arena", ["disc", "square"])
+def test_walls_are_sensed_from_near(arena: str) -> None:
+    made = world(30, arena=arena, rebound=True)
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        made.step(rng.integers(13, size=(30, 3)))
+    names = [c.name for c in made.observation_components]
+    first = names.index("tanh of distance to the wall / (0.03 size)")
+    assert names[first:] == [
+        "tanh of distance to the wall / (0.03 size)", "tanh of distance to the wall / (0.1 size)",
+        "direction of the wall cosine", "direction of the wall sine",
+        "tanh of own velocity / (u dt) outwards", "tanh of own velocity / (u dt) along",
+        "tanh of own velocity / (3 u dt) outwards", "tanh of own velocity / (3 u dt) along",
+    ]  # fmt: skip
+    for b in range(30):
+        for i in range(3):
+            x, y = made.position[b, i].tolist()
+            if arena == "disc":
+                normal = np.array([x, y]) / math.hypot(x, y)
+            elif abs(x) >= abs(y):
+                normal = np.array([math.copysign(1.0, x), 0.0])
+            else:
+                normal = np.array([0.0, math.copysign(1.0, y)])
+            near = 1.0 - float(normal @ made.position[b, i])
+            ex, ey = made.towards[b, i].tolist()
+            velocity, stride = made.velocity[b, i], 3.0 * 0.1
+            outwards = float(normal @ velocity) / stride
+            along = float(normal[0] * velocity[1] - normal[1] * velocity[0]) / stride
+            expected = [
+                math.tanh(near / 0.03), math.tanh(near / 0.1),
+                float(normal @ [ex, ey]), float(normal @ [-ey, ex]),
+                math.tanh(outwards), math.tanh(along),
+                math.tanh(outwards / 3), math.tanh(along / 3),
+            ]  # fmt: skip
+            assert made.observation[b, i, first:] == pytest.approx(expected, abs=1e-5)
+    assert made.observation[..., first].min() < 0.1  # somebody is at a wall

@@ -20,11 +20,13 @@ from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import ObservationComponent
 
 ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
+WALL = "of the nearest wall, x outwards"
 LENGTH, SPEED = "arena unit", "arena unit / s"
 FULL, PAPER = "full", "paper"
 REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
+BODY, REACH = 0.03, 0.1  # who walks along a wall keeps so far from it [arena size]
 
 
 class Group(NamedTuple):
@@ -32,7 +34,8 @@ class Group(NamedTuple):
 
     ``entries`` are names and their signs in a mirrored world. ``range`` names an entry of
     :func:`ranges`. ``seen`` lists the observations that hold the group; ``of_focus`` says whether
-    the full one holds it for the focus too, which lies straight ahead by definition.
+    the full one holds it for the focus too, which lies straight ahead by definition, and
+    ``of_walls`` whether only a field with walls has it.
     """
 
     entries: tuple[tuple[str, float], ...]
@@ -41,6 +44,7 @@ class Group(NamedTuple):
     range: str
     seen: tuple[str, ...] = (FULL,)
     of_focus: bool = True
+    of_walls: bool = False
 
 
 def _plane(name: str) -> tuple[tuple[str, float], ...]:
@@ -49,6 +53,10 @@ def _plane(name: str) -> tuple[tuple[str, float], ...]:
 
 def _ahead_left(name: str) -> tuple[tuple[str, float], ...]:
     return (f"{name} ahead", 1.0), (f"{name} left", -1.0)
+
+
+def _out_along(name: str) -> tuple[tuple[str, float], ...]:
+    return (f"{name} outwards", 1.0), (f"{name} along", -1.0)
 
 
 def _circle(name: str) -> tuple[tuple[str, float], ...]:
@@ -85,13 +93,24 @@ FIELD = (
     Group((("distance from the centre", 1.0),), ARENA, LENGTH, "radius", (PAPER,)),
     Group((("distance to the edge", 1.0),), ARENA, LENGTH, "inside"),
     Group(_ahead_left("centre of the arena"), EGO, LENGTH, "centre"),
+    Group(
+        (("tanh of distance to the wall / (0.03 size)", 1.0),), WALL, "1", "at wall", of_walls=True
+    ),
+    Group(
+        (("tanh of distance to the wall / (0.1 size)", 1.0),), WALL, "1", "by wall", of_walls=True
+    ),
+    Group(_circle("direction of the wall"), EGO, "1", "unit", of_walls=True),
+    Group(_out_along("tanh of own velocity / (u dt)"), WALL, "1", "fine", of_walls=True),
+    Group(_out_along("tanh of own velocity / (3 u dt)"), WALL, "1", "coarse", of_walls=True),
 )
-"""Of the arena: in the paper's if the species senses it, in the full one if there is an edge."""
+"""Of the arena: in the paper's if the species senses it, in the full one if there is an edge, and
+where it stands if that is a wall. The wall's frame is that of its nearest point: x outwards."""
 
 (
     POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, ACCELERATION,
     FOCUS, PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
-    OTHER_VELOCITY, OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE,
+    OTHER_VELOCITY, OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE, AT_WALL, BY_WALL,
+    WALL_CIRCLE, FINE_WALL, COARSE_WALL,
 ) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip
 """Columns of :func:`first_rows`: the groups as they stand above."""
 
@@ -110,7 +129,8 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
                 yield rank, column, group
     senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
     for column, group in enumerate(FIELD, start=len(OWN) + len(OTHER)):
-        if senses_field and kind in group.seen:
+        here = species.arena.rebound or not group.of_walls
+        if senses_field and kind in group.seen and here:
             yield 0, column, group
 
 
@@ -119,7 +139,7 @@ def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
 
     The first row is of the individual itself and the arena, the following of the others in order.
     """
-    first = np.full((species.num_individuals, CENTRE + 1), ABSENT, dtype=np.int64)
+    first = np.full((species.num_individuals, COARSE_WALL + 1), ABSENT, dtype=np.int64)
     end = 0
     for rank, column, group in rows(species):
         first[rank, column] = end
@@ -179,9 +199,15 @@ def ranges(
         "angle": (-math.pi, math.pi),
         "nearness": (1.0 / (apart + near), 1.0 / near),
         "radius": (0.0, radius),
-        "inside": (min(0.0, arena.edge - reach), arena.edge),
+        "inside": (inside := (min(0.0, arena.edge - reach), arena.edge)),
+        "at wall": _squashed(inside, BODY * arena.size),
+        "by wall": _squashed(inside, REACH * arena.size),
         "centre": (-radius, radius),
     }
+
+
+def _squashed(span: tuple[float, float], scale: float) -> tuple[float, float]:
+    return math.tanh(span[0] / scale), math.tanh(span[1] / scale)
 
 
 def _hardest(species: ChaseSpecies, fastest: float) -> float:

@@ -42,6 +42,7 @@ class Senses(NamedTuple):
     observers: NDArray[np.bool_]  # whose observations are made
     stride: NDArray[np.float64]  # u dt of each individual [arena unit / s]
     near: float  # added to distances before they are inverted [arena unit]
+    scales: tuple[float, float]  # of the distance to a wall [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
 
@@ -54,6 +55,7 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         observers,
         np.array([m.thrust * species.dt for m in species.locomotion]),
         layout.NEAR * arena.size,
+        (layout.BODY * arena.size, layout.REACH * arena.size),
         SHAPE_CODES[arena.shape],
         arena.edge,
     )
@@ -66,7 +68,7 @@ def observe(position, velocity, acceleration, towards, neighbours, senses, obser
     ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust. The first
     of the others is the focus; see :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    first, observers, stride, near, shape, edge = senses
+    first, observers, stride, near, scales, shape, edge = senses
     others = neighbours.others
     lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
@@ -79,6 +81,10 @@ def observe(position, velocity, acceleration, towards, neighbours, senses, obser
         _observe_own(i, position, velocity, acceleration, towards, first, stride[i], observation)
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
+        if first[0, layout.AT_WALL] != ABSENT:
+            _observe_wall(
+                i, position, velocity, towards, first, stride[i], scales, shape, edge, observation
+            )
 
 
 @part
@@ -250,6 +256,47 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
         ahead, left = _egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
+
+
+@part
+def _observe_wall(  # type: ignore[no-untyped-def]
+    i, position, velocity, towards, first, stride, scales, shape, edge, observation
+):
+    """The nearest wall: how far, in which direction, and the own velocity towards and along it.
+
+    Who walks along a wall keeps a small distance that does not show among distances to the centre.
+    From the middle of a disc it lies towards the focus.
+    """
+    at, by, where = first[0, layout.AT_WALL], first[0, layout.BY_WALL], first[0, layout.WALL_CIRCLE]
+    fine, coarse = first[0, layout.FINE_WALL], first[0, layout.COARSE_WALL]
+    per_stride = 1.0 / stride
+    for b in range(position.shape[2]):
+        x = position[i, 0, b]
+        y = position[i, 1, b]
+        ex = towards[i, 0, b]
+        ey = towards[i, 1, b]
+        if shape == SQUARE:
+            sideways = abs(x) >= abs(y)
+            out = abs(x) if sideways else abs(y)
+            nx = math.copysign(1.0, x) if sideways else 0.0
+            ny = 0.0 if sideways else math.copysign(1.0, y)
+        else:
+            out = math.sqrt(x * x + y * y)
+            nx = x / out if out > 0.0 else ex
+            ny = y / out if out > 0.0 else ey
+        near = edge - out
+        observation[i, at, b] = tanh_of(near / scales[0])
+        observation[i, by, b] = tanh_of(near / scales[1])
+        observation[i, where, b] = nx * ex + ny * ey
+        observation[i, where + 1, b] = ny * ex - nx * ey
+        vx = velocity[i, 0, b] * per_stride
+        vy = velocity[i, 1, b] * per_stride
+        outwards = tanh_of((vx * nx + vy * ny) / 3.0)
+        along = tanh_of((vy * nx - vx * ny) / 3.0)
+        observation[i, coarse, b] = outwards
+        observation[i, coarse + 1, b] = along
+        observation[i, fine, b] = _tripled(outwards)
+        observation[i, fine + 1, b] = _tripled(along)
 
 
 @part
