@@ -29,7 +29,7 @@ from animarl_algos.report.counterfactual_panels import (
     shift_panels,
 )
 from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import flattened
+from animarl_algos.report.provenance import code_and_machine, flattened, origin
 from animarl_algos.report.sentences import NOTHING, with_interval
 from animarl_algos.report.style import method_label
 
@@ -204,11 +204,11 @@ def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
 def _provenance(inputs: CounterfactualInputs) -> Iterator[Block]:
     yield Text("To repeat this page:")
     yield Command(inputs.command)
-    yield Pairs("World", list(inputs.world.items()))
+    yield Pairs("World", [*inputs.world.items(), *flattened(inputs.environment)])
     yield Pairs("Demonstrations", [
-        ("fingerprint of the evaluated set", inputs.demos.fingerprint()),
-        *flattened(inputs.demos.provenance),
+        ("fingerprint of the evaluated set", inputs.demos.fingerprint()), *origin(inputs.demos),
     ])  # fmt: skip
+    yield code_and_machine(inputs.machine, inputs.wall_time)
     yield Pairs("Settings", flattened(inputs.settings))
     yield Pairs("Versions", list(inputs.versions.items()))
 

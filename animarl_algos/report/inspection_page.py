@@ -25,7 +25,7 @@ from animarl_algos.report.blocks import (
     Text,
 )
 from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import flattened
+from animarl_algos.report.provenance import code_and_machine, flattened, origin
 from animarl_algos.report.sentences import NOTHING, number
 from animarl_algos.report.style import method_label, to_image
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -52,6 +52,9 @@ class InspectionInputs:
     decisions: Decisions
     metrics: pd.DataFrame
     world: Mapping[str, str]
+    environment: Mapping[str, Any]
+    machine: Mapping[str, str]
+    wall_time: Mapping[str, float]
     versions: Mapping[str, str]
     command: str
 
@@ -181,8 +184,9 @@ def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
 def _provenance(inputs: InspectionInputs) -> Iterator[Block]:
     yield Text("To repeat this page:")
     yield Command(inputs.command)
-    yield Pairs("World", list(inputs.world.items()))
-    yield Pairs("Demonstrations", flattened(inputs.demos.provenance))
+    yield Pairs("World", [*inputs.world.items(), *flattened(inputs.environment)])
+    yield Pairs("Demonstrations", origin(inputs.demos))
+    yield code_and_machine(inputs.machine, inputs.wall_time)
     yield Pairs("Versions", list(inputs.versions.items()))
 
 
