@@ -1,6 +1,7 @@
 """Counterfactuals with a truth: the recorded agents of both conditions, learners times seeds.
 
     python benchmarks/counterfactual.py --estimate
+    python benchmarks/counterfactual.py --seed 0 --seed 1 --seed 2
     python benchmarks/counterfactual.py --seed 0 --seed 1 --seed 2 --steps 200000
     python benchmarks/counterfactual.py --tiny --cells out/tiny --out out/tiny/results
 
@@ -66,22 +67,32 @@ def recorded(tiny: bool = False) -> Demonstrations:
     return both.select(episodes=chosen)
 
 
-def asked_for(algo: str, seed: int, steps: int | None, overrides: dict[str, Any]) -> RunSettings:
-    """The default preset, with more steps for learners that adapt online."""
+def asked_for(
+    algo: str, seed: int, steps: int | None, overrides: dict[str, Any], share: float = 1.0
+) -> RunSettings:
+    """The default preset, with other steps for learners that adapt online, or fewer epochs."""
     settings = RunSettings(
         file=", ".join(FILES), species=SPECIES, algo=algo, steps=1, seed=seed, baselines=False,
         overrides=overrides, **pipeline_settings(environment_id(SPECIES), "default"),
     )  # fmt: skip
     preset = settings.learner()
+    if share < 1.0:
+        epochs = max(1, round(share * int(preset.arguments["offline_epochs"])))
+        settings = replace(settings, overrides=overrides | {"offline_epochs": epochs})
     online = bool(named_recipe(algo).algorithm.recipe.online)
     wanted = preset.n_timesteps if steps is None or not online else steps
     return replace(settings, steps=wanted, copies=preset.n_envs)
 
 
-def cell(demos: Demonstrations, folder: Path, settings: RunSettings) -> RunFolder:
-    """Fit and train what is not there yet."""
+def cell(
+    demos: Demonstrations, folder: Path, settings: RunSettings, fits: dict[int, LocomotionFit]
+) -> RunFolder:
+    """Train what is not there yet; all learners of a seed have one fit, kept in ``fits``."""
     run = pipeline.open_run(settings, folder, shlex.join(["python", *sys.argv]), demos)
-    pipeline.fit(run)
+    file = run.path / "locomotion.json"
+    if settings.seed in fits and not file.exists():
+        fits[settings.seed].save(file)
+    fits[settings.seed] = pipeline.fit(run)
     pipeline.learn(run, settings.algo, progress_bar=False)
     return run
 
@@ -135,6 +146,9 @@ def main(
     steps: Annotated[
         int | None, typer.Option(help="Online steps; by default the preset's.")
     ] = None,
+    share: Annotated[
+        float, typer.Option(help="Of the preset's offline epochs, for less time.", min=0, max=1)
+    ] = 1.0,
     repetitions: Annotated[int, typer.Option(help="Rollouts from each start.")] = 5,
     tiny: Annotated[bool, typer.Option(help="Few episodes, one epoch: only to try it.")] = False,
     estimated: Annotated[
@@ -150,19 +164,18 @@ def main(
     console = Console(width=128)
     if not FOLDER.is_dir():
         raise typer.BadParameter(f"the recorded agents are not in {DATA}: set ANIMARL_DATA")
-    demos, seeds = recorded(tiny), seed or [0, 1, 2]
+    demos, seeds, learners = recorded(tiny), seed or [0, 1, 2], only or ALGOS
     if estimated:
-        estimate(demos, only or ALGOS, steps, len(seeds), console)
+        estimate(demos, learners, steps, len(seeds), console)
         return
-    folders = []
-    for algo in only or ALGOS:
-        for s in seeds:
+    fits: dict[int, LocomotionFit] = {}
+    for s in seeds:
+        for algo in learners:
             began = time.process_time()
-            run = cell(
-                demos, cells / f"{algo}-{s}", asked_for(algo, s, steps, TINY if tiny else {})
-            )
+            settings = asked_for(algo, s, steps, TINY if tiny else {}, share)
+            run = cell(demos, cells / f"{algo}-{s}", settings, fits)
             console.print(f"{run.path}: {time.process_time() - began:.0f} s")
-            folders.append(run.path)
+    folders = [cells / f"{algo}-{s}" for algo in learners for s in seeds]
     found = counterfactual_runs(folders, out, truth=FOLDER / "weights", repetitions=repetitions)
     text = markdown(found.effects, found.runs.species.conditions)
     with write_then_rename(out / "README.md") as part:

@@ -24,9 +24,9 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
         words.say(
             "Kernel-density distance between simulated and recorded values (0: the same "
             "distribution, 2: disjoint), all episodes, with the central 95 % of its resamples. "
-            "Grey: what a perfect simulator gives at the same sample sizes, central 95 % and mean. A "
-            "value inside the grey cannot be told from chance at this sample size; the distance is "
-            "biased upwards, and so is its interval."
+            "Grey: what a perfect simulator gives at the same sample sizes, central 95 % and mean. "
+            "A value inside the grey cannot be told from chance at this sample size; the distance "
+            "is biased upwards, and so is its interval."
         ),
     )
     groups = []
