@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -35,12 +36,13 @@ from animarl_algos.evaluation.comparison import interval
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.sentences import with_interval
 from animarl_algos.runs import pipeline
+from animarl_algos.runs.asking import AskedRuns
 from animarl_algos.runs.run_folder import RunFolder, versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import all_files_or_none
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.importing.readers import read
 
@@ -52,6 +54,8 @@ SPECIES = "agent"
 TINY = {"offline_epochs": 1, "policy_kwargs": {"hidden": 32}}
 SHOWN = (of.PREDICTED, of.TRUE, of.MISSED, of.UNTRAINED_SHIFT, of.BLIND, of.ERROR)
 PROBE_STEPS = 1000
+PAGE = "all"  # below the cells: the page, every table and figure
+KEPT = ("counterfactual.csv", "claims.csv")  # that is small enough
 
 
 def recorded(tiny: bool = False) -> Demonstrations:
@@ -154,8 +158,10 @@ def main(
     estimated: Annotated[
         bool, typer.Option("--estimate", help="Say how long the whole takes, and stop.")
     ] = False,
-    cells: Annotated[Path, typer.Option(help="Run folders.")] = Path("out/counterfactual"),
-    out: Annotated[Path, typer.Option(help="Tables, figures, page.")] = Path(
+    cells: Annotated[Path, typer.Option(help="Run folders, and the page.")] = Path(
+        "out/counterfactual"
+    ),
+    out: Annotated[Path, typer.Option(help="The tables and a figure.")] = Path(
         "docs/results/counterfactual"
     ),
 ) -> None:
@@ -176,15 +182,21 @@ def main(
             run = cell(demos, cells / f"{algo}-{s}", settings, fits)
             console.print(f"{run.path}: {time.process_time() - began:.0f} s")
     folders = [cells / f"{algo}-{s}" for algo in learners for s in seeds]
-    found = counterfactual_runs(folders, out, truth=FOLDER / "weights", repetitions=repetitions)
-    text = markdown(found.effects, found.runs.species.conditions)
-    with write_then_rename(out / "README.md") as part:
-        part.write_text(text)
+    page = cells / PAGE
+    found = counterfactual_runs(folders, page, truth=FOLDER / "weights", repetitions=repetitions)
+    text = markdown(found)
+    with all_files_or_none(out) as part:
+        (part / "README.md").write_text(text)
+        for name in KEPT:
+            shutil.copyfile(page / name, part / name)
+        for number, figure in enumerate(sorted((page / "figures").glob("shifts-*.png")), start=1):
+            shutil.copyfile(figure, part / f"shifts-{number}.png")
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def markdown(effects: of.Effects, conditions: tuple[str, ...]) -> str:
+def markdown(found: AskedRuns) -> str:
     """The table of shifts with their truth, and what may be claimed."""
+    effects, conditions = found.effects, found.runs.species.conditions
     table = effects.table[effects.table["counting"] == "all"]
     lines = [
         "# Counterfactuals with a truth: the recorded agents",

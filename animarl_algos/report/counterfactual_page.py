@@ -28,6 +28,8 @@ from animarl_algos.report.counterfactual_panels import (
     path_panels,
     shift_panels,
 )
+from animarl_algos.report.counterfactual_player import shift_player
+from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
 from animarl_algos.report.provenance import code_and_machine, flattened, origin
 from animarl_algos.report.sentences import NOTHING, with_interval
@@ -56,7 +58,11 @@ def counterfactual_page(inputs: CounterfactualInputs) -> tuple[list[Section], st
             *((method_label(name), f"seeds {', '.join(map(str, seeds))}")
               for name, seeds in inputs.seeds.items()),
         ],
+        player=shift_player(inputs),
         sections=[found, *sections],
+        glossary=glossary(
+            map(method_label, inputs.asked), "\n".join(t for s in sections for t in s.texts)
+        ),
     )  # fmt: skip
     return sections, render_page(page)
 

@@ -24,6 +24,7 @@ from animarl_algos.report.blocks import (
     Table,
     Text,
 )
+from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
 from animarl_algos.report.provenance import code_and_machine, flattened, origin
 from animarl_algos.report.sentences import NOTHING, number
@@ -83,6 +84,9 @@ def inspection_page(inputs: InspectionInputs) -> tuple[list[Section], str]:
             ("Condition", _condition(inputs, int(inputs.recording.condition[0]))),
         ],
         sections=[found, *sections],
+        glossary=glossary(
+            map(method_label, inputs.rollouts), "\n".join(t for s in sections for t in s.texts)
+        ),
     )
     return sections, render_page(page)
 
