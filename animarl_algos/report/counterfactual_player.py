@@ -38,7 +38,7 @@ def shift_player(inputs: CounterfactualInputs) -> Player:
         views.append(view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
     views.append(view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
     species = inputs.species
-    chosen = f"from paths that get shorter to paths that get longer when {name} is told the other"
+    chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
     field = Field(inputs.demos, species.arena, species.contact_radius)
     return Player.playing(field, list(_scenes(inputs)), views, chosen)
 
