@@ -227,9 +227,15 @@ def markdown(found: AskedRuns) -> str:
                     for _, r in accuracy.iterrows())]  # fmt: skip
     lines += [""]
     for _, row in effects.claims.iterrows():
-        said = "an effect of the cue" if row["worded"] else f"no claim: {row['reason']}"
+        if (row["condition"], row["told"]) != found.runs.species.planned_flip:
+            continue
+        own = table[(table["method"] == row["method"]) & (table["condition"] == row["condition"])]
+        shift, missed = _cell(own, of.PREDICTED), _cell(own, of.MISSED)
+        said = f"told apart from zero and from untrained networks: predicted {shift}"
+        if not row["worded"]:
+            said = f"no effect of the cue is claimed, for {row['reason']} (predicted {shift})"
         flip = f"{conditions[row['condition']]} to {conditions[row['told']]}"
-        lines.append(f"- {row['method']}, {flip}: {said}.")
+        lines.append(f"- {row['method']}, {flip}, planned: {said}; predicted minus true {missed}.")
     return "\n".join(lines) + "\n"
 
 
