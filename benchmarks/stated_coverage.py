@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -19,11 +20,16 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.anova import permutation_anova
 from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, pair_table
 from animarl_algos.evaluation.energy_score import energy_cells
 from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.studentised import Draws, Part, margins
-from animarl_algos.evaluation.windows import Windows
+from animarl_algos.evaluation.windows import Windows, window_features
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import make_world
 
 Floats = NDArray[np.float64]
 
@@ -223,6 +229,25 @@ def classifier(experiments: int) -> None:
         rows.append([str(starts), percent(inside, experiments)])
     heading = ["demonstrations in each half", "0.5 within the interval"]
     show(f"Two halves of one sample, {experiments:,} experiments", heading, rows)
+    random_actions()
+
+
+def random_actions() -> None:
+    """The other end: recordings, or what stands for them, against random actions."""
+    rows = []
+    for name in packaged_names():
+        demos, scenario = load_packaged(name).select(split="val"), make_scenario(name, split="val")
+        rollouts = collect_rollouts(
+            partial(make_world, scenario), RandomPolicy(0), method="random", seed=0, repetitions=1
+        )
+        sides = [
+            window_features(each, demos.arena)
+            for each in (Rollouts.from_demonstrations(demos), rollouts)
+        ]
+        told = tell_apart(*sides, np.random.default_rng(0)).auc
+        held = f"{told.estimate:.3f} [{told.low:.3f}, {told.high:.3f}]"
+        rows.append([name, str(demos.num_episodes), held])
+    show("Random actions", ["packaged demonstrations", "episodes", "AUC"], rows)
 
 
 def speed(_: int) -> None:

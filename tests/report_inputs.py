@@ -7,12 +7,15 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation import Rollouts, evaluate
+from animarl_algos.evaluation import Answers, Asked, Rollouts, cue_effects, evaluate
 from animarl_algos.report import ReportInputs
+from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
+from animarl_algos.report.counterfactual_page import counterfactual_page
 from animarl_algos.report.report import render_report
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting import IndividualFit, LocomotionFit
+from animarl_envs.species import AGENT
 
 HOSTILE = '<script>alert("x")</script> & $\\frac{a}$'
 
@@ -152,3 +155,41 @@ def report_inputs() -> ReportInputs:
 def report_page() -> str:
     """That run's page."""
     return render_report(report_inputs())
+
+
+@cache
+def asked_page() -> str:
+    """The page of a counterfactual: one method, two teams, what nothing was learned by."""
+    demos = make_demos()
+    asked = answered(demos, "dqcil")
+    teams = make_rollouts(demos, "team: individual"), make_rollouts(demos, "team: shared")
+    everything = {
+        "DQCIL": Asked(
+            trained=asked, untrained=answered(demos, "untrained"), blind=answered(demos, "blind")
+        )
+    }
+    _, page = counterfactual_page(
+        CounterfactualInputs(
+            demos=demos,
+            species=AGENT,
+            asked=everything,
+            teams=teams,
+            effects=cue_effects(everything, demos, teams=teams, planned=(0, 1), resamples=100),
+            seeds={"DQCIL": (0, 1)},
+            world={"arena": "square"},
+            environment={"time_limit": 20, "arena": None},
+            machine={"commit": "0123456789abcdef", "processor": "Some processor"},
+            wall_time={"training DQCIL": 150.0},
+            settings={"DQCIL": {"alpha": 1.0}},
+            versions={"torch": "2.13.0"},
+            command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
+        )
+    )
+    return page
+
+
+def answered(demos: Demonstrations, method: str) -> Answers:
+    """Rollouts of one method, told the truth and the other condition."""
+    both = make_rollouts(demos, method, flipped=True)
+    told = both.cue == both.condition
+    return Answers(both.select(told), both.select(~told))

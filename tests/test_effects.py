@@ -244,6 +244,18 @@ def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
     assert set(missing.loc[missing["quantity"] == of.TRUE, "reason"]) == {of.NO_TRUTH}
 
 
+def test_who_acts_without_chance_has_no_shift_by_chance() -> None:
+    """Zero with an interval of no width would look like a null that was measured."""
+    certain, chancy = answers(PreyRests(4), 0), answers(PreyRests(4, 0.2), 0)
+    same = Answers(certain.factual, certain.factual)
+    apart = Answers(chancy.factual, answers(PreyRests(4, 0.2, 1), 0).factual)
+    for blind, known in ((same, False), (apart, True)):
+        asked = {"DQCIL": Asked(trained=certain, blind=blind)}
+        row = value(cue_effects(asked, starts(), resamples=200), of.BLIND, 0)
+        assert np.isfinite(row["value"]) == known
+        assert row["reason"] == ("" if known else of.SAME_TWICE)
+
+
 def test_student_interval_over_seeds() -> None:
     """Textbook: means 1, 2, 3 with t(0.975, 2) = 4.3027 and standard error 1 / sqrt(3)."""
     found = over_seeds(Cells(np.repeat([[1.0], [2.0], [3.0]], 4, axis=1), np.ones((3, 4))))

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from browser import chromium
-from report_inputs import report_page
+from report_inputs import asked_page, report_page
 
 api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -24,19 +24,20 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("page") / "report.html"
-    path.write_text(report_page(), encoding="utf-8")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("pages")
+    for name, page in (("report", report_page()), ("counterfactual", asked_page())):
+        (path / f"{name}.html").write_text(page, encoding="utf-8")
     return path
 
 
 @pytest.fixture
-def open_page(browser: Any, file: Path) -> Iterator[Open]:
+def open_page(browser: Any, folder: Path) -> Iterator[Open]:
     """Opens the page in a window; afterwards nothing may have been said or asked for."""
     said: list[str] = []
     contexts = []
 
-    def opened(width: int = 1440, height: int = 900, **options: Any) -> Any:
+    def opened(width: int = 1440, height: int = 900, name: str = "report", **options: Any) -> Any:
         context = browser.new_context(
             viewport={"width": width, "height": height}, reduced_motion="reduce", **options
         )
@@ -48,7 +49,7 @@ def open_page(browser: Any, file: Path) -> Iterator[Open]:
             "request",
             lambda asked: said.append(asked.url) if asked.url.startswith("http") else None,
         )
-        page.goto(file.as_uri())
+        page.goto((folder / f"{name}.html").as_uri())
         return page
 
     yield opened
@@ -144,6 +145,26 @@ def test_factual_stands_beside_flipped(open_page: Open) -> None:
     assert factual != flipped and drawn(page) != before
 
 
+def test_a_counterfactual_opens_with_factual_beside_flipped_and_the_team(open_page: Open) -> None:
+    page = open_page(name="counterfactual")
+    titles = page.locator("#view option").all_inner_texts()
+    assert titles == [
+        "told the other condition beside DQCIL, factual",
+        "DQCIL, told the other condition beside team of the other condition",
+        "DQCIL, factual beside demonstrated",
+    ]
+    assert page.locator("#panels").bounding_box()["y"] < 900
+    shown = []
+    for view in range(3):
+        page.select_option("#view", str(view))
+        page.locator("#time").fill("6")
+        shown.append(drawn(page))
+    (factual, flipped), (team, again), (recorded, same) = shown
+    assert (again, same) == (flipped, factual)
+    assert len({factual, flipped, team, recorded}) == 4
+    assert page.locator("#glossary dfn", has_text="DQCIL").count() == 1
+
+
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
 def test_verdict_and_player_are_on_the_first_screen(
     open_page: Open, width: int, height: int
@@ -215,14 +236,17 @@ def test_figures_and_tables_are_saved(open_page: Open, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_nothing_overflows_and_pictures_are_there(open_page: Open, width: int) -> None:
-    page = open_page(width)
+@pytest.mark.parametrize(("name", "least"), [("report", 16), ("counterfactual", 6)])
+def test_nothing_overflows_and_pictures_are_there(
+    open_page: Open, width: int, name: str, least: int
+) -> None:
+    page = open_page(width, name=name)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     boxes = page.eval_on_selector_all(
         ".picture svg, #panels canvas",
         "all => all.map(one => one.getBoundingClientRect()).map(b => [b.width, b.height, b.right])",
     )
-    assert len(boxes) > 15
+    assert len(boxes) >= least
     assert all(w > 40 and h > 40 and right <= width for w, h, right in boxes)
 
 

@@ -86,6 +86,9 @@ def whole(folder: Path, tables: set[str]) -> None:
     }
     page = (folder / "report.html").read_text()
     assert page.startswith("<!DOCTYPE html>") and "None" not in page.split("provenance")[0]
+    for told in ("commit", "processor", "wall time, training", "licence"):
+        assert told in page, told
+    assert "older version" not in page
 
 
 def refused(done: Done, *words: str) -> None:

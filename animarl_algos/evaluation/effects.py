@@ -46,6 +46,7 @@ ACCURACY, ERROR_DIFFERENCE = "treatment accuracy", "difference of signed errors"
 COUNTINGS = ("all", "captures")
 NO_TRUTH = "no truth is known for these demonstrations: give --truth"
 NO_HEAD = "it has no treatment head"
+SAME_TWICE = "it acts without chance: asked twice, it does the same"
 NOT_SHARED = "no start in which both answers count"
 
 
@@ -168,7 +169,7 @@ class _Effects:
                 (TRUE, 1 - c, true, NO_TRUTH),
                 (MISSED, 1 - c, None if true is None else minus(predicted, true), NO_TRUTH),
                 (UNTRAINED_SHIFT, 1 - c, self._shift(one.untrained, counting, c), "not asked"),
-                (BLIND, 1 - c, self._shift(one.blind, counting, c), "not asked"),
+                (BLIND, 1 - c, *self._chance(one.blind, counting, c)),
             ]
             for quantity, told, data, absent in found:
                 yield self._row(name, quantity, c, told, counting, data, one.main, absent)
@@ -217,6 +218,14 @@ class _Effects:
         if answers is None:
             return None
         return minus(self._of(answers.flipped, counting, c), self._of(answers.factual, counting, c))
+
+    def _chance(self, blind: Answers | None, counting: str, c: int) -> tuple[Cells | None, str]:
+        """The shift of networks whose flag was zeroed; none of those that act without chance."""
+        if blind is None:
+            return None, "not asked"
+        if np.array_equal(blind.factual.positions, blind.flipped.positions):
+            return None, SAME_TWICE
+        return self._shift(blind, counting, c), ""
 
     def _accuracy(self, name: str, one: Asked) -> dict[str, Any]:
         values = np.array(list(one.accuracy.values()))[:, None]

@@ -24,7 +24,8 @@ class CounterfactualInputs:
     """Everything that the page shows.
 
     ``demos`` are the evaluated ones; ``teams`` what the teams of condition 0 and of condition 1 do;
-    ``seeds`` the training seeds by method; ``world`` is printed as it is.
+    ``seeds`` the training seeds by method; ``world`` is printed as it is; ``machine`` and
+    ``wall_time`` are those of the trainings.
     """
 
     demos: Demonstrations
@@ -34,6 +35,9 @@ class CounterfactualInputs:
     effects: Effects
     seeds: Mapping[str, tuple[int, ...]]
     world: Mapping[str, str]
+    environment: Mapping[str, Any]
+    machine: Mapping[str, str]
+    wall_time: Mapping[str, float]
     settings: Mapping[str, Any]
     versions: Mapping[str, str]
     command: str

@@ -28,8 +28,10 @@ from animarl_algos.report.counterfactual_panels import (
     path_panels,
     shift_panels,
 )
+from animarl_algos.report.counterfactual_player import shift_player
+from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import flattened
+from animarl_algos.report.provenance import code_and_machine, flattened, origin
 from animarl_algos.report.sentences import NOTHING, with_interval
 from animarl_algos.report.style import method_label
 
@@ -56,7 +58,11 @@ def counterfactual_page(inputs: CounterfactualInputs) -> tuple[list[Section], st
             *((method_label(name), f"seeds {', '.join(map(str, seeds))}")
               for name, seeds in inputs.seeds.items()),
         ],
+        player=shift_player(inputs),
         sections=[found, *sections],
+        glossary=glossary(
+            map(method_label, inputs.asked), "\n".join(t for s in sections for t in s.texts)
+        ),
     )  # fmt: skip
     return sections, render_page(page)
 
@@ -204,11 +210,11 @@ def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
 def _provenance(inputs: CounterfactualInputs) -> Iterator[Block]:
     yield Text("To repeat this page:")
     yield Command(inputs.command)
-    yield Pairs("World", list(inputs.world.items()))
+    yield Pairs("World", [*inputs.world.items(), *flattened(inputs.environment)])
     yield Pairs("Demonstrations", [
-        ("fingerprint of the evaluated set", inputs.demos.fingerprint()),
-        *flattened(inputs.demos.provenance),
+        ("fingerprint of the evaluated set", inputs.demos.fingerprint()), *origin(inputs.demos),
     ])  # fmt: skip
+    yield code_and_machine(inputs.machine, inputs.wall_time)
     yield Pairs("Settings", flattened(inputs.settings))
     yield Pairs("Versions", list(inputs.versions.items()))
 

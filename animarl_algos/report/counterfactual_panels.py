@@ -12,6 +12,7 @@ from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.report import cue_figures
 from animarl_algos.report.counterfactual_inputs import ARROW, CounterfactualInputs
+from animarl_algos.report.counterfactual_player import first_from, start_change
 from animarl_algos.report.cue_figures import Dots, ShiftRow
 from animarl_algos.report.style import Image, method_label, to_image
 
@@ -73,10 +74,7 @@ def path_panels(inputs: CounterfactualInputs) -> Iterator[Image]:
     of, told = inputs.planned
     starts = np.flatnonzero(inputs.demos.condition == of)
     first = next(iter(inputs.asked.values())).trained
-    change = [
-        _start_mean(inputs, first.flipped, start) - _start_mean(inputs, first.factual, start)
-        for start in starts.tolist()
-    ]
+    change = start_change(inputs, first.factual, first.flipped)[starts]
     order = starts[np.argsort(change, kind="stable")]
     ranks = np.unique(np.round(np.array(QUANTILES) * (len(order) - 1)).astype(int))
     for start in order[ranks].tolist():
@@ -107,10 +105,5 @@ def _lengths(inputs: CounterfactualInputs, rollouts: Rollouts, condition: int) -
     return lengths[inputs.demos.condition[rollouts.demo] == condition]
 
 
-def _start_mean(inputs: CounterfactualInputs, rollouts: Rollouts, start: int) -> float:
-    own = rollouts.select(rollouts.demo == start)
-    return float(PATH_LENGTH.measure(Episodes(own, inputs.demos)).mean())
-
-
 def _first_path(rollouts: Rollouts, start: int) -> Any:
-    return rollouts.path(int(np.flatnonzero(rollouts.demo == start)[0]))
+    return rollouts.path(first_from(rollouts, start))

@@ -23,10 +23,10 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
         images,
         words.say(
             "Kernel-density distance between simulated and recorded values (0: the same "
-            "distribution, 2: disjoint), all episodes, with its 95 % interval. Grey: what a "
-            "perfect simulator gives at the same sample sizes, central 95 % and mean. A "
-            "value inside the grey cannot be told from chance at this sample size; the distance is "
-            "biased upwards, and so is its interval."
+            "distribution, 2: disjoint), all episodes, with the central 95 % of its resamples. "
+            "Grey: what a perfect simulator gives at the same sample sizes, central 95 % and mean. "
+            "A value inside the grey cannot be told from chance at this sample size; the distance "
+            "is biased upwards, and so is its interval."
         ),
     )
     groups = []
@@ -67,8 +67,9 @@ def distances(inputs: ReportInputs) -> Iterator[Block]:
         words.say(
             "The energy score per start, the primary measure, beside what the recordings of all "
             "other starts score: the smaller the better, and a simulator that always does the same "
-            "cannot win by it. Both distances [95 % interval], each beside its null reference "
-            f"[central 95 %] from {evaluation.distance_resamples:,} resamples. The kernel-density "
+            "cannot win by it. Both distances [central 95 % of resamples: spread, not centred], "
+            "each beside its null reference [central 95 %], from "
+            f"{evaluation.distance_resamples:,} resamples. The kernel-density "
             "distance lies between 0 and 2; the Wasserstein distance has the metric's unit. Null: "
             "what both come to if the recorded episode of every start is exchanged with one of its "
             f"rollouts, which a perfect simulator would not notice.{_floors(inputs)}"

@@ -24,8 +24,9 @@ from animarl_algos.report.blocks import (
     Table,
     Text,
 )
+from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import flattened
+from animarl_algos.report.provenance import code_and_machine, flattened, origin
 from animarl_algos.report.sentences import NOTHING, number
 from animarl_algos.report.style import method_label, to_image
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -52,6 +53,9 @@ class InspectionInputs:
     decisions: Decisions
     metrics: pd.DataFrame
     world: Mapping[str, str]
+    environment: Mapping[str, Any]
+    machine: Mapping[str, str]
+    wall_time: Mapping[str, float]
     versions: Mapping[str, str]
     command: str
 
@@ -80,6 +84,9 @@ def inspection_page(inputs: InspectionInputs) -> tuple[list[Section], str]:
             ("Condition", _condition(inputs, int(inputs.recording.condition[0]))),
         ],
         sections=[found, *sections],
+        glossary=glossary(
+            map(method_label, inputs.rollouts), "\n".join(t for s in sections for t in s.texts)
+        ),
     )
     return sections, render_page(page)
 
@@ -181,8 +188,9 @@ def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
 def _provenance(inputs: InspectionInputs) -> Iterator[Block]:
     yield Text("To repeat this page:")
     yield Command(inputs.command)
-    yield Pairs("World", list(inputs.world.items()))
-    yield Pairs("Demonstrations", flattened(inputs.demos.provenance))
+    yield Pairs("World", [*inputs.world.items(), *flattened(inputs.environment)])
+    yield Pairs("Demonstrations", origin(inputs.demos))
+    yield code_and_machine(inputs.machine, inputs.wall_time)
     yield Pairs("Versions", list(inputs.versions.items()))
 
 

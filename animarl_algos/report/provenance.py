@@ -8,6 +8,7 @@ from typing import Any
 from animarl_algos.report.blocks import Block, Command, Heading, Pairs, Text
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.style import method_label
+from animarl_envs.demos.demonstrations import Demonstrations
 
 NOT_KNOWN = "not known (the run was made by an older version)"
 NOT_SET = "not set"
@@ -29,14 +30,15 @@ def provenance(inputs: ReportInputs) -> Iterator[Block]:
         yield Text("To repeat this run:")
         yield Command(inputs.command)
     yield Pairs("World", flattened(inputs.environment) or [("options", NOT_KNOWN)])
+    stated, *told = origin(demos)
     entries = [
-        ("licence", _licence(inputs)),
+        stated,
         ("fingerprint of the evaluated set", inputs.evaluation.fingerprint),
         ("evaluated episodes", str(demos.num_episodes)),
         ("individuals", ", ".join(demos.individuals)),
         ("time step", f"{demos.dt:g} s"),
         *((f"{split} episodes", str(count)) for split, count in inputs.episodes.items()),
-        *(pair for pair in flattened(demos.provenance) if pair[0] != "licence"),
+        *told,
     ]
     yield Pairs("Demonstrations", entries)
     yield Pairs(
@@ -48,13 +50,29 @@ def provenance(inputs: ReportInputs) -> Iterator[Block]:
             ("training seeds", _seeds(inputs)),
         ],
     )
-    machine = list(inputs.machine.items()) or [("commit, hardware", NOT_KNOWN)]
-    times = [(f"wall time, {stage}", duration(s)) for stage, s in inputs.wall_time.items()]
-    yield Pairs("Code and machine", [*machine, *(times or [("wall time", NOT_KNOWN)])])
+    yield code_and_machine(inputs.machine, inputs.wall_time)
     if inputs.settings:
         yield Pairs("Settings", flattened(inputs.settings))
     if inputs.versions:
         yield Pairs("Versions", list(inputs.versions.items()))
+
+
+def code_and_machine(machine: Mapping[str, str], wall_time: Mapping[str, float]) -> Pairs:
+    """The commit and the machine that trained, and the seconds each stage took."""
+    made = list(machine.items()) or [("commit, hardware", NOT_KNOWN)]
+    times = [(f"wall time, {stage}", duration(s)) for stage, s in wall_time.items()]
+    return Pairs("Code and machine", [*made, *(times or [("wall time", NOT_KNOWN)])])
+
+
+def origin(demos: Demonstrations) -> list[tuple[str, str]]:
+    """What the demonstrations say of themselves, their licence first."""
+    told = [pair for pair in flattened(demos.provenance) if pair[0] != "licence"]
+    return [("licence", licence(demos)), *told]
+
+
+def licence(demos: Demonstrations) -> str:
+    """Of the data, where it is stated."""
+    return str(demos.provenance.get("licence") or "not stated")
 
 
 def to_paste(inputs: ReportInputs) -> Iterator[Block]:
@@ -75,7 +93,7 @@ def methods_paragraph(inputs: ReportInputs) -> str:
         f"Simulations were made with AnimaRL{f' {version}' if version else ''}"
         f"{_commit(inputs)} from {'synthetic' if words.synthetic else 'recorded'} episodes of "
         f"{', '.join(demos.individuals)} ({demos.species}; time step {demos.dt:g} s"
-        f"{f'; episodes: {splits}' if splits else ''}; licence of the data: {_licence(inputs)})."
+        f"{f'; episodes: {splits}' if splits else ''}; licence of the data: {licence(demos)})."
     ]
     if inputs.fit is not None:
         sentences.append(
@@ -88,8 +106,9 @@ def methods_paragraph(inputs: ReportInputs) -> str:
         + (f" ({seeds} training seed{'s' if seeds != 1 else ''})." if seeds else "."),
         f"From {verdict.starts} test starts, {verdict.rollouts} episodes were simulated and "
         f"compared with the {words.say('recordings')} of the same starts: endings, duration, path "
-        "length, speed and turning by their differences (95 % intervals from "
-        f"{evaluation.resamples:,} resamples of demonstrations and seeds) and by the Wasserstein "
+        "length, speed and turning by their differences (95 % intervals over demonstrations, by "
+        f"a studentised bootstrap with {evaluation.resamples:,} resamples, and over training "
+        "seeds, by Student's t) and by the Wasserstein "
         f"distance against exchanged {words.say('recordings')}, and windows of motion by a "
         "cross-fitted two-sample classifier (Lopez-Paz and Oquab 2017).",
     ]
@@ -125,10 +144,6 @@ def printable(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(printable, value))
     return str(value)
-
-
-def _licence(inputs: ReportInputs) -> str:
-    return str(inputs.demos.provenance.get("licence") or "not stated")
 
 
 def _seeds(inputs: ReportInputs) -> str:

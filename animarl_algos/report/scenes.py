@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -17,6 +17,9 @@ from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.path_figures import bar_length, view_of
 from animarl_algos.report.style import method_label
 from animarl_algos.report.themes import COLOURS
+from animarl_algos.report.words import Words
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
 
 Floats = NDArray[np.float64]
@@ -25,6 +28,7 @@ STARTS = 12  # that can be played, over all conditions
 BUDGET = 1_500_000  # characters of packed paths; longer ones are thinned in time, evenly
 LEVELS = 65_535  # of a packed coordinate, across the box that holds the scene
 RECORDED, SIMULATED, FACTUAL, FLIPPED = "recorded", "simulated", "factual", "flipped"
+TOLD_OTHER = "told the other condition"
 
 
 class Track(NamedTuple):
@@ -42,6 +46,19 @@ class Scene(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Field:
+    """Where scenes are played and by whom: the arena with its walls, and how near is contact."""
+
+    demos: Demonstrations
+    arena: Arena
+    contact_radius: float | None
+
+    @property
+    def words(self) -> Words:
+        return Words.of(self.demos)
+
+
+@dataclass(frozen=True, eq=False)
 class Player:
     """What the script of the page plays, as plain data; ``caption`` says what it is."""
 
@@ -51,39 +68,48 @@ class Player:
     @classmethod
     def of(cls, inputs: ReportInputs) -> Player:
         """Simulated beside demonstrated and, where a cue was flipped, factual beside flipped."""
-        scenes = list(_scenes(inputs))
-        demos, words = inputs.demos, inputs.words
-        numbers = sum(t.path.size for s in scenes for t in s.tracks.values())
-        stride = -(-numbers * 8 // (3 * BUDGET))  # two bytes a number, four characters for three
+        scenes, words = list(_scenes(inputs)), inputs.words
         learner = method_label(inputs.learner)
-        views = [_view("simulated", words.say("recorded"), RECORDED, learner, SIMULATED)]
+        views = [view("simulated", words.say("recorded"), RECORDED, learner, SIMULATED)]
         if any(FLIPPED in scene.tracks for scene in scenes):
             flipper = method_label(str(_flipper(inputs)))
-            other = "told the other condition"
-            views.append(_view("flipped", f"{flipper}, factual", FACTUAL, other, FLIPPED))
+            views.append(view("flipped", f"{flipper}, factual", FACTUAL, TOLD_OTHER, FLIPPED))
+        chosen = "from rollouts near their recording to far from it (DTW distance)"
+        field = Field(inputs.demos, inputs.arena, inputs.contact_radius)
+        return cls.playing(field, scenes, views, chosen)
+
+    @classmethod
+    def playing(
+        cls, field: Field, scenes: Sequence[Scene], views: Sequence[dict[str, Any]], chosen: str
+    ) -> Player:
+        """Any scenes; ``chosen`` says how their starts were."""
+        demos, words = field.demos, field.words
+        numbers = sum(t.path.size for s in scenes for t in s.tracks.values())
+        stride = -(-numbers * 8 // (3 * BUDGET))  # two bytes a number, four characters for three
         names = {colour.hex: colour.name for colour in COLOURS}
         data = {
             "dt": demos.dt * max(1, stride),
             "unit": words.unit.name,
             "arena": {
-                "shape": inputs.arena.shape,
-                "size": inputs.arena.size,
-                "walls": inputs.arena.rebound,
+                "shape": field.arena.shape,
+                "size": field.arena.size,
+                "walls": field.arena.rebound,
             },
-            "contact": inputs.contact_radius,
+            "contact": field.contact_radius,
             "individuals": [
                 {"name": name, "role": role, "colour": names[look.colour], "mark": look.marker}
                 for name, role, look in zip(
                     demos.individuals, demos.roles, style.looks(demos.roles), strict=True
                 )
             ],
-            "views": views,
-            "scenes": [_packed(scene, inputs, max(1, stride)) for scene in scenes],
+            "views": list(views),
+            "scenes": [_packed(scene, field, max(1, stride)) for scene in scenes],
         }
-        return cls(data, _caption(inputs, len(scenes)))
+        return cls(data, _caption(field, len(scenes), chosen))
 
 
-def _view(key: str, left: str, first: str, right: str, second: str) -> dict[str, Any]:
+def view(key: str, left: str, first: str, right: str, second: str) -> dict[str, Any]:
+    """Two panels side by side: a title and a kind of track for each."""
     return {
         "key": key,
         "title": f"{right} beside {left}",
@@ -106,13 +132,13 @@ def _scenes(inputs: ReportInputs) -> Iterator[Scene]:
         for i in chosen:
             start = int(rollouts.demo[i])
             tracks = {
-                RECORDED: _track(inputs, demos, start),
-                SIMULATED: _track(inputs, rollouts, i),
+                RECORDED: track(inputs.demos, demos, start),
+                SIMULATED: track(inputs.demos, rollouts, i),
             }
             pair = None if asked is None else _flipped_pair(asked, rollouts, i)
             if asked is not None and pair is not None:
-                tracks[FACTUAL] = _track(inputs, asked, pair[0])
-                tracks[FLIPPED] = _track(inputs, asked, pair[1])
+                tracks[FACTUAL] = track(inputs.demos, asked, pair[0])
+                tracks[FLIPPED] = track(inputs.demos, asked, pair[1])
             yield Scene(f"Start {start}{f', {condition}' if condition else ''}", tracks)
 
 
@@ -147,30 +173,31 @@ def _flipped_pair(asked: Rollouts, rollouts: Rollouts, i: int) -> tuple[int, int
     return None
 
 
-def _track(inputs: ReportInputs, rollouts: Rollouts, i: int) -> Track:
-    goal = "source" if "searcher" in inputs.demos.roles else "target"
+def track(demos: Demonstrations, rollouts: Rollouts, i: int) -> Track:
+    """An episode, and its ending in words."""
+    goal = "source" if "searcher" in demos.roles else "target"
     outcome = int(rollouts.outcome[i])
     endings = {TARGET_OUT: "target left", PURSUER_OUT: "pursuer left"}
     ending = f"{goal} reached" if outcome > 0 else endings.get(outcome, f"{goal} not reached")
     return Track(rollouts.path(i), ending)
 
 
-def _packed(scene: Scene, inputs: ReportInputs, stride: int) -> dict[str, Any]:
+def _packed(scene: Scene, field: Field, stride: int) -> dict[str, Any]:
     """A scene as plain data; paths as 16-bit numbers across the box that holds them, in base64."""
     points = np.concatenate([t.path.reshape(-1, 2) for t in scene.tracks.values()])
     low = points.min(axis=0)
     span = float((points.max(axis=0) - low).max()) or 1.0
     moved = [t.path for kind, t in scene.tracks.items() if kind != RECORDED]
-    view = view_of(
-        inputs.arena,
+    shown = view_of(
+        field.arena,
         np.concatenate([path.reshape(-1, 2) for path in moved]),
         scene.tracks[RECORDED].path,
     )
-    unit = inputs.words.unit
-    length = bar_length(view[2], unit)
+    unit = field.words.unit
+    length = bar_length(shown[2], unit)
     return {
         "title": scene.title,
-        "view": [round(v, 6) for v in view],
+        "view": [round(v, 6) for v in shown],
         "bar": {"length": length / unit.per_arena_unit, "label": f"{length:g} {unit.name}"},
         "box": [float(low[0]), float(low[1]), span / LEVELS],
         "tracks": {
@@ -186,17 +213,14 @@ def pack(path: Floats, low: Floats, span: float) -> str:
     return base64.b64encode(levels.tobytes()).decode()
 
 
-def _caption(inputs: ReportInputs, count: int) -> str:
+def _caption(field: Field, count: int, chosen: str) -> str:
     walls = {"open": "The field is open."}.get(
-        inputs.arena.shape,
-        "The outline is a wall." if inputs.arena.rebound
+        field.arena.shape,
+        "The outline is a wall." if field.arena.rebound
         else "The dashed outline is the edge of the field; there is no wall.",
     )  # fmt: skip
     contact = (
-        "" if inputs.contact_radius is None
+        "" if field.contact_radius is None
         else " The dotted ring shows how near is contact; it is drawn thick while there is any."
     )  # fmt: skip
-    return inputs.words.say(
-        f"{count} test starts, all different, from rollouts near their recording to far from it "
-        f"(DTW distance). {walls}{contact}"
-    )
+    return field.words.say(f"{count} test starts, all different, {chosen}. {walls}{contact}")

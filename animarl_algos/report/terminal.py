@@ -44,7 +44,7 @@ def evaluation_table(
     comparison = evaluation.comparison
     table = Table(
         title=f"Simulated against demonstrated, {COUNTING[counting]}",
-        caption="Mean [95 % interval], resampling demonstrations and seeds. KDE: kernel-density "
+        caption="Mean [95 % interval] over demonstrations and seeds. KDE: kernel-density "
         "distance to the demonstrations, 0 to 2; in brackets what a perfect simulator gives. "
         "Within starts: the DTW distance with what all methods share of a start taken out.",
         box=SIMPLE_HEAD,

@@ -160,6 +160,10 @@ def report_inputs(found: EvaluatedRuns, folders: Sequence[str | Path]) -> Report
         versions=first.record["versions"],
         command=command("evaluate", folders),
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
+        contact_radius=species.contact_radius,
+        environment=first.environment_options,
+        machine=runs.machine,
+        wall_time=runs.wall_time,
     )
 
 

@@ -15,6 +15,7 @@ from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inspection_page import InspectionInputs, inspection_page
 from animarl_algos.runs.evaluating import PAGE, command, refuse_run_folder
+from animarl_algos.runs.machine import wall_times
 from animarl_algos.runs.rolling_out import method_name, stored_rollouts, trained_model
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_world import world_in_words
@@ -104,6 +105,9 @@ def inspect_run(folder: str | Path, episode: int, out: str | Path) -> Inspected:
         decisions=found.decisions,
         metrics=found.metrics,
         world=world_in_words(species),
+        environment=run.environment_options,
+        machine=run.record.get("machine", {}),
+        wall_time=wall_times(run.path),
         versions=run.record["versions"],
         command=command("inspect", [folder], "--episode", str(episode)),
     )

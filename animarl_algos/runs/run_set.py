@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from animarl_algos.runs.machine import wall_times
 from animarl_algos.runs.rolling_out import method_name
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_world import in_the_world
@@ -78,6 +79,24 @@ class RunSet:
     def seeds(self) -> tuple[int, ...]:
         """Training seeds of all, each once."""
         return tuple(sorted({run.settings.seed for run in self.runs}))
+
+    @property
+    def machine(self) -> dict[str, str]:
+        """Commit, system, processor and accelerator; several where runs differ."""
+        told: dict[str, list[str]] = {}
+        for run in self.runs:
+            for what, value in run.record.get("machine", {}).items():
+                told.setdefault(what, []).append(str(value))
+        return {what: "; ".join(dict.fromkeys(values)) for what, values in told.items()}
+
+    @property
+    def wall_time(self) -> dict[str, float]:
+        """Seconds by stage, over all runs."""
+        total: dict[str, float] = {}
+        for run in self.runs:
+            for stage, seconds in wall_times(run.path).items():
+                total[stage] = total.get(stage, 0.0) + seconds
+        return total
 
 
 class _Compared:
