@@ -12,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from animarl_algos.cli import completion
 from animarl_algos.cli.data import load
 from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.cli.thrusts import (
@@ -26,6 +27,7 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.fitting.doubts import doubts
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method
 from animarl_envs.species import get_species
@@ -46,13 +48,24 @@ class MethodChoice(StrEnum):
 
 def fit_command(
     file: Annotated[
-        str, typer.Argument(help="Demonstrations, a file that a reader knows, or a packaged set.")
+        str,
+        typer.Argument(
+            help="Demonstrations, a file that a reader knows, or a packaged set.",
+            autocompletion=completion.demonstrations,
+        ),
     ],
     source: Annotated[
-        str | None, typer.Option(help="Reader; by default found by a look at the file.")
+        str | None,
+        typer.Option(
+            help="Reader; by default found by a look at the file.",
+            autocompletion=completion.sources,
+        ),
     ] = None,
     species: Annotated[
-        str | None, typer.Option(help="Take the onset threshold of this species.")
+        str | None,
+        typer.Option(
+            help="Take the onset threshold of this species.", autocompletion=completion.species
+        ),
     ] = None,
     method: Annotated[
         MethodChoice,
@@ -117,7 +130,7 @@ def fit_command(
             continue
         fits.append(fit)
         console.print(format_fit_table(fit, demos))
-        for sentence in noise_warnings(fit, demos):
+        for sentence in [*doubts(fit, demos), *noise_warnings(fit, demos)]:
             console.print(sentence, style="yellow", highlight=False, soft_wrap=True)
     if out is not None:
         save_fits(fits, out)

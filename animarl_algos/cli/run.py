@@ -12,16 +12,20 @@ import typer
 import yaml
 from rich.text import Text
 
+from animarl_algos.cli import completion
 from animarl_algos.cli.fit import format_fit_table
 from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.evaluation.plausibility import implausible
 from animarl_algos.report.terminal import evaluation_table
 from animarl_algos.report.verdict_section import verdict_table
+from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.doubts import doubts
 from animarl_envs.species import CUSTOM, SPECIES
 
 
@@ -50,15 +54,20 @@ def run_command(
     console = _console()
     run = _open(context.params)
     _say(console, "1/4", "fitting locomotion")
-    console.print(format_fit_table(pipeline.fit(run), run.demos))
+    fit = pipeline.fit(run)
+    console.print(format_fit_table(fit, run.demos))
+    for sentence in doubts(fit, run.demos):
+        _warn(console, sentence)
     _say(console, "2/4", f"training {run.settings.algo.upper()}")
     pipeline.learn_all(run)
     _say(console, "3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
+    for sentence in implausible(evaluation.verdict):
+        _warn(console, sentence)
     console.print(evaluation_table(evaluation))
     _say(console, "4/4", "writing the report")
     page = pipeline.report(run)
-    console.print(verdict_table(evaluation.verdict))
+    console.print(verdict_table(evaluation.verdict, Words.of(run.demos)))
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
 
 
@@ -93,7 +102,10 @@ def train_command(
 
 
 def report_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
+    run: Annotated[
+        Path,
+        typer.Argument(help="A run folder that was evaluated.", autocompletion=completion.runs),
+    ],
 ) -> None:
     """Write the report of a run again.
 
@@ -178,6 +190,10 @@ def _refuse_beside_resume(context: typer.Context) -> None:
 
 def _console() -> PlainConsole:
     return PlainConsole(least_width=128)
+
+
+def _warn(console: PlainConsole, sentence: str) -> None:
+    console.print(f"WARNING: {sentence}", style="bold yellow", soft_wrap=True, highlight=False)
 
 
 def _say(console: PlainConsole, number: str, what: str) -> None:
