@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_runs import few, made
 
 from animarl_algos import load_run
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.errors import InputError
-from tests.small_runs import few, made
 
 PAGE = Path(__file__).parents[1] / "docs" / "what_if.md"
 

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 from animarl_algos.cli.describing import hints
 from animarl_algos.cli.main import app
 from animarl_algos.cli.merging import merged
-from animarl_algos.evaluation.motion import unit_of
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.joining import join
+from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.importing.contacts import found_contact
 from animarl_envs.importing.cutting import Cutting, cut_episodes

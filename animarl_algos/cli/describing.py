@@ -13,6 +13,7 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.demos.summary import TRACKING, episode_table, summarise
+from animarl_envs.demos.units import unit_of
 from animarl_envs.importing.cleaning import LIKELY
 from animarl_envs.importing.import_recipe import ImportRecipe
 
@@ -50,12 +51,15 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     if len(keypoints) > 1:
         used = {one.get("keypoint") for one in demos.provenance.get("cleaning", {}).values()}
         rows.append(("keypoints", f"{', '.join(keypoints)}; used: {', '.join(map(str, used))}"))
+    unit = unit_of(demos)
+    scale = unit.per_arena_unit
     for name in demos.individuals:
         speed = found[f"speed of {name}"]
         rows.append(
             (
                 f"speed of {name}",
-                f"median {speed['median']:.3g}, 99th percentile {speed['99 %']:.3g} units/s, "
+                f"median {scale * speed['median']:.3g}, 99th percentile "
+                f"{scale * speed['99 %']:.3g} {unit.name}/s, "
                 f"at rest {speed['resting']:.0%} of the time",
             )
         )
@@ -65,7 +69,10 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
         first = float(np.median([row["first_distance"] for row in table]))
         least = float(np.median([row["least_distance"] for row in table]))
         rows.append(
-            (f"distance to the {to}", f"first {first:.3g}, least {least:.3g} units (medians)")
+            (
+                f"distance to the {to}",
+                f"first {scale * first:.3g}, least {scale * least:.3g} {unit.name} (medians)",
+            )
         )
     for condition in np.unique(demos.condition):
         outcomes = found[f"outcomes, condition {condition}"]

@@ -15,15 +15,9 @@ from rich.text import Text
 from animarl_algos.cli import completion
 from animarl_algos.cli.data import load
 from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.cli.thrusts import (
-    format_thrust_table,
-    parse_thrusts,
-    save_thrust_rows,
-    thrust_rows,
-)
-from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
+from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
@@ -107,6 +101,8 @@ def fit_command(
     console = PlainConsole(least_width=TABLE_WIDTH)
     chosen = None if split == "all" else split
     if thrusts:
+        from animarl_algos.cli.thrusts import parse_thrusts
+
         if method is not MethodChoice.joint:
             raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
         compare_thrusts(demos, parse_thrusts(thrusts), chosen, seed, console, out)
@@ -149,6 +145,9 @@ def compare_thrusts(
 
     Also says which number ``animarl run`` chooses, among those that it tries.
     """
+    from animarl_algos.cli.thrusts import format_thrust_table, save_thrust_rows, thrust_rows
+    from animarl_algos.evaluation.thrust_choice import choose_thrusts
+
     if out is not None and out.suffix == ".json" and len(numbers) > 1:
         raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
     seen = demos if split is None else demos.select(split=split)
@@ -180,7 +179,7 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
         f"v' = (1 - d) v + u a dt, dt = {fit.dt:g} s; {fit.individuals[0].steps} steps of "
         f"{fit.episodes}{kind} episodes ({fit.fitted_on}); velocity RMSE on "
         f"{fit.validation_episodes} ({fit.validated_on}); 95 % intervals over {fit.bootstrap} "
-        "resamples of episodes. Lengths in arena units."
+        "resamples of episodes. Lengths in " + _lengths(demos)
     )
     title = f"Locomotion of {fit.species}, {fit.method} fit"
     if fit.onset_threshold is not None:
@@ -206,6 +205,14 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
             *([] if one.tracking_noise is None else [f"{one.tracking_noise:.2g}"]),
         )
     return table
+
+
+def _lengths(demos: Demonstrations | None) -> str:
+    """The unit of the table, and what it is of the recordings' own."""
+    unit = RECORDED_SCALE if demos is None else unit_of(demos)
+    if unit == RECORDED_SCALE:
+        return "arena units."
+    return f"arena units of {unit.per_arena_unit:.4g} {unit.name}."
 
 
 def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
