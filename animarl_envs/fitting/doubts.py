@@ -11,7 +11,7 @@ from animarl_envs.fitting.result import IndividualFit, LocomotionFit
 from animarl_envs.fitting.transitions import transitions
 
 TOO_FAST = 2.0  # terminal speeds beyond so many times the top speed seen
-MATTERS = 0.25  # relative difference of d that is worth a warning, where it has no interval
+MATTERS = 0.1  # relative difference of d that is worth a warning, if it is beyond the interval
 ALIKE = 1e-6  # differences of d up to it are of rounding
 NEAR_ZERO = 1e-3  # an interval of d that begins below it reaches zero
 
@@ -49,11 +49,9 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
 def _trimming(one: IndividualFit, individual: int, seen: Demonstrations) -> list[str]:
     data = transitions(seen, individual)
     whole = fit_joint(data, one.name, fast_speed(data), far=math.inf)
-    low, high = one.damping_interval or (
-        one.damping * (1 - MATTERS), one.damping * (1 + MATTERS)
-    )  # fmt: skip
+    low, high = one.damping_interval or (one.damping, one.damping)
     change = abs(whole.damping - one.damping)
-    if low <= whole.damping <= high or change < ALIKE:
+    if low <= whole.damping <= high or change <= MATTERS * one.damping + ALIKE:
         return []
     return [
         f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without the steps that are "
