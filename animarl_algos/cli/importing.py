@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 import yaml
 from rich.console import Console
@@ -119,6 +121,9 @@ def import_command(
     species: Annotated[str | None, typer.Option(help="Species they belong to.")] = None,
     condition: Annotated[int | None, typer.Option(help="0 or 1, of all episodes.")] = None,
     licence: Annotated[str | None, typer.Option(help="Of the recordings.")] = None,
+    synthetic: Annotated[
+        bool | None, typer.Option("--synthetic", help="No animal was recorded: say so everywhere.")
+    ] = None,
     split_by: Annotated[str | None, typer.Option(help="auto, recording, episode or group.")] = None,
     split_pattern: Annotated[
         str | None, typer.Option(help="group: regular expression with a (group).")
@@ -149,13 +154,16 @@ def import_command(
         if len(files) > 1:
             raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
         finished = read(files[0], reader.name, **_options(option))
-        report(finished, out, None)
+        if condition is not None:
+            finished = replace(finished, condition=np.full(len(finished), condition, dtype=np.int8))
+        report(finished, None if dry_run else out, None)
         return
     given: dict[str, Any] = {
         "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
         "merge_individuals": merge_individuals,
         "metadata": str(metadata) if metadata else None, "name_pattern": name_pattern,
-        "condition": condition, "licence": licence, "options": _options(option) or None,
+        "condition": condition, "licence": licence, "synthetic": synthetic,
+        "options": _options(option) or None,
         "cleaning": {
             "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,
             "smoothing_cutoff": smoothing, "drop_jumps": drop_jumps,

@@ -1,0 +1,55 @@
+"""Own scenes far from the origin, in pixels: inputs of networks, and the map of values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from small_runs import few, made
+
+from animarl_algos.evaluation.decisions import map_sides
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.worlds import demonstration_observations
+
+
+def in_pixels() -> Demonstrations:
+    """The packaged chases as a camera would give them: 25 px to a unit, the origin elsewhere."""
+    demos = few()
+    return replace(
+        demos,
+        species="custom",
+        positions=25.0 * demos.positions + [425.0, -243.0],
+        initial_velocity=25.0 * demos.initial_velocity,
+        arena=Arena("open"),
+    )
+
+
+def test_inputs_of_networks_are_centred_and_scaled_in_any_unit(tmp_path: Path) -> None:
+    demos = in_pixels()
+    run = made(tmp_path, "soft-bc", demos=demos, species="custom", rolled_out=False)
+    species = run.species(demos, run.fit)
+    model = run.learner("soft-bc", run.environment(species, demos))
+    run.load_policy("soft-bc", model)
+    train = demos.select(split="train")
+    raw = demonstration_observations(species, train)
+    assert np.abs(raw).max() > 400
+    network = model.policy.q_net
+    seen = (torch.as_tensor(raw).transpose(0, 1) - network.input_mean) / network.input_sd
+    moving = seen.std(dim=1) > 1e-3
+    assert moving.float().mean() > 0.9
+    assert seen.mean(dim=1).abs().max() < 0.5  # the last frames are no decisions
+    assert 0.5 < float(seen.std(dim=1)[moving].median()) < 1.5
+
+
+def test_maps_of_values_cover_where_animals_went() -> None:
+    demos = in_pixels()
+    x, y = map_sides(Arena("open"), demos.positions)
+    for axis, side in enumerate((x, y)):
+        assert side[0] < demos.positions[..., axis].min()
+        assert side[-1] > demos.positions[..., axis].max()
+    assert np.ptp(x) == np.ptp(y)
+    x, y = map_sides(Arena("square", size=2.0, boundary=2.2), demos.positions)
+    assert (x[0], x[-1], y[0], y[-1]) == (-2, 2, -2, 2)
