@@ -105,7 +105,9 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
     cutoff = clean.smoothing_cutoff
     cleaning.append(f"smoothed at {cutoff:g} Hz" if cutoff else "not smoothed")
     if scale.shape == "open":
-        scaling = f"open field, {scale.units_per_arena_unit:g} of the file's units to an arena unit"
+        units = scale.units_per_arena_unit
+        size = "half the extent of all recordings" if units is None else f"{units:g} file units"
+        scaling = f"open field, {size} to an arena unit"
     else:
         unit = "units of the file" if scale.px_per_cm is None else "cm"
         extent = "each recording's own extent" if scale.each else "the extent of all recordings"

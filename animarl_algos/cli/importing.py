@@ -95,7 +95,8 @@ def import_command(
         float | None, typer.Option(help="Beyond it an individual is out, in arena units.")
     ] = None,
     units: Annotated[
-        float | None, typer.Option(help="Open arena: the file's units per arena unit.")
+        float | None,
+        typer.Option(help="Open arena: the file's units per arena unit; default: extent."),
     ] = None,
     cut: Annotated[str | None, typer.Option(help="whole, approach or events.")] = None,
     farther_than: Annotated[

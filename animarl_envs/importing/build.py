@@ -46,7 +46,7 @@ def demonstrations_from_tracks(
         scale = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         cleaned.append(in_centimetres(tracks, scale))
     cleaned, target = with_target(cleaned, recipe, sessions, name)
-    scales = scales_of(cleaned, recipe.scaling)
+    scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
     bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
     individuals, roles, order = roles_of(cleaned, target, recipe, name)
     bodies = [body[:, order] for body in bodies]

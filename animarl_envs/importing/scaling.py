@@ -31,8 +31,8 @@ class Scaling:
         Full side or diameter of the arena in the tracks' unit; ``None`` takes the extent of the
         tracks.
     centre
-        Of the arena, in the tracks' unit; ``None``: the middle of the extent, and the origin of an
-        open field.
+        Of the arena, in the tracks' unit; ``None``: the middle of the extent, and the origin where
+        a source is searched there.
     each
         Whether extents are those of each recording, so that every one gets a centre and a scale of
         its own; by default all recordings are of one camera and share theirs.
@@ -40,7 +40,8 @@ class Scaling:
         How many of the file's units make 1 cm; the tracks' unit then is the centimetre, also that
         of ``width`` and ``centre``.
     units_per_arena_unit
-        For an open field: how many of the tracks' units make one arena unit (1000 for mm to m).
+        For an open field: how many of the tracks' units make one arena unit (1000 for mm to m);
+        ``None``: half of the extent, and 1 where a source is searched.
     boundary
         Virtual boundary [arena unit].
     flip_y
@@ -52,7 +53,7 @@ class Scaling:
     centre: tuple[float, float] | None = None
     each: bool = False
     px_per_cm: float | None = None
-    units_per_arena_unit: float = 1.0
+    units_per_arena_unit: float | None = None
     boundary: float = 1.1
     flip_y: bool | None = None
 
@@ -97,20 +98,27 @@ class Scale:
         return cls((float(x), float(y)), float(record["unit"]), float(record["y_sign"]))
 
 
-def scales_of(recordings: Sequence[Tracks], settings: Scaling) -> list[Scale]:
-    """The scale of each recording (one keypoint per individual): one for all, or each its own."""
-    if settings.each or settings.shape == "open":
-        return [scale_of([tracks], settings) for tracks in recordings]
-    common = scale_of(recordings, settings)
+def scales_of(
+    recordings: Sequence[Tracks], settings: Scaling, searched: bool = False
+) -> list[Scale]:
+    """The scale of each recording (one keypoint per individual): one for all, or each its own.
+
+    ``searched`` says that a source is at the origin, which then stays in its place.
+    """
+    if settings.each:
+        return [scale_of([tracks], settings, searched) for tracks in recordings]
+    common = scale_of(recordings, settings, searched)
     return [replace(common, y_sign=_sign(tracks, settings)) for tracks in recordings]
 
 
-def scale_of(recordings: Sequence[Tracks], settings: Scaling) -> Scale:
+def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = False) -> Scale:
     """The scale of recordings whose extent is taken together."""
     first = recordings[0]
     sign = _sign(first, settings)
-    if settings.shape == "open":
-        return Scale(settings.centre or (0.0, 0.0), settings.units_per_arena_unit, sign)
+    is_open = settings.shape == "open"
+    if is_open and searched:
+        unit = settings.units_per_arena_unit or 1.0
+        return Scale(settings.centre or (0.0, 0.0), unit, sign)
     points = np.concatenate(
         [tracks.bodies[np.isfinite(tracks.bodies).all(axis=2)] for tracks in recordings]
     )
@@ -119,7 +127,9 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling) -> Scale:
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     centre = settings.centre or (float(middle[0]), float(middle[1]))
-    if settings.width is not None:
+    if is_open and settings.units_per_arena_unit is not None:
+        half = settings.units_per_arena_unit
+    elif settings.width is not None:
         half = settings.width / 2
     elif settings.shape == "disc":
         half = float(np.linalg.norm(points - np.array(centre), axis=1).max())
