@@ -87,6 +87,9 @@ def test_completion_offers_what_there_is(tmp_path: Any, monkeypatch: pytest.Monk
     (tmp_path / "flies" / "a.npz").touch()
     assert completion.demonstrations("f") == ["fly", "flies/"]
     assert completion.demonstrations("flies/") == ["flies/a.npz"]
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / "settings.json").touch()
+    assert completion.runs("f") == ["first", "flies/"]
 
 
 class Terminal(io.StringIO):

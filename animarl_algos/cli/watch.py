@@ -56,7 +56,8 @@ def watch_command(
         ),
     ],
     model: Annotated[
-        Path | None, typer.Option(help="Run folder whose trained policy acts.")
+        Path | None,
+        typer.Option(help="Run folder whose trained policy acts.", autocompletion=completion.runs),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Clip to write, .gif or .mp4; without it, a window opens.")
