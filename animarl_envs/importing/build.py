@@ -19,7 +19,7 @@ from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, Cutting, cut_epis
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.roles import named, roles_of, with_target
 from animarl_envs.importing.scaling import in_centimetres, scales_of
-from animarl_envs.importing.sessions import sessions_of, with_session
+from animarl_envs.importing.sessions import TARGET, sessions_of, with_session
 from animarl_envs.importing.tracks import Tracks
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
@@ -50,10 +50,14 @@ def demonstrations_from_tracks(
     bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
     individuals, roles, order = roles_of(cleaned, target, recipe, name)
     bodies = [body[:, order] for body in bodies]
-    contact = _contact(bodies, roles, recipe.cutting)
-    cut = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
+    contact = recipe.cutting.contact
+    if all(tracks.outcome is None for tracks in cleaned):
+        contact = _contact(bodies, roles, recipe.cutting)
+    touching = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
     episodes = []
-    for tracks, body, cuts in zip(cleaned, bodies, _cuts(cleaned, bodies, roles, cut), strict=True):
+    for tracks, body, cuts in zip(
+        cleaned, bodies, _cuts(cleaned, bodies, roles, touching), strict=True
+    ):
         done[tracks.recording]["episodes"] = len(cuts)
         if len(cuts) == 1 and tracks.outcome is not None and recipe.cutting.mode == "whole":
             cuts = [replace(cuts[0], outcome=tracks.outcome)]
@@ -110,7 +114,8 @@ def _contact(
     bodies: Sequence[NDArray[np.float64]], roles: tuple[str, ...], cutting: Cutting
 ) -> float | None:
     """As stated, or where recordings are taken whole the distance that ends them."""
-    if cutting.mode != "whole" or cutting.contact is not None or cutting.piece is not None:
+    stated = cutting.contact is not None or cutting.piece is not None
+    if cutting.mode != "whole" or stated or TARGET not in roles:
         return cutting.contact
     nearest = [distances_to_target(body, roles).min(axis=1) for body in bodies]
     return found_contact(
