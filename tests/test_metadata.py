@@ -23,6 +23,7 @@ from animarl_envs.importing.contacts import found_contact
 from animarl_envs.importing.cutting import Cutting, cut_episodes
 from animarl_envs.importing.readers import read
 from animarl_envs.importing.sessions import read_sessions, sessions_by_name
+from tools.fuzz.layouts import write_native
 
 CHASE = ("pursuer", "target")
 NAMES = tuple(f"{word}_{i}" for i in range(6) for word in ("sham", "drug"))
@@ -310,3 +311,13 @@ def test_splits_without_a_condition_are_named(files: list[Path], tmp_path: Path)
     said = animarl("import", *files, "--fps", 10, "--metadata", tmp_path / "m.csv", "--dry-run")
     assert "split test has no episode of condition 1" in said
     assert "split test has 1 episode, fewer than 5" in said
+
+
+def test_conditions_of_finished_demonstrations_are_set_as_well(tmp_path: Path) -> None:
+    native, out = write_native(tmp_path), tmp_path / "one.npz"
+    animarl("import", native, "--condition", 1, "--dry-run", "--out", out)
+    assert not out.exists()
+    animarl("import", native, "--condition", 1, "--out", out)
+    assert (Demonstrations.load(out).condition == 1).all()
+    with pytest.raises(InputError, match="must be 0 or 1"):
+        animarl("import", native, "--condition", 2, "--out", out)
