@@ -241,7 +241,7 @@ def _more_pursuers(demos: Demonstrations | None, count: Any, start: Any) -> bool
     if demos is None or start is None or (isinstance(start, str) and start == "demo"):
         return False
     recorded = demos.roles.count("pursuer")
-    return recorded > 0 and is_whole(count) and count > recorded
+    return recorded > 0 and is_whole(count) and bool(count > recorded)
 
 
 def _recorded_species(demos: Demonstrations | None) -> Species:

@@ -73,7 +73,7 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     limit = _least_confidence(tracks, settings.min_confidence)
     if limit is not None and tracks.confidence is not None:
         unknown = np.isnan(tracks.confidence) & (settings.min_confidence is None)
-        weak = ~(np.greater_equal(tracks.confidence, limit) | unknown)
+        weak: NDArray[np.bool_] = np.logical_not((tracks.confidence >= limit) | unknown)
         positions = np.where(weak[..., None], np.nan, positions)
         done["below_confidence"] = int(weak.sum())
         done["confidence_of_at_least"] = limit
@@ -105,9 +105,10 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
 def _least_confidence(tracks: Tracks, stated: float | None) -> float | None:
     """Below which keypoints are not used; ``None``: all are."""
     if stated is None:
-        known = () if tracks.confidence is None else tracks.confidence[~np.isnan(tracks.confidence)]
-        likelihoods = len(known) > 0 and np.min(known) >= 0 and np.max(known) <= 1
-        return LIKELY if likelihoods else None
+        if tracks.confidence is None or np.isnan(tracks.confidence).all():
+            return None
+        least, most = float(np.nanmin(tracks.confidence)), float(np.nanmax(tracks.confidence))
+        return LIKELY if least >= 0 and most <= 1 else None
     if tracks.confidence is None and stated > 0:
         raise InputError(f"{tracks.recording}: it holds no confidence: leave the threshold out")
     return stated if stated > 0 else None

@@ -237,7 +237,7 @@ def _session(row: Mapping[str, str], place: str) -> Session:
     split = row.get("split") or None
     if split is not None and split not in SPLITS:
         raise InputError(f"{place}: split {split!r} is unknown: choose one of {', '.join(SPLITS)}")
-    roles = {}
+    roles: dict[str, str] = {}
     if row.get("individual") or row.get("role"):
         if row.get("role") not in (PURSUER, TARGET) or not row.get("individual"):
             raise InputError(
