@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from animarl_algos.learner.evaluating import EvaluateIndividuals as EvaluateIndividuals
     from animarl_algos.learner.evaluating import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403
+    from animarl_algos.runs.loading import load_run as load_run
 
 
 @cache
@@ -41,6 +42,7 @@ def _homes() -> dict[str, str]:
         "SlotVecEnv": "data.vec_env",
         "evaluate": "evaluation.tables",
         "evaluate_individuals": "learner.evaluating",
+        "load_run": "runs.loading",
     }
     return learners | {name: f"{__name__}.{module}" for name, module in others.items()}
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_number
+from animarl_envs.checks import is_number, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import first_pursuers
 from animarl_envs.errors import InputError, knowing
@@ -184,7 +184,8 @@ def make_scenario(
     options
         What :func:`~animarl_envs.species.options.with_options` takes: ``num_pursuers``,
         ``arena``, ``contact_radius``, ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
-        With fewer pursuers than recorded, the first ones' recordings are used.
+        With fewer pursuers than recorded, the first ones' recordings are used. With more, only
+        the species is made from the recordings, and ``start`` must be ``"uniform"`` or positions.
 
     Raises
     ------
@@ -196,20 +197,17 @@ def make_scenario(
     loaded = _load_demos(demos, spec)
     if loaded is not None and spec is not None:
         refuse_other_species(loaded, spec.name)
+    more = _more_pursuers(loaded, options.get("num_pursuers"), start)
+    if more and loaded is not None:
+        spec, loaded = spec or _recorded_species(loaded), None
+        options.setdefault("dt", spec.dt)
     if loaded is not None and options.get("num_pursuers") is not None:
         if spec is not None:
             with_options(spec, num_pursuers=options["num_pursuers"])  # refused as without demos
         loaded = first_pursuers(loaded, options.pop("num_pursuers"))
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
-        from animarl_envs.fitting.custom_species import species_of
-
-        if loaded is None:
-            raise InputError(
-                "the custom species is made from demonstrations: give demos=, a file or a "
-                "Demonstrations object"
-            )
-        spec = species_of(loaded)
+        spec = _recorded_species(loaded)
     if loaded is not None and split is not None:
         loaded = loaded.select(split=split)
     if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
@@ -236,6 +234,25 @@ def make_scenario(
         observation_delay=observation_delay,
         split=None if loaded is None else split,
     )
+
+
+def _more_pursuers(demos: Demonstrations | None, count: Any, start: Any) -> bool:
+    """Whether more pursuers are asked for than were recorded, where nobody follows a recording."""
+    if demos is None or start is None or (isinstance(start, str) and start == "demo"):
+        return False
+    recorded = demos.roles.count("pursuer")
+    return recorded > 0 and is_whole(count) and bool(count > recorded)
+
+
+def _recorded_species(demos: Demonstrations | None) -> Species:
+    from animarl_envs.fitting.custom_species import species_of
+
+    if demos is None:
+        raise InputError(
+            "the custom species is made from demonstrations: give demos=, a file or a "
+            "Demonstrations object"
+        )
+    return species_of(demos)
 
 
 def refuse_other_species(demos: Demonstrations, species: str, option: str = "species") -> None:

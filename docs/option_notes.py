@@ -73,7 +73,8 @@ NOTES: dict[str, tuple[str, str]] = {
 CHASE_ONLY: dict[str, tuple[str, str]] = {
     "num_pursuers": (
         "a whole number, at least 1",
-        "how many pursue; with demonstrations the first ones, at most as many as were recorded",
+        "how many pursue; with demonstrations the first ones; more than were recorded start "
+        'anywhere (`start="uniform"`)',
     ),
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
     "senses_centre": (

@@ -77,7 +77,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"locomotion": {"prey": "fast"}}, "locomotion of prey is 'fast'"),
     ("agent", {"locomotion": (Locomotion(0.1, 1.0),) * 2}, "give one Locomotion"),
     # demonstrations
-    ("agent", {"num_pursuers": 3}, "holds 2 pursuers: choose at most 2, or demos=None"),
+    ("agent", {"num_pursuers": 3}, "holds 2 pursuers: choose at most 2, or start='uniform'"),
     ("silkmoth", {"num_pursuers": 2}, "num_pursuers does not apply to silkmoth"),
     ("agent", {"split": "holdout"}, "split 'holdout' is unknown"),
     ("agent", {"demos": "absent.npz"}, "absent.npz: there is no such file"),

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from animarl_envs.demos import assign_splits
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
@@ -102,7 +103,7 @@ def test_confidence_and_centroid() -> None:
     cleaned, done = clean(given, Cleaning(min_confidence=0.5))
     np.testing.assert_array_equal(cleaned.bodies[:, 0, 0], [1.0, 0.0, np.nan, 1.0])
     assert done["below_confidence"] == 3 and done["untracked"] == 1
-    head, _ = clean(given, Cleaning(keypoint="head"))
+    head, _ = clean(given, Cleaning(keypoint="head", min_confidence=0))
     assert (head.bodies == 0).all()
     with pytest.raises(InputError, match="no keypoint 'nose'"):
         clean(given, Cleaning(keypoint="nose"))
@@ -113,7 +114,7 @@ def test_confidence_and_centroid() -> None:
 def test_scaling_is_invertible_and_fills_the_arena(shape: str, flip: bool) -> None:
     bodies = np.random.default_rng(1).uniform(100, 900, (200, 2, 2))
     settings = Scaling(shape=shape, flip_y=flip, units_per_arena_unit=1000.0)  # type: ignore[arg-type]
-    scale = scale_of(tracks(bodies), settings)
+    scale = scale_of([tracks(bodies)], settings)
     scaled = scale.to_arena(bodies)
     np.testing.assert_allclose(scale.to_file(scaled), bodies, atol=1e-10)
     assert Scale.from_dict(scale.to_dict()) == scale
@@ -183,7 +184,9 @@ def test_event_tables(tmp_path: Path) -> None:
     settings = Cutting(mode="events", events=str(table))
     first, second = cut_episodes(approach_path(), CHASE, 10.0, settings, "r")
     assert (first.start, first.stop, first.condition, first.outcome) == (10, 21, 1, 1)
-    assert (second.start, second.outcome) == (30, 0)
+    assert (second.start, second.outcome) == (30, UNFINISHED)
+    near = replace(settings, contact=0.9)  # what happened at the cut, where the table is silent
+    assert cut_episodes(approach_path(), CHASE, 10.0, near, "r")[1].outcome == 1
     table.write_text("recording,start,end\nr,1,99\n")
     with pytest.raises(InputError, match=r"events.csv: line 2 lies outside r \(6.100 s\)"):
         cut_episodes(approach_path(), CHASE, 10.0, settings, "r")

@@ -38,6 +38,19 @@ def test_start_of_the_help_imports_nothing_heavy() -> None:
         assert name in done.stdout and place.summary()[:20] in done.stdout
 
 
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "benchmark"])
+def test_start_of_the_help_of_a_command_imports_no_learners(name: str) -> None:
+    program = (
+        "import sys\ntry:\n    from animarl_algos.cli.main import main; main()\n"
+        "finally:\n    print(sorted(m for m in sys.modules if '.' not in m), file=sys.stderr)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, name, "--help"], capture_output=True, text=True, check=True
+    )
+    learning = {"torch", "stable_baselines3", "sb3_contrib", "sklearn", "matplotlib"}
+    assert not learning & set(ast.literal_eval(done.stderr))
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_start_of_a_command_is_as_listed(name: str) -> None:
     root: Any = typer.main.get_command(app)
@@ -74,6 +87,9 @@ def test_completion_offers_what_there_is(tmp_path: Any, monkeypatch: pytest.Monk
     (tmp_path / "flies" / "a.npz").touch()
     assert completion.demonstrations("f") == ["fly", "flies/"]
     assert completion.demonstrations("flies/") == ["flies/a.npz"]
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / "settings.json").touch()
+    assert completion.runs("f") == ["first", "flies/"]
 
 
 class Terminal(io.StringIO):

@@ -54,7 +54,9 @@ def test_import_writes_demonstrations_and_a_recipe_that_repeats_them(tmp_path: P
 def test_dry_import_says_what_it_understood_and_writes_nothing(tmp_path: Path) -> None:
     clip = write_slp(tmp_path)
     before = sorted(tmp_path.iterdir())
-    said = animarl("import", clip, "--source", "sleap", "--fps", 25, "--dry-run")
+    said = animarl(
+        "import", clip, "--source", "sleap", "--fps", 25, "--target", "none", "--dry-run"
+    )
     assert "male (pursuer), female (pursuer)" in said and "nothing was written" in said
     assert "head, thorax; used: centroid" in said
     assert sorted(tmp_path.iterdir()) == before

@@ -216,6 +216,14 @@ def test_scale_bar_is_round(longest, unit, length, label):
     assert text == label
 
 
+def test_scale_bar_has_the_unit_of_the_recordings(renderer):
+    """An arena of half a metre: a bar of 10 cm, as long as one of 0.2 units."""
+    scene = make_scene(arena=Arena("square"))
+    told = dataclasses.replace(scene, unit="cm", per_arena_unit=50.0)
+    drawn = (renderer.draw(told) != renderer.draw(scene))[:SIZE]
+    assert drawn.any() and not drawn[: SIZE // 2].any()
+
+
 def test_text_strip_tells_time_rewards_and_ending(renderer):
     plain = renderer.draw(make_scene(title="Chase"))
     for change in ({"time": 3.0}, {"rewards": np.ones(2)}, {"note": "time limit"}, {"step": 7}):

@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from animarl_algos.evaluation.motion import Unit
 from animarl_algos.report.figures import shared_bins
 from animarl_algos.report.interpretation import advantage, value_map, values_along_path
 from animarl_algos.report.learning_curves import chosen_curves
@@ -17,6 +16,7 @@ from animarl_algos.report.path_figures import bar_length, trajectory_pair
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
+from animarl_envs.demos.units import Unit
 from animarl_envs.errors import InputError
 
 MM = Unit("mm", 4.0)

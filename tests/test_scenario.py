@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,11 +61,24 @@ def test_only_the_chosen_split_is_handed_out() -> None:
 
 
 def test_more_pursuers_than_recorded_are_refused() -> None:
-    with pytest.raises(InputError, match="holds 2 pursuers: choose at most 2, or demos=None"):
+    with pytest.raises(InputError, match="holds 2 pursuers: choose at most 2, or start='uniform'"):
         make_scenario("agent", num_pursuers=3)
     scenario = make_scenario("agent", num_pursuers=5, demos=None)
     assert not scenario.paired
     assert len(scenario.names) == 6
+
+
+def test_more_of_ones_own_pursuers_than_recorded_start_anywhere() -> None:
+    """Own data has no ``demos=None``: the species is made from it all the same."""
+    demos = replace(load_packaged("agent"), species="custom")
+    with pytest.raises(InputError, match="or start='uniform'"):
+        make_scenario("custom", demos=demos, num_pursuers=4)
+    scenario = make_scenario("custom", demos=demos, num_pursuers=4, start="uniform")
+    assert not scenario.paired and len(scenario.names) == 5
+    recorded = make_scenario("custom", demos=demos).species
+    fitted = scenario.species.locomotion
+    assert fitted[:2] == fitted[2:4] == recorded.locomotion[:2]
+    assert fitted[-1] == recorded.locomotion[-1] and scenario.species.arena == recorded.arena
 
 
 def test_fewer_pursuers_replay_the_first_ones() -> None:

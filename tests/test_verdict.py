@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
 
-from animarl_algos.evaluation.motion import MEASURES, SlowSpeeds, episode_measures, unit_of
+from animarl_algos.evaluation.motion import MEASURES, SlowSpeeds, episode_measures
 from animarl_algos.evaluation.null import Exchanges
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import LIKE, WORSE, Verdict, verdict
 from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
+from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
 
 

@@ -43,13 +43,13 @@ def chase(rng: np.random.Generator) -> NDArray[np.float64]:
     return np.stack(path)
 
 
-def write(out: Path = OUT) -> Path:
+def write(out: Path = OUT, chases: int = CHASES) -> Path:
     """Write the table: recording, time [s], individual, x and y [px]."""
     rng = np.random.default_rng(SEED)
     with write_then_rename(out) as part, part.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["recording", "time", "individual", "x", "y"])
-        for number in range(CHASES):
+        for number in range(chases):
             for frame, bodies in enumerate((chase(rng) + 1) * PIXELS):
                 for who, (x, y) in zip(("chaser", "bait"), bodies, strict=True):
                     place = (f"{x:.1f}", f"{y:.1f}")

@@ -59,6 +59,12 @@ def demonstrations(incomplete: str) -> list[str]:
     return _files(packaged_names(), incomplete)
 
 
+def runs(incomplete: str) -> list[str]:
+    """Folders, a run's own without a slash behind it."""
+    found = [name for name in _files((), incomplete) if name.endswith("/")]
+    return [name[:-1] if (Path(name) / "settings.json").exists() else name for name in found]
+
+
 species = _offering(lambda: (*SPECIES, CUSTOM))
 environments = _offering(lambda: (environment_id(name) for name in (*SPECIES, CUSTOM)))
 recipes = _offering(_recipes)

@@ -15,6 +15,7 @@ from rich.text import Text
 from animarl_algos.cli import completion
 from animarl_algos.cli.describing import Row, demonstrations_at_a_glance, hints
 from animarl_algos.cli.lazy import SETTINGS
+from animarl_algos.cli.merging import merge_command
 from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
@@ -46,7 +47,7 @@ OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
 
 @app.callback()
 def data_commands() -> None:
-    """Look at, check, split, convert and plot demonstrations."""
+    """Look at, check, split, merge, convert and plot demonstrations."""
 
 
 @app.command("sources")
@@ -129,6 +130,9 @@ def split_command(
     settings = Splitting(by=by, pattern=pattern, fractions=shares, seed=seed)  # type: ignore[arg-type]
     demos = load(file)
     report(deal(demos, settings), out, None)
+
+
+app.command("merge")(merge_command)
 
 
 @app.command("convert")

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
 from animarl_envs.demos.summary import TRACKING, episode_table, summarise
+from animarl_envs.demos.units import unit_of
+from animarl_envs.importing.cleaning import LIKELY
 from animarl_envs.importing.import_recipe import ImportRecipe
 
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
@@ -48,12 +51,15 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
     if len(keypoints) > 1:
         used = {one.get("keypoint") for one in demos.provenance.get("cleaning", {}).values()}
         rows.append(("keypoints", f"{', '.join(keypoints)}; used: {', '.join(map(str, used))}"))
+    unit = unit_of(demos)
+    scale = unit.per_arena_unit
     for name in demos.individuals:
         speed = found[f"speed of {name}"]
         rows.append(
             (
                 f"speed of {name}",
-                f"median {speed['median']:.3g}, 99th percentile {speed['99 %']:.3g} units/s, "
+                f"median {scale * speed['median']:.3g}, 99th percentile "
+                f"{scale * speed['99 %']:.3g} {unit.name}/s, "
                 f"at rest {speed['resting']:.0%} of the time",
             )
         )
@@ -63,7 +69,10 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
         first = float(np.median([row["first_distance"] for row in table]))
         least = float(np.median([row["least_distance"] for row in table]))
         rows.append(
-            (f"distance to the {to}", f"first {first:.3g}, least {least:.3g} units (medians)")
+            (
+                f"distance to the {to}",
+                f"first {scale * first:.3g}, least {scale * least:.3g} {unit.name} (medians)",
+            )
         )
     for condition in np.unique(demos.condition):
         outcomes = found[f"outcomes, condition {condition}"]
@@ -85,7 +94,9 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
     """What an import is going to do, line by line."""
     clean, scale, cut, split = recipe.cleaning, recipe.scaling, recipe.cutting, recipe.splitting
     cleaning = [f"keypoint {clean.keypoint}"]
-    if clean.min_confidence is not None:
+    if clean.min_confidence is None:
+        cleaning.append(f"likelihoods below {LIKELY:g} not used")
+    elif clean.min_confidence:
         cleaning.append(f"confidence of at least {clean.min_confidence:g}")
     cleaning.append(
         f"gaps of up to {clean.max_gap:g} s filled" if clean.max_gap else "gaps not filled"
@@ -94,10 +105,18 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
     cutoff = clean.smoothing_cutoff
     cleaning.append(f"smoothed at {cutoff:g} Hz" if cutoff else "not smoothed")
     if scale.shape == "open":
-        scaling = f"open field, {scale.units_per_arena_unit:g} of the file's units to an arena unit"
+        units = scale.units_per_arena_unit
+        size = "half the extent of all recordings" if units is None else f"{units:g} file units"
+        scaling = f"open field, {size} to an arena unit"
     else:
-        size = "each recording's extent" if scale.width is None else f"{scale.width:g} units wide"
+        unit = "units of the file" if scale.px_per_cm is None else "cm"
+        extent = "each recording's own extent" if scale.each else "the extent of all recordings"
+        size = extent if scale.width is None else f"{scale.width:g} {unit} wide"
         scaling = f"{scale.shape}, {size}"
+        if scale.centre is not None:
+            scaling += f" around ({scale.centre[0]:g}, {scale.centre[1]:g})"
+    if scale.px_per_cm is not None:
+        scaling += f", {scale.px_per_cm:g} of the file's units to 1 cm"
     if cut.mode == "approach":
         cutting = (
             f"from farther than {cut.farther_than:g} to closer than {cut.closer_than:g} arena units"
@@ -135,25 +154,85 @@ def hints(demos: Demonstrations) -> list[str]:
     if sizes and max(sizes) > UNLIKE * min(sizes):
         found.append(
             f"SCALES DIFFER: an arena unit is {min(sizes):.4g} to {max(sizes):.4g} "
-            f"{demos.provenance.get('unit', 'units of the file')}, each recording by its own "
-            "extent, so speeds of different recordings do not compare: give one --arena-width"
+            f"{demos.provenance.get('unit', 'units of the file')}, by recording, so speeds of "
+            "different recordings do not compare: leave --scale-each out, or give one --arena-width"
         )
-    tested = int((demos.split == "test").sum())
-    if tested < FEWEST_TESTED:
-        found.append(
-            f"split test has {_count(tested, 'episode')}, fewer than {FEWEST_TESTED}, so that an "
-            "evaluation says little: record more, or cut shorter pieces by --piece SECONDS"
-        )
+    ignored = demos.provenance.get("metadata_ignored", [])
+    if ignored:
+        found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
+    found += _thin_splits(demos)
     unfilled = sum(
-        one.get("untracked", 0) - one.get("filled", 0)
-        for one in demos.provenance.get("cleaning", {}).values()
+        one.get("untracked", 0) - one.get("filled", 0) for one in _cleaning(demos).values()
     )
     if unfilled:
         found.append(
             f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
             "--max-gap SECONDS"
         )
-    return found + _flags(demos.provenance.get("cleaning", {}))
+    return found + _flags(_cleaning(demos))
+
+
+def found_by_itself(demos: Demonstrations) -> list[str]:
+    """What an import decided because nobody stated it."""
+    found = []
+    recipe: Mapping[str, Any] = demos.provenance.get("recipe", {})
+    if recipe.get("target") == "auto" and "target" in demos.roles:
+        others = ", ".join(demos.individuals[:-1])
+        found.append(
+            f"{demos.individuals[-1]} is taken for the target, since {others} approach it most: "
+            "otherwise name who is pursued by --target NAME, or --target none"
+        )
+    contact = demos.provenance.get("contact_radius")
+    if contact is not None and not recipe.get("cutting", {}).get("contact"):
+        found.append(
+            f"coming within {contact:.3g} arena units of the target{_in_units(demos, contact)} "
+            "ends most recordings, so it is taken for contact: otherwise give --contact DISTANCE, "
+            "or --contact 0 for none"
+        )
+    below = sum(one.get("below_confidence", 0) for one in _cleaning(demos).values())
+    limits = {one["confidence_of_at_least"] for one in _cleaning(demos).values()
+              if "confidence_of_at_least" in one}  # fmt: skip
+    if limits and recipe.get("cleaning", {}).get("min_confidence") is None:
+        found.append(
+            f"{_count(below, 'point')} of a likelihood below {max(limits):g} were not used: "
+            "otherwise give --min-confidence, 0 for all points"
+        )
+    return found
+
+
+def _in_units(demos: Demonstrations, length: float) -> str:
+    """The same length in the recordings' unit, in brackets; nothing where they differ in scale."""
+    sizes = {float(scale["unit"]) for scale in demos.provenance.get("scales", {}).values()}
+    if len(sizes) != 1:
+        return ""
+    return f" ({length * sizes.pop():.4g} {demos.provenance.get('unit', 'units of the file')})"
+
+
+def _cleaning(demos: Demonstrations) -> Mapping[str, Any]:
+    done: Mapping[str, Any] = demos.provenance.get("cleaning", {})
+    return done
+
+
+def _thin_splits(demos: Demonstrations) -> list[str]:
+    """Splits from which little can be said, each by name."""
+    found = []
+    counts = {split: int((demos.split == split).sum()) for split in SPLITS}
+    tested = counts["test"]
+    if tested < FEWEST_TESTED:
+        found.append(
+            f"split test has {_count(tested, 'episode')}, fewer than {FEWEST_TESTED}, so that an "
+            "evaluation says little: record more, or cut shorter pieces by --piece SECONDS"
+        )
+    conditions = np.unique(demos.condition)
+    for split, count in counts.items():
+        there = np.unique(demos.condition[demos.split == split])
+        missing = [str(one) for one in conditions if one not in there]
+        if count and missing:
+            found.append(
+                f"split {split} has no episode of condition {', '.join(missing)}: deal again by "
+                "another --split-seed, or say the splits in a --metadata table"
+            )
+    return found
 
 
 def _flags(cleaning: Mapping[str, Any]) -> list[str]:

@@ -1,4 +1,7 @@
-"""``animarl evaluate``, ``counterfactual`` and ``inspect``: they look at runs and train nothing."""
+"""``animarl evaluate``, ``counterfactual`` and ``inspect``: they look at runs and train nothing.
+
+What they look with is imported when they run: their help waits for none of it.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,13 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from animarl_algos.report.terminal import evaluation_table
-from animarl_algos.report.verdict_section import verdict_table
-from animarl_algos.runs import pipeline
-from animarl_algos.runs.asking import counterfactual_runs
-from animarl_algos.runs.evaluating import PAGE, evaluate_runs
-from animarl_algos.runs.inspecting import inspect_run
-from animarl_algos.runs.rolling_out import lacking
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.cli import completion
 from animarl_envs.errors import InputError
 
-Runs = Annotated[list[Path], typer.Argument(help="Run folders, of methods and seeds.")]
+Runs = Annotated[
+    list[Path],
+    typer.Argument(help="Run folders, of methods and seeds.", autocompletion=completion.runs),
+]
 Out = Annotated[Path, typer.Option(help="Folder for tables, figures and report.html.")]
 
 
@@ -48,6 +47,13 @@ def evaluate_command(
 
       animarl evaluate runs/bc-0 runs/bc-1 runs/dqdil-pt-0 runs/dqdil-pt-1 --out out/eval
     """
+    from animarl_algos.report.terminal import evaluation_table
+    from animarl_algos.report.verdict_section import verdict_table
+    from animarl_algos.runs import pipeline
+    from animarl_algos.runs.evaluating import evaluate_runs
+    from animarl_algos.runs.rolling_out import lacking
+    from animarl_algos.runs.run_folder import RunFolder
+
     console = _console()
     if out is not None:
         if acting is not None:
@@ -91,6 +97,8 @@ def counterfactual_command(
 
       animarl counterfactual runs/dqcil-pt-0 runs/dqdil-pt-0 --out out/cf
     """
+    from animarl_algos.runs.asking import counterfactual_runs
+
     found = counterfactual_runs(runs, out, truth=truth, repetitions=repetitions)
     console = _console()
     for _, row in found.effects.claims.iterrows():
@@ -102,7 +110,10 @@ def counterfactual_command(
 
 
 def inspect_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
+    run: Annotated[
+        Path,
+        typer.Argument(help="A run folder that was evaluated.", autocompletion=completion.runs),
+    ],
     episode: Annotated[
         int, typer.Option(min=0, help="Number of the demonstration in the test split, from 0.")
     ],
@@ -114,6 +125,8 @@ def inspect_command(
 
       animarl inspect runs/agents --episode 3 --out out/inspect
     """
+    from animarl_algos.runs.inspecting import inspect_run
+
     inspect_run(run, episode, out)
     _say(_console(), [], out)
 
@@ -122,6 +135,8 @@ def _say(console: Console, missing: list[str], out: Path | None) -> None:
     for sentence in missing:
         console.print(sentence, soft_wrap=True, highlight=False, markup=False)
     if out is not None:
+        from animarl_algos.runs.evaluating import PAGE
+
         console.print(f"Open {out / PAGE}", soft_wrap=True, highlight=False, markup=False)
 
 

@@ -12,20 +12,16 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from animarl_algos.cli import completion
 from animarl_algos.cli.data import load
 from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.cli.thrusts import (
-    format_thrust_table,
-    parse_thrusts,
-    save_thrust_rows,
-    thrust_rows,
-)
-from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
+from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.fitting.doubts import doubts
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method
 from animarl_envs.species import get_species
@@ -46,13 +42,24 @@ class MethodChoice(StrEnum):
 
 def fit_command(
     file: Annotated[
-        str, typer.Argument(help="Demonstrations, a file that a reader knows, or a packaged set.")
+        str,
+        typer.Argument(
+            help="Demonstrations, a file that a reader knows, or a packaged set.",
+            autocompletion=completion.demonstrations,
+        ),
     ],
     source: Annotated[
-        str | None, typer.Option(help="Reader; by default found by a look at the file.")
+        str | None,
+        typer.Option(
+            help="Reader; by default found by a look at the file.",
+            autocompletion=completion.sources,
+        ),
     ] = None,
     species: Annotated[
-        str | None, typer.Option(help="Take the onset threshold of this species.")
+        str | None,
+        typer.Option(
+            help="Take the onset threshold of this species.", autocompletion=completion.species
+        ),
     ] = None,
     method: Annotated[
         MethodChoice,
@@ -94,6 +101,8 @@ def fit_command(
     console = PlainConsole(least_width=TABLE_WIDTH)
     chosen = None if split == "all" else split
     if thrusts:
+        from animarl_algos.cli.thrusts import parse_thrusts
+
         if method is not MethodChoice.joint:
             raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
         compare_thrusts(demos, parse_thrusts(thrusts), chosen, seed, console, out)
@@ -117,7 +126,7 @@ def fit_command(
             continue
         fits.append(fit)
         console.print(format_fit_table(fit, demos))
-        for sentence in noise_warnings(fit, demos):
+        for sentence in [*doubts(fit, demos), *noise_warnings(fit, demos)]:
             console.print(sentence, style="yellow", highlight=False, soft_wrap=True)
     if out is not None:
         save_fits(fits, out)
@@ -136,6 +145,9 @@ def compare_thrusts(
 
     Also says which number ``animarl run`` chooses, among those that it tries.
     """
+    from animarl_algos.cli.thrusts import format_thrust_table, save_thrust_rows, thrust_rows
+    from animarl_algos.evaluation.thrust_choice import choose_thrusts
+
     if out is not None and out.suffix == ".json" and len(numbers) > 1:
         raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
     seen = demos if split is None else demos.select(split=split)
@@ -167,7 +179,7 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
         f"v' = (1 - d) v + u a dt, dt = {fit.dt:g} s; {fit.individuals[0].steps} steps of "
         f"{fit.episodes}{kind} episodes ({fit.fitted_on}); velocity RMSE on "
         f"{fit.validation_episodes} ({fit.validated_on}); 95 % intervals over {fit.bootstrap} "
-        "resamples of episodes. Lengths in arena units."
+        "resamples of episodes. Lengths in " + _lengths(demos)
     )
     title = f"Locomotion of {fit.species}, {fit.method} fit"
     if fit.onset_threshold is not None:
@@ -193,6 +205,14 @@ def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) ->
             *([] if one.tracking_noise is None else [f"{one.tracking_noise:.2g}"]),
         )
     return table
+
+
+def _lengths(demos: Demonstrations | None) -> str:
+    """The unit of the table, and what it is of the recordings' own."""
+    unit = RECORDED_SCALE if demos is None else unit_of(demos)
+    if unit == RECORDED_SCALE:
+        return "arena units."
+    return f"arena units of {unit.per_arena_unit:.4g} {unit.name}."
 
 
 def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 import yaml
 from rich.console import Console
@@ -13,12 +15,14 @@ from rich.progress import Progress
 
 from animarl_algos.cli import completion
 from animarl_algos.cli.data import report, show_rows, wide_console
-from animarl_algos.cli.describing import hints, understood
+from animarl_algos.cli.describing import found_by_itself, hints, understood
 from animarl_envs.errors import InputError
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, find_reader, follow, read
+from animarl_envs.importing.roles import AUTO
 
 SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
+NOBODY = "none"  # is the target
 
 
 def import_command(
@@ -44,14 +48,31 @@ def import_command(
         bool | None, typer.Option("--merge-individuals", help="One file per animal: put together.")
     ] = None,
     target: Annotated[
-        str | None, typer.Option(help="Name of the pursued individual, or auto: who is approached.")
+        str | None,
+        typer.Option(help="The pursued individual; auto (default): who is approached; none."),
+    ] = None,
+    metadata: Annotated[
+        Path | None,
+        typer.Option(
+            help="Table of recordings: recording, and condition, split, target, px_per_cm, or a "
+            "row for each individual and role."
+        ),
+    ] = None,
+    name_pattern: Annotated[
+        str | None,
+        typer.Option(
+            help="The same from names of recordings: '(?P<condition>sham|drug)_(?P<split>train)'."
+        ),
     ] = None,
     keypoint: Annotated[str | None, typer.Option(help="Body part, or centroid.")] = None,
     drop_jumps: Annotated[
         bool | None,
         typer.Option("--drop-jumps/--keep-jumps", help="Make gaps of jumps, or only flag them."),
     ] = None,
-    min_confidence: Annotated[float | None, typer.Option(help="Below it: not tracked.")] = None,
+    min_confidence: Annotated[
+        float | None,
+        typer.Option(help="Below it: not tracked. Default: 0.6 of likelihoods; 0: all are used."),
+    ] = None,
     max_gap: Annotated[float | None, typer.Option(help="Fill gaps up to so many seconds.")] = None,
     smoothing: Annotated[
         float | None, typer.Option(help="Low-pass cutoff in Hz (Butterworth, zero phase); 0: none.")
@@ -60,11 +81,22 @@ def import_command(
     arena_width: Annotated[
         float | None, typer.Option(help="Side or diameter in the file's unit; default: extent.")
     ] = None,
+    centre: Annotated[
+        str | None, typer.Option(help="Of the arena, x,y in the file's unit; default: of extent.")
+    ] = None,
+    px_per_cm: Annotated[
+        float | None, typer.Option(help="The file's units to 1 cm; all lengths then are in cm.")
+    ] = None,
+    scale_each: Annotated[
+        bool | None,
+        typer.Option("--scale-each", help="Each recording by its own extent, not all by one."),
+    ] = None,
     boundary: Annotated[
         float | None, typer.Option(help="Beyond it an individual is out, in arena units.")
     ] = None,
     units: Annotated[
-        float | None, typer.Option(help="Open arena: the file's units per arena unit.")
+        float | None,
+        typer.Option(help="Open arena: the file's units per arena unit; default: extent."),
     ] = None,
     cut: Annotated[str | None, typer.Option(help="whole, approach or events.")] = None,
     farther_than: Annotated[
@@ -80,7 +112,7 @@ def import_command(
         ),
     ] = None,
     contact: Annotated[
-        float | None, typer.Option(help="whole: ends within this, in arena units.")
+        float | None, typer.Option(help="whole, events: ends within this, in arena units; 0: none.")
     ] = None,
     piece: Annotated[float | None, typer.Option(help="whole: cut into pieces, s.")] = None,
     longest: Annotated[float | None, typer.Option(help="Leave longer episodes out, s.")] = None,
@@ -90,6 +122,9 @@ def import_command(
     species: Annotated[str | None, typer.Option(help="Species they belong to.")] = None,
     condition: Annotated[int | None, typer.Option(help="0 or 1, of all episodes.")] = None,
     licence: Annotated[str | None, typer.Option(help="Of the recordings.")] = None,
+    synthetic: Annotated[
+        bool | None, typer.Option("--synthetic", help="No animal was recorded: say so everywhere.")
+    ] = None,
     split_by: Annotated[str | None, typer.Option(help="auto, recording, episode or group.")] = None,
     split_pattern: Annotated[
         str | None, typer.Option(help="group: regular expression with a (group).")
@@ -107,6 +142,8 @@ def import_command(
 
       animarl import pairs.csv --fps 30 --target auto --decision-rate 10 --out demos.npz
 
+      animarl import *.csv --fps 30 --metadata sessions.csv --px-per-cm 14.2 --out demos.npz
+
       animarl import more.csv --recipe demos.recipe.yaml --out more.npz
     """
     if out is not None and out.suffix != ".npz":
@@ -118,18 +155,23 @@ def import_command(
         if len(files) > 1:
             raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
         finished = read(files[0], reader.name, **_options(option))
-        report(finished, out, None)
+        if condition is not None:
+            finished = replace(finished, condition=np.full(len(finished), condition, dtype=np.int8))
+        report(finished, None if dry_run else out, None)
         return
     given: dict[str, Any] = {
         "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
         "merge_individuals": merge_individuals,
-        "condition": condition, "licence": licence, "options": _options(option) or None,
+        "metadata": str(metadata) if metadata else None, "name_pattern": name_pattern,
+        "condition": condition, "licence": licence, "synthetic": synthetic,
+        "options": _options(option) or None,
         "cleaning": {
             "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,
             "smoothing_cutoff": smoothing, "drop_jumps": drop_jumps,
         },
         "scaling": {"shape": arena, "width": arena_width, "units_per_arena_unit": units,
-            "boundary": boundary,
+            "boundary": boundary, "centre": _centre(centre), "px_per_cm": px_per_cm,
+            "each": scale_each,
         },
         "cutting": {
             "mode": cut or ("approach" if farther_than else "events" if events else None),
@@ -148,7 +190,12 @@ def import_command(
         given["individuals"] = [name for name, _, _ in pairs]
         given["rename"] = {name: new for name, _, new in pairs if new} or None
     base = ImportRecipe.load(recipe) if recipe is not None else default_recipe(reader)
-    plan = ImportRecipe.from_dict(_merged(base.to_dict(), given), "the options given")
+    if recipe is None and target is None and base.target is None and not base.searcher:
+        given["target"] = AUTO
+    record = _merged(base.to_dict(), given)
+    if target == NOBODY:
+        record["target"] = None
+    plan = ImportRecipe.from_dict(record, "the options given")
     with Progress(transient=True, console=Console(stderr=True)) as bar:
         task = bar.add_task(f"Reading {len(files)} file(s)", total=1.0)
 
@@ -161,10 +208,20 @@ def import_command(
         show_rows("What is understood", understood(plan, reader.name, files))
     report(demos, None if dry_run else out, plan)
     console = wide_console()
-    for hint in hints(demos):
+    for hint in [*found_by_itself(demos), *hints(demos)]:
         console.print(f"hint: {hint}", highlight=False, soft_wrap=True)
     if dry_run:
         console.print("Dry run: nothing was written.")
+
+
+def _centre(given: str | None) -> list[float] | None:
+    if given is None:
+        return None
+    try:
+        x, y = (float(part) for part in given.split(","))
+    except ValueError:
+        raise InputError(f"centre is {given!r}: give x and y, as 512,384") from None
+    return [x, y]
 
 
 def _options(given: list[str] | None) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""``animarl run``, ``train`` and ``report``: from recordings to a page."""
+"""``animarl run``, ``train`` and ``report``: from recordings to a page.
+
+What learns and draws is imported when a command runs: its help waits for none of it.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,19 @@ import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
 from rich.text import Text
 
-from animarl_algos.cli.fit import format_fit_table
+from animarl_algos.cli import completion
 from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.report.terminal import evaluation_table
-from animarl_algos.report.verdict_section import verdict_table
-from animarl_algos.runs import pipeline
-from animarl_algos.runs.run_folder import RunFolder
-from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
-from animarl_envs import environment_id
 from animarl_envs.errors import InputError
-from animarl_envs.species import CUSTOM, SPECIES
+
+if TYPE_CHECKING:
+    from animarl_algos.runs.run_folder import RunFolder
 
 
 @with_run_options(before="settings")
@@ -47,18 +46,31 @@ def run_command(
 
       animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
     """
+    from animarl_algos.cli.fit import format_fit_table
+    from animarl_algos.evaluation.plausibility import implausible
+    from animarl_algos.report.terminal import evaluation_table
+    from animarl_algos.report.verdict_section import verdict_table
+    from animarl_algos.report.words import Words
+    from animarl_algos.runs import pipeline
+    from animarl_envs.fitting.doubts import doubts
+
     console = _console()
     run = _open(context.params)
     _say(console, "1/4", "fitting locomotion")
-    console.print(format_fit_table(pipeline.fit(run), run.demos))
+    fit = pipeline.fit(run)
+    console.print(format_fit_table(fit, run.demos))
+    for sentence in doubts(fit, run.demos):
+        _warn(console, sentence)
     _say(console, "2/4", f"training {run.settings.algo.upper()}")
     pipeline.learn_all(run)
     _say(console, "3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
+    for sentence in implausible(evaluation.verdict):
+        _warn(console, sentence)
     console.print(evaluation_table(evaluation))
     _say(console, "4/4", "writing the report")
     page = pipeline.report(run)
-    console.print(verdict_table(evaluation.verdict))
+    console.print(verdict_table(evaluation.verdict, Words.of(run.demos)))
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
 
 
@@ -81,6 +93,9 @@ def train_command(
 
       animarl train --env AnimaRL/Agent-v0 --algo dqn --focal prey --policy MlpPolicy
     """
+    from animarl_algos.runs import pipeline
+    from animarl_algos.runs.run_folder import RunFolder
+
     console = _console()
     if resume is not None:
         _refuse_beside_resume(context)
@@ -93,7 +108,10 @@ def train_command(
 
 
 def report_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
+    run: Annotated[
+        Path,
+        typer.Argument(help="A run folder that was evaluated.", autocompletion=completion.runs),
+    ],
 ) -> None:
     """Write the report of a run again.
 
@@ -101,6 +119,9 @@ def report_command(
 
       animarl report runs/agents
     """
+    from animarl_algos.runs import pipeline
+    from animarl_algos.runs.run_folder import RunFolder
+
     _console().print(f"Open {pipeline.report(RunFolder(run))}", soft_wrap=True, highlight=False)
 
 
@@ -126,6 +147,11 @@ def parse_settings(given: list[str] | None) -> dict[str, Any]:
 
 def _open(given: dict[str, Any]) -> RunFolder:
     """The run folder that a command's parameters ask for; refused before it is made."""
+    from animarl_algos.runs import pipeline
+    from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
+    from animarl_envs import environment_id
+    from animarl_envs.species import CUSTOM, SPECIES
+
     file, source = given["file"], given["source"]
     species = asked_species(given["env"], given["species"])
     demos = pipeline.load_demonstrations(file, source, species)
@@ -178,6 +204,10 @@ def _refuse_beside_resume(context: typer.Context) -> None:
 
 def _console() -> PlainConsole:
     return PlainConsole(least_width=128)
+
+
+def _warn(console: PlainConsole, sentence: str) -> None:
+    console.print(f"WARNING: {sentence}", style="bold yellow", soft_wrap=True, highlight=False)
 
 
 def _say(console: PlainConsole, number: str, what: str) -> None:

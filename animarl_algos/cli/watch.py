@@ -22,6 +22,7 @@ from animarl_algos.cli.watch_actors import (
     programmed_actor,
     trained_actor,
 )
+from animarl_algos.cli.watch_beside import HOLD, play_beside
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
@@ -29,7 +30,6 @@ from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
-HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
 
 
@@ -56,7 +56,8 @@ def watch_command(
         ),
     ],
     model: Annotated[
-        Path | None, typer.Option(help="Run folder whose trained policy acts.")
+        Path | None,
+        typer.Option(help="Run folder whose trained policy acts.", autocompletion=completion.runs),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Clip to write, .gif or .mp4; without it, a window opens.")
@@ -93,6 +94,9 @@ def watch_command(
     split: Annotated[
         str, typer.Option(help="Episodes to start from: train, val, test or all.")
     ] = "train",
+    beside: Annotated[
+        bool, typer.Option("--beside", help="The recording beside the simulation, in one clip.")
+    ] = False,
     fps: Annotated[float, typer.Option(help="Steps shown per second.")] = 10.0,
     size: Annotated[int, typer.Option(help="Width of the picture in pixels.")] = 600,
 ) -> None:
@@ -107,12 +111,14 @@ def watch_command(
 
       animarl watch AnimaRL/Agent-v0 --by script --episodes 3
 
-      animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --out clip.mp4
+      animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --beside --out clip.mp4
     """
     if out is not None and out.suffix.lower() not in CLIP_SUFFIXES:
         raise InputError(f"{out}: a clip cannot be written as {out.suffix!r}: use .gif or .mp4")
     if focal is not None and model is None:
         raise InputError("--focal names whom the model drives, but there is no model: give --model")
+    if beside and (model is None or out is None):
+        raise InputError("--beside is a clip of a model and its recording: give --model and --out")
     options = {
         "demos": None if demos == "none" else demos,
         "split": None if split == "all" else split,
@@ -128,7 +134,7 @@ def watch_command(
     with Progress(console=console, transient=True) as progress:
         total = episodes * min(steps or world.scenario.species.time_limit, 10**6)
         task = progress.add_task("step", total=total)
-        pictures = play(
+        pictures = (play_beside if beside else play)(
             world, actor, renderer, episodes=episodes, steps=steps, endings=endings,
             on_step=lambda: progress.advance(task),
         )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -21,6 +22,7 @@ from animarl_envs.worlds.chase.world import observe
 Floats = NDArray[np.float64]
 
 MAP_POINTS = 41  # along each side of the map
+OPEN_MARGIN = 1.1  # of a map of an open field, around where animals went
 
 
 class QPolicy(Protocol):
@@ -50,7 +52,7 @@ class Decisions:
         ``(columns,)`` and ``(rows,)``, where the individual is put, at rest [arena unit].
     map_q, focus
         ``(rows, columns, actions)`` and ``(rows, columns, 2)``: its values there and the direction
-        towards its focus. All four are empty in an open field, where no map is drawn.
+        towards its focus. All four are empty for a searcher, of whom no map is drawn.
     others
         ``(K - 1, 2)``, where the others stand at that moment, the target last if it is one of them.
     """
@@ -171,8 +173,8 @@ def _map(
 
     ``slots`` are the individuals that the policy acts for, ``who`` one of them.
     """
-    side = np.linspace(-species.arena.size, species.arena.size, MAP_POINTS)
-    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    x, y = map_sides(species.arena, one.positions)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     position = np.repeat(one.positions[moment][None], len(places), axis=0)
     velocity = np.repeat(one.velocities()[moment][None], len(places), axis=0)
     position[:, who], velocity[:, who] = places, 0.0
@@ -181,18 +183,35 @@ def _map(
     flat = _flagged(observations[:, slots], one, condition_flag).reshape(rows, -1)
     state = None if memory is None else tuple(np.tile(m.T, len(places)).T for m in memory)
     q_values = policy.advance(flat, state, np.zeros(rows, dtype=bool))[0]
-    shape = (len(side), len(side))
+    shape = (len(y), len(x))
     own = slots.tolist().index(who)
     map_q = q_values.reshape(len(places), len(slots), -1)[:, own].astype(np.float64)
     if species.arena.shape == "disc":
         map_q[np.hypot(places[:, 0], places[:, 1]) > species.arena.size] = np.nan
     return {
-        "x": side,
-        "y": side,
+        "x": x,
+        "y": y,
         "map_q": map_q.reshape(*shape, species.num_actions),
         "focus": np.asarray(focus[:, who]).reshape(*shape, 2),
         "others": np.delete(one.positions[moment], who, axis=0),
     }
+
+
+def map_sides(
+    arena: Arena, positions: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Coordinates of a map ``(MAP_POINTS,)`` along x and y: the arena, or where animals went.
+
+    An open field has no size; its map is a square around all ``positions`` ``(..., 2)``.
+    """
+    centre, half = np.zeros(2), arena.size
+    if arena.shape == "open":
+        places = positions.reshape(-1, 2)
+        low, high = places.min(axis=0), places.max(axis=0)
+        centre = (low + high) / 2
+        half = OPEN_MARGIN * float((high - low).max()) / 2 or arena.size
+    x, y = (np.linspace(c - half, c + half, MAP_POINTS) for c in centre.tolist())
+    return x, y
 
 
 def _flagged(

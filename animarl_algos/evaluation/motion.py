@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +10,14 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
 from animarl_envs.demos.summary import RESTING_SHARE
-from animarl_envs.species import SPECIES
+from animarl_envs.demos.units import RECORDED_SCALE, Unit
 
 Floats = NDArray[np.float64]
 
 SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a slow one
 REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
-PHYSICAL_UNITS = ("mm", "cm", "m")
 
 
 @dataclass(frozen=True)
@@ -68,37 +64,6 @@ MEASURES = (
 )  # fmt: skip
 """In the order of the table. Speeds and turning are means over all individuals; path length is that
 of the pursuers, or of the searcher."""
-
-
-@dataclass(frozen=True)
-class Unit:
-    """The unit that lengths are told in, and how many of it make one arena unit."""
-
-    name: str
-    per_arena_unit: float
-
-
-RECORDED_SCALE = Unit("arena units", 1.0)
-METRES = Unit("m", 1.0)
-
-
-def unit_of(demos: Demonstrations) -> Unit:
-    """The recordings' own unit where their provenance knows it, else the arena unit.
-
-    Recordings with scales of their own are told in their mean scale. Of some species the arena
-    unit is the metre.
-    """
-    species = SPECIES.get(demos.species)
-    unscaled = METRES if species and species.length_unit == "metre" else RECORDED_SCALE
-    name, scales = demos.provenance.get("unit"), demos.provenance.get("scales")
-    if name not in PHYSICAL_UNITS or not isinstance(scales, Mapping) or not scales:
-        return unscaled
-    used = [_scale(scales[r]) for r in np.unique(demos.recording).tolist() if r in scales]
-    return Unit(str(name), float(np.mean(used))) if used else unscaled
-
-
-def _scale(record: Any) -> float:
-    return float(record["unit"])
 
 
 @dataclass(frozen=True, eq=False)

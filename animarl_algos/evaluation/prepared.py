@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.motion import SlowSpeeds, Unit, episode_measures, unit_of
+from animarl_algos.evaluation.motion import SlowSpeeds, episode_measures
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_algos.evaluation.windows import smoothed
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.units import Unit, unit_of
 
 Floats = NDArray[np.float64]
 

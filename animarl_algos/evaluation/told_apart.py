@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.classifier import Telling, among_themselves, tell_apart
-from animarl_algos.evaluation.motion import RECORDED_SCALE, Measure
+from animarl_algos.evaluation.motion import Measure
 from animarl_algos.evaluation.null import Tested
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -24,6 +24,7 @@ from animarl_algos.evaluation.verdict_rows import row_of
 from animarl_algos.evaluation.windows import WINDOW, Windows, resting_step, window_features
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.resolution import rounded
+from animarl_envs.demos.units import RECORDED_SCALE
 from animarl_envs.errors import InputError
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.distances import null_distances
 from animarl_algos.evaluation.energy_score import energy_scores, pooled_score
-from animarl_algos.evaluation.motion import MEASURES, RECORDED_SCALE, Measure, Unit, ending
+from animarl_algos.evaluation.motion import MEASURES, Measure, ending
 from animarl_algos.evaluation.null import Exchanges, Tested
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -25,6 +25,7 @@ from animarl_algos.evaluation.statistics import (
     cells,
     covers,
 )
+from animarl_envs.demos.units import RECORDED_SCALE, Unit
 
 Floats = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.motion import RECORDED_SCALE, Unit
 from animarl_algos.report import style, themes
 from animarl_envs.arena import Arena
+from animarl_envs.demos.units import RECORDED_SCALE, Unit
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS, NUM_DIRECTIONS, action_directions
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.motion import Unit
 from animarl_algos.report import style
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
+from animarl_envs.demos.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

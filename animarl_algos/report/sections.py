@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from animarl_algos.evaluation.metrics import DTW
+from animarl_algos.evaluation.plausibility import implausible
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import findings, panels
 from animarl_algos.report import sentences as wording
@@ -42,12 +43,10 @@ def facts(inputs: ReportInputs) -> list[tuple[str, str]]:
 
 def lead(inputs: ReportInputs) -> Lead:
     """The verdict, and what limits it."""
-    comparison = inputs.evaluation.comparison
-    return verdict_lead(
-        inputs.evaluation.verdict,
-        inputs.words,
-        wording.cautions(comparison, inputs.learner, inputs.demos.synthetic),
-    )
+    comparison, words = inputs.evaluation.comparison, inputs.words
+    limits = wording.cautions(comparison, inputs.learner, inputs.demos.synthetic)
+    doubtful = [words.say(sentence) for sentence in implausible(inputs.evaluation.verdict)]
+    return verdict_lead(inputs.evaluation.verdict, words, [*doubtful, *limits])
 
 
 def build_sections(inputs: ReportInputs) -> list[Section]:

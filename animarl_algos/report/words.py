@@ -12,10 +12,10 @@ from typing import Any
 
 from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.metrics import Metric
-from animarl_algos.evaluation.motion import RECORDED_SCALE, Unit, unit_of
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report.style import is_recorded, method_label
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.units import RECORDED_SCALE, Unit, unit_of
 
 GENERATED = {
     "recorded": "demonstrated",

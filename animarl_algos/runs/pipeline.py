@@ -41,9 +41,8 @@ from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.fitting.result import Method
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
+from animarl_envs.scenario import PACKAGED
 from animarl_envs.species import Species
-
-PACKAGED = "packaged"
 
 
 def open_run(

@@ -31,7 +31,8 @@ def first_pursuers(demos: Demonstrations, count: int) -> Demonstrations:
     if not 1 <= count <= recorded:
         raise InputError(
             f"num_pursuers is {count} but {demos.name} holds {recorded} pursuer"
-            f"{'s' * (recorded != 1)}: choose at most {recorded}, or demos=None"
+            f"{'s' * (recorded != 1)}: choose at most {recorded}, or start='uniform', where nobody "
+            "follows a demonstration and more pursuers move like those recorded"
         )
     if count == recorded:
         return demos

@@ -110,7 +110,7 @@ class Renderer:
         picture.fill(palette.BACKGROUND)
         picture.blit(pygame.transform.smoothscale(canvas.surface, (self.size,) * 2), (0, 0))
         self._write_strip(picture, scene)
-        if scene.arena.shape == "open":
+        if scene.arena.shape == "open" or scene.unit != Scene.unit:
             self._draw_scale_bar(picture, scene, self.size / (2 * canvas.view.half))
         return picture
 
@@ -219,10 +219,11 @@ class Renderer:
 
         ``scale`` in px per arena unit.
         """
-        length, label = round_length(0.2 * self.size / scale, scene.unit)
+        unit = scene.per_arena_unit
+        length, label = round_length(0.2 * self.size / scale * unit, scene.unit)
         left, low = 0.04 * self.size, 0.955 * self.size
         draw, thick = self._pygame.draw, max(2, round(0.005 * self.size))
-        bar = (round(left), round(low), round(length * scale), thick)
+        bar = (round(left), round(low), round(length / unit * scale), thick)
         draw.rect(picture, palette.OUTLINE, bar)
         self._write(picture, label, left, low - 0.034 * self.size, palette.MUTED_TEXT)
         if scene.wind is None:

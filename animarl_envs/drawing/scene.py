@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TARGET_OUT
+from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.plume.plume import PlumeField
 
@@ -44,8 +46,9 @@ class Scene:
         Text: the species, its condition, and how the episode ended.
     step, time
         Decisions taken, and seconds since the start.
-    unit
-        Unit of length for the scale bar: ``"m"``, or ``"unit"`` for scaled arenas.
+    unit, per_arena_unit
+        Unit of length for the scale bar: ``"m"``, ``"cm"``, or ``"unit"`` for scaled arenas; and
+        how many of it make an arena unit.
     plume, demonstration, source, wind, antennae, odour
         Optional: an odour field; recorded paths ``(frames, K, 2)`` to show faintly; the odour
         source ``(2,)``; the direction the wind blows to [rad]; positions ``(2, 2)`` of a
@@ -67,6 +70,7 @@ class Scene:
     step: int = 0
     time: float = 0.0
     unit: str = "unit"
+    per_arena_unit: float = 1.0
     plume: PlumeField | None = None
     demonstration: NDArray[np.floating] | None = None
     source: tuple[float, float] | None = None
@@ -112,6 +116,7 @@ class SceneRecorder:
     _headings: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), init=False)
     _returns: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0), init=False)
     _glow: Afterglow | None = field(default=None, init=False)
+    _lengths: dict[str, Any] | None = field(default=None, init=False)
 
     def start(self) -> None:
         """Begin with the state after a reset; individuals at rest face their target."""
@@ -155,6 +160,8 @@ class SceneRecorder:
         senses = {}
         if self._glow is not None:
             senses = world.scene_details(b) | {"plume": self._glow.plume()}
+        if self._lengths is None:
+            self._lengths = _lengths(world.demos)
         return Scene(
             arena=species.arena,
             contact_radius=species.contact_radius,
@@ -170,7 +177,7 @@ class SceneRecorder:
             step=step,
             time=step * species.dt,
             demonstration=recorded,
-            **(plain | senses),
+            **(plain | self._lengths | senses),
         )
 
     def _ending(self) -> str:
@@ -217,6 +224,14 @@ class Afterglow:
         scale = world.scenario.species.metres_per_unit
         left, right, low, high = (edge / scale for edge in self._extent)
         return PlumeField(values=self._values, extent=(left, right, low, high))
+
+
+def _lengths(demos: Demonstrations | None) -> dict[str, Any]:
+    """The unit of the scale bar, where the recordings have one."""
+    unit = RECORDED_SCALE if demos is None else unit_of(demos)
+    if unit == RECORDED_SCALE:
+        return {}
+    return {"unit": unit.name, "per_arena_unit": unit.per_arena_unit}
 
 
 def _touched(position: NDArray[np.float64], contact_radius: float) -> NDArray[np.bool_]:

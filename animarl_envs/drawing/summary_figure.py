@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED, Episode
 from animarl_envs.demos.summary import TRACKING, episode_table, outcome_name, summarise
+from animarl_envs.demos.units import Unit, unit_of
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
 from animarl_envs.focus import distances_to_target
@@ -52,16 +53,20 @@ def _plot(demos: Demonstrations, path: Path) -> Path:
         fontsize="x-large",
         color="#B00020" if demos.synthetic else "black",
     )
-    _draw_episodes(above, demos)
+    unit = unit_of(demos)
+    _draw_episodes(above, demos, unit)
     durations, lengths, speeds, distances, bars, gaps = below.subplots(2, 3).ravel()
     rows = episode_table(demos)
     _histogram(durations, {"episodes": [row["duration"] for row in rows]}, (GREY,))
     durations.set(title="Duration", xlabel="s", ylabel="episodes")
-    paths = {name: [row[f"path_length_{name}"] for row in rows] for name in demos.individuals}
+    paths = {
+        name: [unit.per_arena_unit * row[f"path_length_{name}"] for row in rows]
+        for name in demos.individuals
+    }
     _histogram(lengths, paths, colours(demos))
-    lengths.set(title="Path length", xlabel="arena units", ylabel="episodes")
-    _draw_speeds(speeds, demos)
-    _draw_distances(distances, demos)
+    lengths.set(title="Path length", xlabel=unit.name, ylabel="episodes")
+    _draw_speeds(speeds, demos, unit)
+    _draw_distances(distances, demos, unit)
     names, counts = np.unique([row["outcome"] for row in rows], return_counts=True)
     _bars(bars, names.tolist(), counts.tolist(), "Outcomes", "episodes")
     found = summarise(demos)
@@ -87,19 +92,20 @@ def colours(demos: Demonstrations) -> tuple[str, ...]:
     )
 
 
-def _draw_episodes(figure: Any, demos: Demonstrations) -> None:
+def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
     shown = np.unique(np.linspace(0, demos.num_episodes - 1, ROWS * COLUMNS).round().astype(int))
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True).ravel()
     for axes, index in zip(panels, shown.tolist(), strict=False):
         one = demos.episode(index)
-        _outline(axes, demos)
+        positions = unit.per_arena_unit * one.positions
+        _outline(axes, demos, unit)
         for i, colour in enumerate(colours(demos)):
-            x, y = one.positions[:, i].T
+            x, y = positions[:, i].T
             axes.plot(x, y, color=colour, lw=0.9, label=demos.individuals[i])
             axes.plot(x[0], y[0], "o", color=colour, ms=3)
             axes.plot(x[-1], y[-1], "x", color=colour, ms=5)
             if FILLED in one.signals:
-                gap = np.where(one.signals[FILLED][:, i, None], one.positions[:, i], np.nan)
+                gap = np.where(one.signals[FILLED][:, i, None], positions[:, i], np.nan)
                 axes.plot(*gap.T, ".", color="black", ms=3)
         axes.set_aspect("equal")
         axes.set_title(_caption(one, demos), fontsize="x-small")
@@ -108,15 +114,15 @@ def _draw_episodes(figure: Any, demos: Demonstrations) -> None:
         axes.set_axis_off()
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 6))
-    figure.supylabel("arena units", fontsize="small")
+    figure.supylabel(unit.name, fontsize="small")
 
 
 def _caption(one: Episode, demos: Demonstrations) -> str:
     return f"episode {one.index}, {one.duration:.1f} s\n{outcome_name(one.outcome, demos)}"
 
 
-def _outline(axes: Any, demos: Demonstrations) -> None:
-    size = demos.arena.size
+def _outline(axes: Any, demos: Demonstrations, unit: Unit) -> None:
+    size = unit.per_arena_unit * demos.arena.size
     if demos.arena.shape == "disc":
         angle = np.linspace(0, 2 * math.pi, 100)
         axes.plot(size * np.cos(angle), size * np.sin(angle), color="0.8", lw=0.8)
@@ -141,18 +147,21 @@ def _histogram(axes: Any, values: dict[str, list[float]], tints: tuple[str, ...]
     axes.yaxis.get_major_locator().set_params(integer=True)
 
 
-def _draw_speeds(axes: Any, demos: Demonstrations) -> None:
-    speed = np.linalg.norm(demos.velocities(), axis=2)
+def _draw_speeds(axes: Any, demos: Demonstrations, unit: Unit) -> None:
+    speed = unit.per_arena_unit * np.linalg.norm(demos.velocities(), axis=2)
     bins = np.linspace(0.0, max(float(np.quantile(speed, 0.995)), 1e-9), 50)
     for i, colour in enumerate(colours(demos)):
         share = np.full(len(speed), 100.0 / len(speed))
         axes.hist(speed[:, i], bins, weights=share, histtype="step", color=colour, lw=1.3)
-    axes.set(title="Speed", xlabel="arena units / s", ylabel="% of the time")
+    axes.set(title="Speed", xlabel=f"{unit.name} / s", ylabel="% of the time")
 
 
-def _draw_distances(axes: Any, demos: Demonstrations) -> None:
+def _draw_distances(axes: Any, demos: Demonstrations, unit: Unit) -> None:
     searching = "searcher" in demos.roles
-    paths = [distances_to_target(one.positions, demos.roles).min(axis=1) for one in demos]
+    paths = [
+        unit.per_arena_unit * distances_to_target(one.positions, demos.roles).min(axis=1)
+        for one in demos
+    ]
     title = "Distance to the source" if searching else "Distance of the nearest pursuer"
     if not all(np.isfinite(path).all() for path in paths):
         axes.text(0.5, 0.5, "nobody is the target", ha="center", transform=axes.transAxes)
@@ -169,7 +178,7 @@ def _draw_distances(axes: Any, demos: Demonstrations) -> None:
         median: NDArray[np.float64] = np.nanmedian(ends[:, common], axis=0)
         axes.plot(time[common], median, color="black", lw=2, label="median")
         axes.legend(fontsize="small", frameon=False)
-    axes.set(title=title, xlabel="s before the end", ylabel="arena units", ylim=(0, None))
+    axes.set(title=title, xlabel="s before the end", ylabel=unit.name, ylim=(0, None))
 
 
 def _bars(axes: Any, names: list[str], counts: list[int], title: str, unit: str) -> None:

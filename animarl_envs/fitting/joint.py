@@ -41,7 +41,10 @@ CURVATURE_STEP = 0.05  # of the bootstrap's difference quotient; smaller ones ar
 
 
 def fit_joint(
-    data: Transitions, name: str = "the individual", least_speed: float = 0.0
+    data: Transitions,
+    name: str = "the individual",
+    least_speed: float = 0.0,
+    far: float = FAR,
 ) -> Locomotion:
     """Damping and thrust of one individual by least squares without tracking jumps.
 
@@ -53,6 +56,8 @@ def fit_joint(
         For the message.
     least_speed
         What the terminal speed ``u dt / d`` must reach [arena unit / s].
+    far
+        Which misses are tracking jumps, see ``FAR``; infinity: none.
 
     Raises
     ------
@@ -66,7 +71,7 @@ def fit_joint(
             "a fit needs at least three and some motion; check the track"
         )
     starts = [(damping, np.array([thrust])) for damping, thrust in _starting_points(data)]
-    damping, thrusts = best_of(data, starts, least_speed)
+    damping, thrusts = best_of(data, starts, least_speed, far=far)
     return Locomotion(damping, float(thrusts[0]))
 
 
@@ -75,6 +80,7 @@ def best_of(
     starts: Sequence[tuple[float, Floats]],
     least_speed: float,
     tolerance: float = TOLERANCE,
+    far: float = FAR,
 ) -> tuple[float, Floats]:
     """The best (d, thrusts) to which any of several starting points leads.
 
@@ -83,7 +89,7 @@ def best_of(
     """
     best, best_loss = starts[0], math.inf
     for start in starts:
-        damping, thrusts, loss = _alternate(data, *start, least_speed, tolerance)
+        damping, thrusts, loss = _alternate(data, *start, least_speed, tolerance, far)
         if loss < best_loss:
             best, best_loss = (damping, thrusts), loss
     return best
@@ -138,7 +144,12 @@ def _starting_points(data: Transitions) -> list[tuple[float, float]]:
 
 
 def _alternate(
-    data: Transitions, damping: float, thrusts: Floats, least_speed: float, tolerance: float
+    data: Transitions,
+    damping: float,
+    thrusts: Floats,
+    least_speed: float,
+    tolerance: float,
+    far: float,
 ) -> tuple[float, Floats, float]:
     """Assign actions, trim, solve; until nothing changes. Returns d, thrusts and the mean loss."""
     error, action, level = scratch = _scratch(len(data))
@@ -146,7 +157,7 @@ def _alternate(
     for _ in range(ITERATIONS):
         assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
         vv, vn, va, aa, an = sums(
-            *tracks, action, level, error, _limit(error), data.dt, len(thrusts)
+            *tracks, action, level, error, _limit(error, far), data.dt, len(thrusts)
         )
         new_damping, new_thrusts = _solve(vv, vn, va, aa, an, thrusts, data.dt, least_speed)
         if not (new_thrusts > 0).all():
@@ -156,7 +167,7 @@ def _alternate(
         if change < tolerance:
             break
     assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
-    return damping, thrusts, _loss(error)
+    return damping, thrusts, _loss(error, far)
 
 
 def _solve(
@@ -199,15 +210,17 @@ def _solve(
     return 1.0 - kept, found
 
 
-def _limit(error: Floats) -> float:
+def _limit(error: Floats, far: float = FAR) -> float:
     """Squared error beyond which a step is a tracking jump."""
+    if math.isinf(far):
+        return math.inf
     rank = math.ceil(BULK * len(error)) - 1
-    return FAR**2 * float(np.partition(error, rank)[rank])
+    return far**2 * float(np.partition(error, rank)[rank])
 
 
-def _loss(error: Floats) -> float:
+def _loss(error: Floats, far: float = FAR) -> float:
     """Mean squared error with jumps counted at the limit."""
-    return float(np.minimum(error, _limit(error)).mean())
+    return float(np.minimum(error, _limit(error, far)).mean())
 
 
 def _gradients(data: Transitions, point: Floats) -> Floats:

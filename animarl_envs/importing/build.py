@@ -11,18 +11,15 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import INTERVAL
-from animarl_envs.demos.splits import split_recordings
 from animarl_envs.errors import InputError
-from animarl_envs.importing.cleaning import clean, resample, resample_index
-from animarl_envs.importing.cutting import (
-    FEWEST_PIECES,
-    Cut,
-    cut_episodes,
-    in_pieces,
-    most_approached,
-)
+from animarl_envs.focus import distances_to_target
+from animarl_envs.importing.cleaning import clean, resample, resample_index, runs
+from animarl_envs.importing.contacts import found_contact
+from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, Cutting, cut_episodes, in_pieces
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
-from animarl_envs.importing.scaling import scale_of
+from animarl_envs.importing.roles import named, roles_of, with_target
+from animarl_envs.importing.scaling import in_centimetres, scales_of
+from animarl_envs.importing.sessions import TARGET, sessions_of, with_session
 from animarl_envs.importing.tracks import Tracks
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
@@ -41,19 +38,25 @@ def demonstrations_from_tracks(
     """
     if not recordings:
         raise InputError(f"{name}: there is no recording in it: give at least one")
-    cleaned, bodies, scales, done = [], [], {}, {}
+    sessions = sessions_of(recordings, recipe.metadata, recipe.name_pattern)
+    cleaned, done = [], {}
     for tracks in recordings:
-        tracks = _named(tracks, recipe)
+        tracks = with_session(named(tracks, recipe), sessions)
         tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
-        scale = scale_of(tracks, recipe.scaling)
-        scales[tracks.recording] = scale.to_dict()
-        cleaned.append(tracks)
-        bodies.append(scale.to_arena(tracks.bodies))
-    individuals, roles, order = _roles(cleaned, bodies, recipe, name)
+        scale = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
+        cleaned.append(in_centimetres(tracks, scale))
+    cleaned, target = with_target(cleaned, recipe, sessions, name)
+    scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
+    bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
+    individuals, roles, order = roles_of(cleaned, target, recipe, name)
     bodies = [body[:, order] for body in bodies]
+    contact = recipe.cutting.contact
+    if all(tracks.outcome is None for tracks in cleaned):
+        contact = _contact(bodies, roles, recipe.cutting)
+    touching = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
     episodes = []
     for tracks, body, cuts in zip(
-        cleaned, bodies, _cuts(cleaned, bodies, roles, recipe), strict=True
+        cleaned, bodies, _cuts(cleaned, bodies, roles, touching), strict=True
     ):
         done[tracks.recording]["episodes"] = len(cuts)
         if len(cuts) == 1 and tracks.outcome is not None and recipe.cutting.mode == "whole":
@@ -79,7 +82,7 @@ def demonstrations_from_tracks(
         initial_velocity=np.array([one["initial_velocity"] for one in episodes]),
         condition=np.array([one["condition"] for one in episodes], dtype=np.int8),
         outcome=np.array([one["outcome"] for one in episodes], dtype=np.int8),
-        split=split_recordings(recording, recipe.splitting),
+        split=sessions.splits(recording, recipe.splitting),
         recording=recording,
         signals={
             key: np.concatenate([one["signals"][key] for one in episodes])
@@ -95,62 +98,33 @@ def demonstrations_from_tracks(
             "unit": cleaned[0].unit,
             "keypoints": list(recordings[0].keypoints),
             "recipe": recipe.to_dict(),
-            "scales": scales,
+            "scales": {
+                tracks.recording: scale.to_dict()
+                for tracks, scale in zip(cleaned, scales, strict=True)
+            },
             "cleaning": done,
+            **({} if contact == recipe.cutting.contact else {"contact_radius": contact}),
+            **sessions.told(),
         },
         name=name,
     )
 
 
-def _named(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
-    strangers = sorted(set(recipe.rename) - set(tracks.individuals))
-    if strangers:
-        raise InputError(
-            f"{tracks.recording}: there is no individual {strangers[0]!r} to rename: choose among "
-            f"{', '.join(tracks.individuals)}"
-        )
-    if recipe.individuals is not None:
-        tracks = tracks.choose(recipe.individuals)
-    names = tuple(recipe.rename.get(name, name) for name in tracks.individuals)
-    rate = recipe.frame_rate or tracks.frame_rate
-    return replace(tracks, individuals=names, frame_rate=rate)
-
-
-def _roles(
-    cleaned: Sequence[Tracks],
-    bodies: Sequence[NDArray[np.float64]],
-    recipe: ImportRecipe,
-    name: str,
-) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
-    """Names and roles, the target last, and the order of the tracks' columns."""
-    names = cleaned[0].individuals
-    rate = cleaned[0].frame_rate
-    for tracks in cleaned:
-        if tracks.individuals != names:
-            raise InputError(
-                f"{name}: {tracks.recording} has individuals {', '.join(tracks.individuals)}, "
-                f"{cleaned[0].recording} has {', '.join(names)}: choose the same in all of them"
-            )
-        if recipe.decision_rate is None and tracks.frame_rate != rate:
-            raise InputError(
-                f"{name}: {tracks.recording} has {tracks.frame_rate} frames a second, "
-                f"{cleaned[0].recording} {rate}: give a decision rate"
-            )
-    order = list(range(len(names)))
-    if recipe.target is None:
-        role = "searcher" if recipe.searcher else "pursuer"
-        return names, (role,) * len(names), order
-    if recipe.target == "auto":
-        target = most_approached(bodies)
-    elif recipe.target in names:
-        target = names.index(recipe.target)
-    else:
-        raise InputError(
-            f"{name}: there is no target {recipe.target!r}: choose among {', '.join(names)}"
-        )
-    order = [i for i in order if i != target] + [target]
-    roles = ("pursuer",) * (len(names) - 1) + ("target",)
-    return tuple(names[i] for i in order), roles, order
+def _contact(
+    bodies: Sequence[NDArray[np.float64]], roles: tuple[str, ...], cutting: Cutting
+) -> float | None:
+    """As stated, or where recordings are taken whole the distance that ends them."""
+    stated = cutting.contact is not None or cutting.piece is not None
+    if cutting.mode != "whole" or stated or TARGET not in roles:
+        return cutting.contact
+    nearest = [distances_to_target(body, roles).min(axis=1) for body in bodies]
+    return found_contact(
+        [
+            distance[start:stop]
+            for distance in nearest
+            for start, stop in runs(np.isfinite(distance))
+        ]
+    )
 
 
 def _cuts(

@@ -19,6 +19,7 @@ from animarl_envs.importing.tracks import CENTROID, Tracks
 
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
 SHOWN_JUMPS = 20
+LIKELY = 0.6  # below it a likelihood is not believed by default, as in DeepLabCut's own plots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,8 @@ class Cleaning:
     keypoint
         Name of the keypoint that stands for the body, or ``"centroid"``, the mean of those seen.
     min_confidence
-        Keypoints below it count as not tracked.
+        Keypoints below it count as not tracked; 0 takes all. ``None``: ``LIKELY`` where all
+        confidences are likelihoods, between 0 and 1, and no threshold elsewhere.
     max_gap
         Gaps up to this long are filled by straight lines [s]; longer ones cut the recording.
     smoothing_cutoff
@@ -68,13 +70,13 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     done: dict[str, Any] = {"frames": len(tracks)}
     rate = tracks.frame_rate
     positions = tracks.positions
-    if settings.min_confidence is not None:
-        if tracks.confidence is None:
-            raise InputError(f"{tracks.recording}: it holds no confidence: leave the threshold out")
-        trusted = np.greater_equal(tracks.confidence, settings.min_confidence)
-        weak: NDArray[np.bool_] = np.asarray(np.logical_not(trusted), dtype=bool)
+    limit = _least_confidence(tracks, settings.min_confidence)
+    if limit is not None and tracks.confidence is not None:
+        unknown = np.isnan(tracks.confidence) & (settings.min_confidence is None)
+        weak: NDArray[np.bool_] = np.logical_not((tracks.confidence >= limit) | unknown)
         positions = np.where(weak[..., None], np.nan, positions)
         done["below_confidence"] = int(weak.sum())
+        done["confidence_of_at_least"] = limit
     bodies = body_positions(positions, tracks.keypoints, settings.keypoint, tracks.recording)
     done["keypoint"] = settings.keypoint
     jumps, swaps = find_jumps(bodies)
@@ -98,6 +100,18 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
             "cutoff_hz": settings.smoothing_cutoff,
         }
     return tracks.with_bodies(bodies, keypoints=(settings.keypoint,)), done
+
+
+def _least_confidence(tracks: Tracks, stated: float | None) -> float | None:
+    """Below which keypoints are not used; ``None``: all are."""
+    if stated is None:
+        if tracks.confidence is None or np.isnan(tracks.confidence).all():
+            return None
+        least, most = float(np.nanmin(tracks.confidence)), float(np.nanmax(tracks.confidence))
+        return LIKELY if least >= 0 and most <= 1 else None
+    if tracks.confidence is None and stated > 0:
+        raise InputError(f"{tracks.recording}: it holds no confidence: leave the threshold out")
+    return stated if stated > 0 else None
 
 
 def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:

@@ -16,13 +16,14 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.files import refuse_unfinished
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import runs
 
 FEWEST_PIECES = 10
+ROUNDING = 1e-9  # relative difference of distances that a change of unit makes
 
 Mode = Literal["whole", "approach", "events"]
 Start = Literal["separation", "approach"]
@@ -43,7 +44,9 @@ class Cutting:
         Of an approach: at the ``"separation"``, the first frame farther away since the last
         contact, or at the last one before the contact (``"approach"``).
     contact
-        In mode ``"whole"``: an episode ends at the first contact within this distance.
+        In mode ``"whole"``: an episode ends at the first contact within this distance; in mode
+        ``"events"``: one that ends within it ended by contact. 0: there is none; ``None``: none is
+        known, see :func:`animarl_envs.importing.contacts.found_contact`.
     piece
         In mode ``"whole"``: longer stretches are cut into pieces of this length [s]. ``None``: only
         where there would be fewer than three episodes, and then into ``FEWEST_PIECES``, so that
@@ -83,8 +86,8 @@ class Cutting:
                     f"farther_than is {self.farther_than} and closer_than {self.closer_than}: "
                     "the first must be the larger, both positive"
                 )
-        if self.contact is not None and not self.contact > 0:
-            raise InputError(f"contact is {self.contact}: it must be a positive distance")
+        if self.contact is not None and not self.contact >= 0:
+            raise InputError(f"contact is {self.contact}: it must be a positive distance, or 0")
         if self.mode == "events" and self.events is None:
             raise InputError("cutting by events needs a table: give its path")
         if self.piece is not None and not self.piece > 0:
@@ -122,10 +125,10 @@ def cut_episodes(
         [Hz].
     """
     found: list[Cut] = []
+    distance = distances_to_target(bodies, roles)
     if settings.mode == "events":
-        found = _from_table(bodies, frame_rate, settings, recording)
+        found = _from_table(bodies, distance, frame_rate, settings, recording)
     else:
-        distance = distances_to_target(bodies, roles)
         for start, stop in runs(np.isfinite(bodies).all(axis=(1, 2))):
             if settings.mode == "approach":
                 found += _approaches(distance[start:stop], settings, start, recording)
@@ -175,28 +178,45 @@ def _approaches(
         )
     assert settings.farther_than is not None and settings.closer_than is not None
     nearest = distance.min(axis=1)
-    far, near = nearest > settings.farther_than, nearest < settings.closer_than
+    far, near = nearest > settings.farther_than, closer(nearest, settings.closer_than)
     found, begin = [], -1
     for t in range(len(nearest)):
         if far[t] and (begin < 0 or settings.start == "approach"):
             begin = t
         elif near[t] and begin >= 0:
-            found.append(Cut(offset + begin, offset + t + 1, int(distance[t].argmin()) + 1))
+            found.append(Cut(offset + begin, offset + t + 1, toucher(distance[t])))
             begin = -1
     return found
 
 
 def _until_contact(distance: NDArray[np.float64], contact: float | None, offset: int) -> Cut:
-    if contact is not None:
-        touching = np.flatnonzero(distance.min(axis=1) < contact)
+    if contact:
+        touching = np.flatnonzero(closer(distance.min(axis=1), contact))
         if len(touching):
             t = int(touching[0])
-            return Cut(offset, offset + t + 1, int(distance[t].argmin()) + 1)
+            return Cut(offset, offset + t + 1, toucher(distance[t]))
     return Cut(offset, offset + len(distance), UNFINISHED)
 
 
+def closer(distance: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
+    """Which distances are smaller; those that differ in rounding alone, by the unit, are not."""
+    return np.asarray(distance < limit * (1 - ROUNDING))
+
+
+def toucher(distance: NDArray[np.float64]) -> int:
+    """Outcome code of contact by the nearest pursuer of one frame ``(pursuers,)``.
+
+    Of several as near, whatever the unit rounds them to, the first.
+    """
+    return int(np.argmax(distance <= distance.min() * (1 + ROUNDING))) + 1
+
+
 def _from_table(
-    bodies: NDArray[np.float64], frame_rate: float, settings: Cutting, recording: str
+    bodies: NDArray[np.float64],
+    distance: NDArray[np.float64],
+    frame_rate: float,
+    settings: Cutting,
+    recording: str,
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
@@ -215,7 +235,7 @@ def _from_table(
             start = round(float(row["start"]) * frame_rate)
             stop = round(float(row["end"]) * frame_rate) + 1
             condition = int(row["condition"]) if row.get("condition") else None
-            outcome = int(row["outcome"]) if row.get("outcome") else TIME_OUT
+            outcome = int(row["outcome"]) if row.get("outcome") else None
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{path}: line {number} is not numbers ({error}): mend it") from None
         if not 0 <= start < stop - 1 < len(bodies):
@@ -227,6 +247,8 @@ def _from_table(
             raise InputError(
                 f"{path}: line {number} spans a gap in {recording}: allow longer gaps to be filled"
             )
+        if outcome is None:
+            outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
         found.append(Cut(start, stop, outcome, condition))
     return found
 

@@ -35,7 +35,8 @@ class ImportRecipe:
     merge_individuals
         Whether the files hold one animal each of one recording.
     target
-        Name of the target (after renaming), ``"auto"``: who is approached, ``None``: none.
+        Name of the target (after renaming), ``"auto"``: who is approached, if there are two or
+        more; ``None``: none.
     searcher
         Whether the individuals search a source at the origin instead of chasing.
     frame_rate
@@ -45,6 +46,9 @@ class ImportRecipe:
     keep_last_frame
         Whether the last recorded frame of an episode is kept though it falls between decisions;
         velocities then know the shorter interval, and fits leave that step out.
+    metadata, name_pattern
+        A table of the recordings, or a regular expression over their names, which tells their
+        condition, split, roles and scale: :mod:`animarl_envs.importing.sessions`.
     species, condition, licence, synthetic
         What the demonstrations are.
     """
@@ -59,6 +63,8 @@ class ImportRecipe:
     frame_rate: float | None = None
     decision_rate: float | None = None
     keep_last_frame: bool = False
+    metadata: str | None = None
+    name_pattern: str | None = None
     species: str = CUSTOM
     condition: int | None = None
     licence: str = NOT_STATED
@@ -82,6 +88,10 @@ class ImportRecipe:
             )
         if self.target is not None and self.searcher:
             raise InputError("a searcher has no target: leave one of them out")
+        if self.metadata is not None and self.name_pattern is not None:
+            raise InputError("metadata and a name pattern say the same: leave one of them out")
+        if self.condition not in (None, 0, 1):
+            raise InputError(f"condition is {self.condition}: it must be 0 or 1")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, infinity as a string."""

@@ -1,10 +1,14 @@
-"""Scaling of tracks to the arena frame: invertible, and stored with the demonstrations."""
+"""Scaling of tracks to the arena frame: invertible, and stored with the demonstrations.
+
+All recordings of an import share one scale, since with scales of their own their speeds would not
+compare.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -24,13 +28,20 @@ class Scaling:
     shape
         ``"square"`` and ``"disc"``: half side or radius 1; ``"open"``: only the unit changes.
     width
-        Full side or diameter of the arena in the tracks' unit; ``None`` takes the extent of each
-        recording's tracks.
+        Full side or diameter of the arena in the tracks' unit; ``None`` takes the extent of the
+        tracks.
     centre
-        Of the arena, in the tracks' unit; ``None``: the middle of each recording's extent, and the
-        origin of an open field.
+        Of the arena, in the tracks' unit; ``None``: the middle of the extent, and the origin where
+        a source is searched there.
+    each
+        Whether extents are those of each recording, so that every one gets a centre and a scale of
+        its own; by default all recordings are of one camera and share theirs.
+    px_per_cm
+        How many of the file's units make 1 cm; the tracks' unit then is the centimetre, also that
+        of ``width`` and ``centre``.
     units_per_arena_unit
-        For an open field: how many of the tracks' units make one arena unit (1000 for mm to m).
+        For an open field: how many of the tracks' units make one arena unit (1000 for mm to m);
+        ``None``: half of the extent, and 1 where a source is searched.
     boundary
         Virtual boundary [arena unit].
     flip_y
@@ -40,12 +51,14 @@ class Scaling:
     shape: Literal["square", "disc", "open"] = "square"
     width: float | None = None
     centre: tuple[float, float] | None = None
-    units_per_arena_unit: float = 1.0
+    each: bool = False
+    px_per_cm: float | None = None
+    units_per_arena_unit: float | None = None
     boundary: float = 1.1
     flip_y: bool | None = None
 
     def __post_init__(self) -> None:
-        for name in ("width", "units_per_arena_unit"):
+        for name in ("width", "px_per_cm", "units_per_arena_unit"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise InputError(f"{name} is {value}: it must be a positive number")
@@ -85,19 +98,38 @@ class Scale:
         return cls((float(x), float(y)), float(record["unit"]), float(record["y_sign"]))
 
 
-def scale_of(tracks: Tracks, settings: Scaling) -> Scale:
-    """The scale of one recording (one keypoint per individual)."""
-    flip = tracks.y_down if settings.flip_y is None else settings.flip_y
-    sign = -1.0 if flip else 1.0
-    if settings.shape == "open":
-        return Scale(settings.centre or (0.0, 0.0), settings.units_per_arena_unit, sign)
-    points = tracks.bodies[np.isfinite(tracks.bodies).all(axis=2)]
+def scales_of(
+    recordings: Sequence[Tracks], settings: Scaling, searched: bool = False
+) -> list[Scale]:
+    """The scale of each recording (one keypoint per individual): one for all, or each its own.
+
+    ``searched`` says that a source is at the origin, which then stays in its place.
+    """
+    if settings.each:
+        return [scale_of([tracks], settings, searched) for tracks in recordings]
+    common = scale_of(recordings, settings, searched)
+    return [replace(common, y_sign=_sign(tracks, settings)) for tracks in recordings]
+
+
+def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = False) -> Scale:
+    """The scale of recordings whose extent is taken together."""
+    first = recordings[0]
+    sign = _sign(first, settings)
+    is_open = settings.shape == "open"
+    if is_open and searched:
+        unit = settings.units_per_arena_unit or 1.0
+        return Scale(settings.centre or (0.0, 0.0), unit, sign)
+    points = np.concatenate(
+        [tracks.bodies[np.isfinite(tracks.bodies).all(axis=2)] for tracks in recordings]
+    )
     if len(points) == 0:
-        raise InputError(f"{tracks.recording}: no individual was ever tracked: check the file")
+        raise InputError(f"{first.recording}: no individual was ever tracked: check the file")
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     centre = settings.centre or (float(middle[0]), float(middle[1]))
-    if settings.width is not None:
+    if is_open and settings.units_per_arena_unit is not None:
+        half = settings.units_per_arena_unit
+    elif settings.width is not None:
         half = settings.width / 2
     elif settings.shape == "disc":
         half = float(np.linalg.norm(points - np.array(centre), axis=1).max())
@@ -105,6 +137,18 @@ def scale_of(tracks: Tracks, settings: Scaling) -> Scale:
         half = float(np.abs(points - np.array(centre)).max())
     if not half > 0:
         raise InputError(
-            f"{tracks.recording}: its tracks have no extent: give the arena's width instead"
+            f"{first.recording}: its tracks have no extent: give the arena's width instead"
         )
     return Scale(centre, half, sign)
+
+
+def in_centimetres(tracks: Tracks, px_per_cm: float | None) -> Tracks:
+    """The same recording in cm, where it is known how many of its units make one."""
+    if px_per_cm is None:
+        return tracks
+    return replace(tracks, positions=tracks.positions / px_per_cm, unit="cm")
+
+
+def _sign(tracks: Tracks, settings: Scaling) -> float:
+    flip = tracks.y_down if settings.flip_y is None else settings.flip_y
+    return -1.0 if flip else 1.0

@@ -24,7 +24,7 @@ TERMITE_DEFAULTS = {
     "decision_rate": 10.0,
     "licence": "MIT",
     "cleaning": {"smoothing_cutoff": 2.0},
-    "scaling": {"shape": "disc"},
+    "scaling": {"shape": "disc", "each": True},  # dishes filmed one by one
 }
 FLY_DEFAULTS = {
     "target": "auto",

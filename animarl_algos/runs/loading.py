@@ -1,0 +1,121 @@
+"""A finished run in Python: its policy, its world, its demonstrations, and what-if questions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from animarl_algos.evaluation.collect import Cue, collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.runs.rolling_out import for_all, method_name, trained_model
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import Condition, Scenario, make_scenario
+from animarl_envs.species.options import with_options
+from animarl_envs.worlds import make_world
+
+SEEN_OTHERWISE = ("num_pursuers", "individuals", "observation")
+"""Options under which a policy would be shown something else than it learned from."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedRun:
+    """What :func:`load_run` gives.
+
+    Parameters
+    ----------
+    folder
+        The run.
+    policy
+        The trained learner, with stable-baselines3's ``predict``; it acts as it does in tests.
+    scenario
+        The world of the run, with the fitted locomotion, from the starts of its test split.
+    demos
+        The demonstrations of all splits.
+    """
+
+    folder: RunFolder
+    policy: SequenceQLearning
+    scenario: Scenario
+    demos: Demonstrations
+
+    def simulate(
+        self,
+        *,
+        split: str = "test",
+        repetitions: int = 5,
+        condition: Condition = "demo",
+        told: Cue = "actual",
+        seed: int | None = None,
+        **options: Any,
+    ) -> Rollouts:
+        """Let the policy drive everybody who learned, in the run's world or in another one.
+
+        Rollouts of one seed meet the same random numbers, whatever the options, so that two of them
+        differ by what was changed alone.
+
+        Parameters
+        ----------
+        split
+            Episodes start from each demonstration of it.
+        repetitions
+            Rollouts from each start.
+        condition
+            0, 1, or that of each demonstration.
+        told
+            Which condition the policy is told, where it learned with a flag.
+        seed
+            By default that of the run.
+        options
+            Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
+            as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
+
+        Raises
+        ------
+        InputError
+            If an option is unknown, or changes what the policy is shown.
+        """
+        for key in SEEN_OTHERWISE:
+            if key in options:
+                raise InputError(
+                    f"{key} changes what the policy is shown, who has not learned from that: "
+                    "train a run with it"
+                )
+        seed = self.folder.settings.seed if seed is None else seed
+        before = self.scenario
+        names = before.names
+        scenario = make_scenario(
+            with_options(before.species, **options),
+            demos=self.demos,
+            split=split,
+            condition=condition,
+            drivers=dict(zip(names, before.drivers, strict=True)),
+            observation_noise=before.observation_noise,
+            observation_delay=before.observation_delay,
+        )
+        return collect_rollouts(
+            partial(make_world, scenario),
+            for_all(self.policy, names, self.folder.settings.focal),
+            method=method_name(self.folder.settings.algo),
+            seed=seed,
+            repetitions=repetitions,
+            cue=told if self.policy.layout.condition_flag else None,
+            reseed=self.policy.policy.seed,
+        )
+
+
+def load_run(folder: str | Path) -> LoadedRun:
+    """The trained policy of a run folder, its world and its demonstrations.
+
+    Raises
+    ------
+    InputError
+        If the folder is no run, or holds no trained policy yet.
+    """
+    run = RunFolder(Path(folder))
+    policy = trained_model(run, run.settings.algo)
+    return LoadedRun(run, policy, run.scenario("test"), run.demos)

@@ -1,0 +1,289 @@
+"""What is known of whole recordings beside their tracks: condition, split, roles and scale.
+
+It comes from a table with a row per recording (``--metadata``), or from a pattern over their names
+(``--name-pattern``).
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.demos.episode import SPLITS
+from animarl_envs.demos.splits import Splitting, split_recordings
+from animarl_envs.errors import InputError
+from animarl_envs.files import refuse_unfinished
+from animarl_envs.importing.tracks import Tracks
+
+COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")
+GROUPS = ("condition", "split", "target")
+TARGET, PURSUER = "target", "pursuer"
+NUMBERED = {"0", "1"}
+SEPARATORS = ",;\t"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """One recording, as far as it is known; ``None`` where it is not said.
+
+    ``condition`` is the word that stands there. ``roles`` are individuals by name with ``pursuer``
+    or ``target``, the others are left out. ``px_per_cm`` is how many of the file's units make 1 cm.
+    """
+
+    condition: str | None = None
+    split: str | None = None
+    target: str | None = None
+    roles: Mapping[str, str] = field(default_factory=dict)
+    px_per_cm: float | None = None
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """All that is known, by recording; nothing of any where ``by_recording`` is ``None``.
+
+    ``place`` is for messages, ``ignored`` are columns that were not used.
+    """
+
+    place: str
+    by_recording: Mapping[str, Session] | None
+    conditions: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = ()
+
+    def of(self, recording: str) -> Session:
+        """The session of a recording, also where it stands with its file's ending.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if self.by_recording is None:
+            return Session()
+        for name in (recording, recording.partition("DLC_")[0], recording.rpartition("/")[2]):
+            if name in self.by_recording:
+                return self.by_recording[name]
+        raise InputError(
+            f"{self.place}: nothing is said of recording {recording!r}: add a row for it, or leave "
+            "its file out"
+        )
+
+    def splits(self, recording: NDArray[np.str_], splitting: Splitting) -> NDArray[np.str_]:
+        """The split of each episode: as stated for its recording; the others are dealt."""
+        stated = {name: self.of(name).split for name in np.unique(recording).tolist()}
+        free = np.array([stated[name] is None for name in recording.tolist()])
+        if free.all():
+            return split_recordings(recording, splitting)
+        found = np.array([stated[name] or SPLITS[0] for name in recording.tolist()])
+        if free.any():
+            found[free] = split_recordings(recording[free], splitting)
+        return found
+
+    def told(self) -> dict[str, Any]:
+        """For the provenance: the names of two conditions, and columns that were not used."""
+        named = {"conditions": list(self.conditions)} if len(self.conditions) == 2 else {}
+        return named | ({"metadata_ignored": list(self.ignored)} if self.ignored else {})
+
+    def number(self, session: Session) -> int | None:
+        """0 or 1 of a session's condition."""
+        return None if session.condition is None else self.conditions.index(session.condition)
+
+
+def sessions_of(
+    recordings: Sequence[Tracks], metadata: str | None, name_pattern: str | None
+) -> Sessions:
+    """What a table or a pattern says of recordings; nothing, where neither is given."""
+    if metadata is not None:
+        return read_sessions(Path(metadata))
+    if name_pattern is not None:
+        return sessions_by_name(name_pattern, [tracks.recording for tracks in recordings])
+    return Sessions("", None)
+
+
+def read_sessions(path: Path) -> Sessions:
+    """A table with a column ``recording`` and any of :data:`COLUMNS`.
+
+    Conditions are 0 and 1, or two words, of which the first that occurs is 0. Roles are a column
+    ``target`` with a name, or rows of ``recording, individual, role``.
+
+    Raises
+    ------
+    InputError
+        One sentence with the line.
+    """
+    rows, names = _rows(path)
+    found: dict[str, Session] = {}
+    for number, row in rows:
+        place = f"{path}: line {number}"
+        name = _without_ending(row.get("recording", ""))
+        if not name:
+            raise InputError(f"{place} names no recording: fill the cell, or delete the line")
+        own = _session(row, place)
+        found[name] = _united(found[name], own, f"{place} ({name})") if name in found else own
+    words = conditions_of([one.condition for one in found.values()], str(path))
+    return Sessions(str(path), found, words, tuple(sorted(names - set(COLUMNS))))
+
+
+def sessions_by_name(pattern: str, recordings: Iterable[str]) -> Sessions:
+    """What a regular expression with groups named as :data:`GROUPS` finds in names of recordings.
+
+    Raises
+    ------
+    InputError
+        If it is none, has no such group, or does not fit a name.
+    """
+    place = f"name pattern {pattern!r}"
+    try:
+        expression = re.compile(pattern)
+    except re.error as error:
+        raise InputError(f"{place}: it is no regular expression ({error}): mend it") from None
+    groups = set(expression.groupindex)
+    if not groups or not groups <= set(GROUPS):
+        raise InputError(
+            f"{place}: it has the groups {', '.join(sorted(groups)) or 'of no name'}: name them "
+            f"{', '.join(f'(?P<{name}>...)' for name in GROUPS)}"
+        )
+    found = {}
+    for name in recordings:
+        match = expression.search(name)
+        if match is None:
+            raise InputError(f"{place}: it does not fit recording {name!r}: write one that does")
+        cells = {key: value or "" for key, value in match.groupdict().items()}
+        found[name] = _session(cells, f"{place}, recording {name!r}")
+    return Sessions(place, found, conditions_of([s.condition for s in found.values()], place))
+
+
+def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
+    """The names of conditions 0 and 1: ``0`` and ``1`` themselves, or words as they occur."""
+    found = tuple(dict.fromkeys(word for word in words if word is not None))
+    if found and set(found) <= NUMBERED:
+        return ("0", "1")
+    if len(found) > 2:
+        raise InputError(
+            f"{place}: it has {len(found)} conditions, {', '.join(found)}: import two at a time"
+        )
+    return found
+
+
+def with_session(tracks: Tracks, sessions: Sessions) -> Tracks:
+    """The recording with its condition, its scale, and of its individuals those with a role."""
+    session = sessions.of(tracks.recording)
+    if session.roles:
+        tracks = tracks.choose(list(session.roles))
+    elif session.target is not None:
+        tracks.choose([session.target])  # refuses whom there is none of
+    condition = sessions.number(session)
+    return tracks if condition is None else replace(tracks, condition=condition)
+
+
+def target_of(session: Session) -> str | None:
+    """Who is pursued in a recording, if it is said."""
+    named = [name for name, role in session.roles.items() if role == TARGET]
+    return named[0] if named else session.target
+
+
+def named_by_role(recordings: Sequence[Tracks], targets: Sequence[str]) -> list[Tracks]:
+    """Recordings of different animals under the same names: ``pursuer_0``, ..., ``target``."""
+    renamed = []
+    for tracks, target in zip(recordings, targets, strict=True):
+        others = [name for name in tracks.individuals if name != target]
+        roles = [f"{PURSUER}_{i}" for i in range(len(others))]
+        ordered = tracks.choose([*others, target])
+        renamed.append(replace(ordered, individuals=(*roles, TARGET)))
+    return renamed
+
+
+def _rows(path: Path) -> tuple[list[tuple[int, dict[str, str]]], set[str]]:
+    """Lines with their numbers and cells by column, and the names of the columns."""
+    from animarl_envs.importing.readers.encodings import encoding_of  # readers import recipes
+
+    refuse_unfinished(path)
+    try:
+        with path.open(newline="", encoding=encoding_of(path)) as file:
+            header = file.readline()
+            separator = max(SEPARATORS, key=header.count)
+            file.seek(0)
+            table = [(i, row) for i, row in enumerate(csv.reader(file, delimiter=separator), 1)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: the metadata cannot be read ({error}): check it") from None
+    names = [name.strip().lower() for name in table[0][1]] if table else []
+    if "recording" not in names:
+        raise InputError(
+            f"{path}: it lacks the column recording (it has {', '.join(names) or 'none'}): name it "
+            "so"
+        )
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: two columns have one name: rename one of them")
+    rows = []
+    for number, cells in table[1:]:
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) != len(names):
+            raise InputError(
+                f"{path}: line {number} has {len(cells)} cells, the header {len(names)}: mend it"
+            )
+        rows.append((number, dict(zip(names, (cell.strip() for cell in cells), strict=True))))
+    return rows, set(names)
+
+
+def _session(row: Mapping[str, str], place: str) -> Session:
+    split = row.get("split") or None
+    if split is not None and split not in SPLITS:
+        raise InputError(f"{place}: split {split!r} is unknown: choose one of {', '.join(SPLITS)}")
+    roles: dict[str, str] = {}
+    if row.get("individual") or row.get("role"):
+        if row.get("role") not in (PURSUER, TARGET) or not row.get("individual"):
+            raise InputError(
+                f"{place}: {row.get('individual')!r} has the role {row.get('role')!r}: name an "
+                f"individual, and {PURSUER} or {TARGET}"
+            )
+        roles = {row["individual"]: row["role"]}
+    return Session(
+        condition=row.get("condition") or None,
+        split=split,
+        target=row.get("target") or None,
+        roles=roles,
+        px_per_cm=_scale(row.get("px_per_cm", ""), place),
+    )
+
+
+def _scale(cell: str, place: str) -> float | None:
+    if not cell:
+        return None
+    try:
+        scale = float(cell)
+    except ValueError:
+        scale = math.nan
+    if not 0 < scale < math.inf:
+        raise InputError(f"{place}: px_per_cm is {cell!r}: give a positive number")
+    return scale
+
+
+def _united(before: Session, now: Session, place: str) -> Session:
+    """Two rows of one recording: roles of several individuals, all else the same."""
+    twice = set(before.roles) & set(now.roles)
+    roles = {**before.roles, **now.roles}
+    if twice or not (before.roles and now.roles):
+        raise InputError(f"{place}: the recording has two rows: keep one of them")
+    if list(roles.values()).count(TARGET) > 1:
+        raise InputError(f"{place}: a second target: give one individual of a recording that role")
+    same: dict[str, Any] = {}
+    for key in ("condition", "split", "px_per_cm"):
+        a, b = getattr(before, key), getattr(now, key)
+        if a != b:
+            raise InputError(f"{place}: {key} is {b!r} here and {a!r} above: make them agree")
+        same[key] = a
+    return Session(roles=roles, **same)
+
+
+def _without_ending(name: str) -> str:
+    """The name of a recording, where a file's name stands for it."""
+    path = Path(name)
+    return path.stem if re.fullmatch(r"\.[A-Za-z]\w{0,4}", path.suffix) else name
