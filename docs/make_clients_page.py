@@ -3,7 +3,9 @@
     python docs/make_clients_page.py
 
 The examples run one after the other in processes of their own, a few thousand steps each; the
-command stops at the first that fails. ``tests/test_clients.py`` runs the same examples.
+command stops at the first that fails. Clients whose libraries ask for other versions than this
+project's tests get an environment of their own, made here. ``tests/test_clients.py`` runs the same
+examples, those in their own environments among the slow tests.
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ import ast
 import platform
 import subprocess
 import sys
+import venv
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from animarl_envs.files import write_then_rename
@@ -30,6 +32,8 @@ class Client:
     example: str
     libraries: tuple[str, ...]
     view: str  # of the environment
+    own: tuple[str, ...] = ()
+    """What is installed beside this project in an environment of its own, if it needs one."""
 
     @property
     def path(self) -> Path:
@@ -55,6 +59,8 @@ CLIENTS = (
     ),
     Client("torchrl_env", ("torchrl",), "`GymEnv`"),
     Client("tianshou_env", ("tianshou",), "`gym.make` in `DummyVectorEnv`"),
+    Client("rllib_ppo", ("ray", "gymnasium"), "`gym.make`", ("ray[rllib]>=2.40", "torch")),
+    Client("minari_collector", ("minari", "jax"), "`gym.make`", ("minari[hdf5,create]>=0.5",)),
 )  # fmt: skip
 
 HEAD = """# AnimaRL in other libraries
@@ -88,27 +94,63 @@ What to know:
 """
 
 
-def run(client: Client, steps: int) -> str:
+def interpreter(client: Client, folder: Path) -> Path:
+    """The Python that runs a client: this one, or that of an environment made in ``folder``.
+
+    An environment that is there already is used again. Torch is of the build that stands in
+    ``constraints.txt``; all else is what the client asks for.
+    """
+    if not client.own:
+        return Path(sys.executable)
+    home = folder / client.example
+    python = home / "bin" / "python"
+    ready = home / ".installed"
+    if not ready.exists():
+        venv.create(home, with_pip=True, clear=True)
+        limits = home / "limits.txt"
+        lines = (ROOT / "constraints.txt").read_text().splitlines()
+        limits.write_text("".join(f"{line}\n" for line in lines if line.startswith("torch==")))
+        install = [str(python), "-m", "pip", "install", "-q", "-c", str(limits)]
+        subprocess.run([*install, str(ROOT), *client.own], check=True)
+        ready.touch()
+    return python
+
+
+def run(client: Client, python: Path, steps: int) -> str:
     """Run one example; its last line of output."""
-    command = [sys.executable, str(client.path), "--steps", str(steps)]
+    command = [str(python), "-W", "ignore", str(client.path), "--steps", str(steps)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     if done.returncode != 0:
         raise SystemExit(f"{client.path} failed:\n{done.stderr[-2000:]}")
     return done.stdout.strip().splitlines()[-1]
 
 
+def versions(client: Client, python: Path) -> str:
+    """The versions of a client's libraries where it ran."""
+    ask = "import sys; from importlib.metadata import version; print(*map(version, sys.argv[1:]))"
+    command = [str(python), "-c", ask, *client.libraries]
+    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    pairs = zip(client.libraries, found, strict=True)
+    return ", ".join(f"{name} {version}" for name, version in pairs)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=3000)
-    steps = parser.parse_args().steps
+    parser.add_argument(
+        "--environments", type=Path, default=ROOT / "out" / "clients",
+        help="folder of the environments of clients that need one of their own",
+    )  # fmt: skip
+    given = parser.parse_args()
     rows = []
     for client in CLIENTS:
-        said = run(client, steps)
-        versions = ", ".join(f"{name} {version(name)}" for name in client.libraries)
+        python = interpreter(client, given.environments)
+        said, ran = run(client, python, given.steps), versions(client, python)
+        ran += " (own environment)" if client.own else ""
         link = f"[`{client.example}.py`](../examples/{client.example}.py)"
-        rows.append(f"| {link} | {client.summary} | {client.view} | {versions} | {said} |")
+        rows.append(f"| {link} | {client.summary} | {client.view} | {ran} | {said} |")
         print(client.example, "-", said, flush=True)
-    head = HEAD.format(steps=steps, python=platform.python_version())
+    head = HEAD.format(steps=given.steps, python=platform.python_version())
     with write_then_rename(PAGE) as part:
         part.write_text(head + "\n".join(rows) + "\n" + FOOT)
     print(f"Wrote {PAGE.relative_to(ROOT)}")

@@ -57,6 +57,7 @@ NOTES: dict[str, tuple[str, str]] = {
         "all that is listed above, or the components of the paper, of which some are constant",
     ),
     "mirror_symmetric": ("`True`, `False`", "whether left and right are alike to it, for learners"),
+    "bodies": ("one or two names", "what all look like in pictures, or pursuers and target"),
     "planned_flip": (
         "`(0, 1)`, `(1, 0)`, `None`",
         "condition of the world and the other one that is told, as the paper compares them",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -26,11 +27,14 @@ def load(path: Path) -> ModuleType:
 
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-CLIENTS = load(ROOT / "docs" / "make_clients_page.py").CLIENTS
+PAGE = load(ROOT / "docs" / "make_clients_page.py")
+CLIENTS = PAGE.CLIENTS
+OWN = {client.example: client for client in CLIENTS if client.own}
 OPTIONAL = {"torchrl_env": "torchrl", "tianshou_env": "tianshou"}
+HERE = [path for path in EXAMPLES if path.stem not in OWN]
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", HERE, ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore")
 def test_example_runs_and_gives_a_number(path, capsys):
     if path.stem in OPTIONAL:
@@ -39,6 +43,18 @@ def test_example_runs_and_gives_a_number(path, capsys):
     numbers = result if isinstance(result, tuple) else (result,)
     assert all(math.isfinite(number) for number in numbers)
     assert "400 steps" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OWN)
+def test_clients_of_other_versions_run_in_environments_of_their_own(name, tmp_path):
+    client = OWN[name]
+    try:
+        python = PAGE.interpreter(client, tmp_path)
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"{', '.join(client.own)} cannot be installed here: {error}")
+    assert "400 steps" in PAGE.run(client, python, 400)
+    assert re.search(rf"{client.libraries[0]} \d+\.\d+", PAGE.versions(client, python))
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -10,6 +10,7 @@ import gymnasium as gym
 import pytest
 import toys
 import yaml
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
@@ -24,6 +25,7 @@ from animarl_algos.recipes.registry import RECIPES
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 
+FOREIGN = "MountainCar-v0"
 CARTPOLE = "CartPole-v1"
 
 
@@ -81,8 +83,8 @@ def test_a_learner_of_the_paper_takes_nothing_from_the_default(algo: str) -> Non
 
 @pytest.mark.parametrize("algo", ["dqn", "bc", "qr-dqaas", "dqcil-pt"])
 def test_in_a_foreign_environment_the_common_ones(algo: str) -> None:
-    model = make(algo, CARTPOLE)
-    settings = expected(algo, CARTPOLE)
+    model = make(algo, FOREIGN)
+    settings = expected(algo, FOREIGN)
     assert {name: in_use(model, name) for name in settings} == settings
     assert settings == expected(algo, "Another-v0")
 
@@ -98,10 +100,20 @@ def test_every_way_to_name_a_species_is_understood() -> None:
     ]
     assert {section_of(env) for env in environments} == {moth}
     rate = expected("dqn", moth)["learning_rate"]
-    assert rate != expected("dqn", CARTPOLE)["learning_rate"]
+    assert rate != expected("dqn", FOREIGN)["learning_rate"]
     for env in environments[1:]:
         assert DQN(env=env, device="cpu").learning_rate == rate
-    assert section_of(None) == section_of(toys.Pair(2)) == section_of(gym.make(CARTPOLE))
+    assert section_of(None) == section_of(toys.Pair(2)) == ""
+
+
+@pytest.mark.parametrize("task", [CARTPOLE, "Acrobot-v1"])
+def test_an_ordinary_task_has_a_section_however_it_is_given(task: str) -> None:
+    settings = expected("dqn", task)
+    assert settings != expected("dqn", FOREIGN)
+    for env in (task, gym.make(task), DummyVecEnv([lambda: gym.make(task)]), make_vec_env(task, 2)):
+        assert section_of(env) == task
+        model = DQN(env=env, device="cpu")
+        assert {name: in_use(model, name) for name in settings} == settings
 
 
 def test_what_is_given_goes_over_the_preset_and_tables_key_by_key() -> None:

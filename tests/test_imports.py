@@ -116,7 +116,7 @@ def test_the_command_line_without_its_extra_says_so() -> None:
     )  # fmt: skip
     assert done.returncode == 2
     assert done.stderr == (
-        "animarl: the command line needs the extra 'algos': pip install 'animarl[algos]'\n"
+        "animarl: the command line needs the extra 'cli': pip install 'animarl[cli]'\n"
     )
 
 

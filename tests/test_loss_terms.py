@@ -256,3 +256,34 @@ def test_impossible_numbers_of_a_phase_are_refused_by_their_own_name(
     with pytest.raises(InputError, match=f"^{'offline_' if name == 'offline' else ''}{key} is"):
         phase(name=name, **{key: wrong})
     assert getattr(phase(name=name, max_grad_norm=10.0), key) in (0.5, 2.0, 0.1, 0.2, 0.3, 10.0)
+
+
+@pytest.mark.parametrize("n_steps", [1, 2, 4, 9])
+def test_the_target_sums_rewards_as_far_as_the_sequence_goes(n_steps: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    lengths, last = torch.tensor([[6, 3]]), {0: False, 1: True}  # the second one terminates
+    terminated = torch.zeros(1, 6, 2)
+    terminated[0, 2, 1] = 1.0
+    rewards = torch.randn(1, 6, 2, generator=generator)
+    online = torch.randn(1, 7, 2, 3, 1, generator=generator)
+    target = torch.randn(1, 7, 2, 3, 1, generator=generator)
+    given = MinibatchValues(
+        batch=SimpleNamespace(num_steps=6, lengths=lengths, terminated=terminated),  # type: ignore[arg-type]
+        phase=phase(n_steps=n_steps),
+        distribution=ExpectedValue(),
+        valid=torch.ones(1, 6, 2, dtype=torch.bool),
+        online=GivenValues(online),
+        target=GivenValues(target),
+        treatment_logits=None,
+        parameters=[],
+    )
+    found = given.double_q_target(rewards)
+    gamma = given.phase.gamma
+    for b, ends in last.items():
+        for t in range(int(lengths[0, b])):
+            stop = min(t + n_steps, int(lengths[0, b]))
+            wanted = sum(gamma ** (s - t) * float(rewards[0, s, b]) for s in range(t, stop))
+            if not (ends and stop == lengths[0, b]):
+                best = int(online[0, stop, b, :, 0].argmax())
+                wanted += gamma ** (stop - t) * float(target[0, stop, b, best, 0])
+            assert found[0, t, b, 0].item() == pytest.approx(wanted, abs=1e-5)

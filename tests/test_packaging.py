@@ -60,6 +60,56 @@ def test_hosted_tests_are_those_of_the_makefile() -> None:
     assert [command.split()[:2] for command in commands] == [["make", "test"]]
 
 
+def test_the_page_of_a_registry_links_to_nothing_that_is_not_there() -> None:
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    _, _, name = config["metadata"]["long_description"].partition("file: ")
+    page = (ROOT / name).read_text()
+    links = re.findall(r"\]\(([^)]*)\)", page)
+    assert links and all(link.startswith("https://") for link in links)
+    for extra in config["options.extras_require"]:
+        assert extra == "test" or f"| `{extra}` |" in page
+    for name in re.findall(r"`(\w+\.(?:md|cff))`", page):
+        assert (ROOT / name).exists() or (ROOT / "docs" / name).exists()
+
+
+WATCHED = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+sys.argv = ["animarl", *sys.argv[1:]]
+from animarl_algos.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "more", [("AnimaRL/Agent-v0",), ("AnimaRL/Newt-v0", "--by", "script"), ("AnimaRL/Silkmoth-v0",)]
+)
+def test_animals_are_watched_without_what_learns(tmp_path: Path, more: tuple[str, ...]) -> None:
+    """The packages that ``render`` and ``cli`` bring are enough."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    wanted = config["options.extras_require"]
+    enough = {wanted[e] for e in ("render", "cli")} | {config["options"]["install_requires"]}
+    here = {re.split(r"[<>=]", line)[0] for text in enough for line in text.split()}
+    asked = {re.split(r"[<>=]", line)[0] for e in ("algos", "data") for line in wanted[e].split()}
+    modules = {"scikit-learn": "sklearn", "pyyaml": "yaml"}
+    absent = {modules.get(name, name).replace("-", "_") for name in asked - here}
+    assert {"torch", "stable_baselines3", "scipy", "pandas"} <= absent
+    script = WATCHED.replace("{absent}", repr(absent))
+    clip = tmp_path / "clip.gif"
+    command = (sys.executable, "-c", script, "watch", *more, "--steps", "3", "--out", str(clip))
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert clip.stat().st_size > 0
+
+
 USED = """
 import importlib, pkgutil, sys
 from pathlib import Path

@@ -94,6 +94,8 @@ def test_files_are_plain_data() -> None:
                 "hard",
                 "soft",
                 "tracking",
+                "stored",
+                "lin_1e-3",
             ),
             *(name for name in RECIPES),
             "pretraining",
@@ -288,7 +290,8 @@ def test_numbers_that_yaml_takes_for_text_are_numbers() -> None:
 
 
 def test_other_environments_have_the_default_preset_only() -> None:
-    assert learner_preset("dqn", "CartPole-v1").n_timesteps == 100_000
+    assert learner_preset("dqn", "MountainCar-v0").n_timesteps == 100_000
+    assert learner_preset("dqn", "CartPole-v1").n_timesteps == 50_000
     with pytest.raises(InputError, match="'paper' has no numbers for CartPole-v1"):
         learner_preset("dqn", "CartPole-v1", "paper")
     with pytest.raises(InputError, match="preset 'fast' is unknown"):

@@ -71,12 +71,32 @@ def test_load_without_environment_predicts(tmp_path: Path) -> None:
 @pytest.mark.parametrize("policy", ["GruPolicy", "MlpPolicy"])
 def test_an_ordinary_gymnasium_environment(policy: str) -> None:
     env = toys.VelocityMasked(gym.make("CartPole-v1"))
-    model = DQN(policy, env, **SETTINGS, train_freq=(4, "step"), sequence_length=8, burn_in=4)
+    now = {"learning_starts": 0, "train_freq": (4, "step")}
+    model = DQN(policy, env, **SETTINGS | now, sequence_length=8, burn_in=4)
     model.learn(300)
     assert model._n_updates > 0 and model.num_timesteps == 300
     assert len(model.ep_info_buffer) == model._episode_num  # type: ignore[arg-type]
     mean, _ = evaluate_policy(model, model.get_env(), n_eval_episodes=2, warn=False)
     assert mean > 0
+
+
+@pytest.mark.parametrize("policy", ["GruPolicy", "MlpPolicy"])
+def test_inputs_are_standardised_by_what_is_held_at_the_first_update(policy: str) -> None:
+    """Once, on both networks; what is acted on is what is learned from; a loaded learner has it."""
+    env = toys.VelocityMasked(gym.make("CartPole-v1"))
+    late = SETTINGS | {"train_freq": (4, "step"), "learning_starts": 200, "buffer_size": 600}
+    model = DQN(policy, env, **late, standardise_inputs=True, sequence_length=1)
+    network = model.policy.q_net
+    model.learn(196)
+    assert torch.isinf(network.input_limit).all() and not network.input_mean.any()
+    model.learn(4, reset_num_timesteps=False)
+    assert model.replay_buffer is not None and model._n_updates > 0
+    mean, sd = model.replay_buffer.moments()
+    np.testing.assert_allclose(network.input_mean[:, 0], mean)
+    np.testing.assert_allclose(network.input_sd[:, 0], sd)
+    assert torch.equal(model.policy.q_net_target.input_sd, network.input_sd)
+    model.learn(200, reset_num_timesteps=False)
+    np.testing.assert_allclose(network.input_sd[:, 0], sd)  # and stay
 
 
 def test_steps_are_counted_in_the_world() -> None:

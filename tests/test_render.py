@@ -16,11 +16,16 @@ import pytest
 from animarl_envs import parallel_env
 from animarl_envs.arena import Arena
 from animarl_envs.drawing import palette
+from animarl_envs.drawing.bodies import BODIES
 from animarl_envs.drawing.canvas import view_of
 from animarl_envs.drawing.render import Renderer, round_length, write_clip
 from animarl_envs.drawing.scene import PlumeField, Scene, SceneRecorder
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT, SPECIES
+from animarl_envs.species.bodies import BODIES as SPECIES_BODIES
+from animarl_envs.species.bodies import PLAIN_BODY, body_of_each
+from animarl_envs.species.options import with_options
 from animarl_envs.worlds.chase.world import ChaseWorld
 
 SIZE = 200
@@ -143,8 +148,8 @@ def test_plume_fades_out_before_its_field_ends(renderer):
     def odour(x: float, y: float) -> int:
         return colour_distance(picture[pixel_of(scene, (x, y))], palette.ARENA)
 
-    assert odour(0.0, 0.0) == odour(-0.85, 0.0) > 60  # it begins at once
-    for x, y in ((0.86, 0.2), (0.0, 0.86), (0.0, -0.86)):
+    assert odour(0.0, 0.0) == odour(-0.75, 0.0) > 60  # it begins at once
+    for x, y in ((-0.895, 0.2), (0.86, 0.2), (0.0, 0.86), (0.0, -0.86)):
         assert odour(x, y) < 5
 
 
@@ -171,6 +176,45 @@ def test_view_widens_to_show_who_is_far_out():
     far = make_scene(positions=np.array([(2.5, 0.0), (0.0, 0.0)]))
     assert usual.half < 1.3
     assert view_of(far).half > 2.5
+
+
+@pytest.mark.parametrize("away", [(3.0, 0.0), (-0.4, -1.7), (0.9, 0.9)])
+def test_a_long_search_stays_in_the_picture_and_fills_it(away):
+    path = np.linspace((0.3, 0.0), away, 500)[:, None]
+    searched = {"positions": path[-1], "trails": path, "headings": np.zeros(1)}
+    moth = make_scene(
+        arena=Arena("open", size=0.35),
+        names=("moth",),
+        roles=("searcher",),
+        touched=np.zeros(1, dtype=bool),
+        rewards=np.zeros(1),
+        source=(0.0, 0.0),
+        **searched,
+    )
+    view = view_of(moth)
+    everything = np.concatenate([path[:, 0], np.zeros((1, 2))])
+    assert (np.abs(everything - (view.x, view.y)) < view.half).all()
+    assert np.ptp(everything, axis=0).max() > 0.5 * view.half  # of the 2 that are shown
+    a_step_on = np.concatenate([path, path[-1:] + 0.001])
+    assert view_of(dataclasses.replace(moth, trails=a_step_on)) == view
+
+
+def test_every_body_that_a_species_may_have_is_drawn(renderer):
+    assert set(BODIES) == set(SPECIES_BODIES)
+    pictures = [renderer.draw(make_scene(bodies=(name, "prey"))) for name in BODIES]
+    for i, picture in enumerate(pictures):
+        for other in pictures[:i]:
+            assert (picture != other).sum() > 60
+    for body in BODIES.values():
+        assert max(np.abs(part.outline).max() for part in body) < 1.0
+
+
+def test_a_species_says_what_its_animals_look_like():
+    assert body_of_each(AGENT.bodies, AGENT.roles) == ("predator", "predator", "prey")
+    assert body_of_each(SPECIES["newt"].bodies, AGENT.roles) == ("newt",) * 3
+    assert SPECIES_BODIES[0] == PLAIN_BODY == make_scene().body(1)
+    with pytest.raises(InputError, match="bodies is 'cat': give one of animal, predator"):
+        with_options(AGENT, bodies="cat")
 
 
 def test_open_field_shows_source_start_and_scale(renderer):

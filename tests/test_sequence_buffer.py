@@ -252,3 +252,21 @@ def test_batches_reach_the_gpu_unchanged() -> None:
         np.testing.assert_array_equal(sent.indices, kept.indices)
         assert torch.equal(sent.observations.cpu(), kept.observations)
         assert torch.equal(sent.mask.cpu(), kept.mask)
+
+
+def test_moments_are_those_of_the_episodes_that_are_held() -> None:
+    buffer = SequenceReplayBuffer(12, 2, 1, 2, 4, num_copies=1)
+    rng, kept = np.random.default_rng(0), []
+    for _ in range(5):  # of 5 rows each: two fit
+        episode = rng.normal(size=(5, 1, 2)).astype(np.float32)
+        kept.append(episode)
+        for t in range(4):
+            last = np.array([t == 3])
+            buffer.add(
+                episode[None, t], np.zeros((1, 1), int), np.zeros((1, 1)), episode[None, t + 1],
+                last, np.zeros(1, bool),
+            )  # fmt: skip
+    mean, sd = buffer.moments()
+    held = np.concatenate(kept[-2:])
+    np.testing.assert_allclose(mean, held.mean(0), atol=1e-6)
+    np.testing.assert_allclose(sd, held.std(0), atol=1e-6)

@@ -16,7 +16,7 @@ try:
 except ModuleNotFoundError as error:
     if (error.name or "").startswith("animarl"):
         raise
-    print(f"animarl: {MissingExtraError('the command line', 'algos')}", file=sys.stderr)
+    print(f"animarl: {MissingExtraError('the command line', 'cli')}", file=sys.stderr)
     sys.exit(2)
 
 TERMINATED = 128 + signal.SIGTERM  # as a shell gives it

@@ -128,10 +128,12 @@ class SequenceQLearning(OffPolicyAlgorithm):
     exploration_fraction: float | None
     exploration_schedule: LinearDecay
     lambda1: float
+    n_steps: int
     sequence_length: int | None
     burn_in: int
     state_mode: str
     prioritized: bool
+    standardise_inputs: bool
     max_episode_steps: int | None
     offline_loss: str
     offline_epochs: int

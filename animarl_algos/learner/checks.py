@@ -38,6 +38,7 @@ LEARNER = {
     "gradient_steps": Range(least=-1, whole=True),
     "updates_per_episode": NOT_NEGATIVE,
     "tau": SHARE,
+    "n_steps": COUNT,
     "offline_learning_rate": POSITIVE,
     "exploration_fraction": replace(SHARE, optional=True),
     "sequence_length": COUNT_OR_NONE,
@@ -64,7 +65,10 @@ def phase_of(model: SequenceQLearning, name: str) -> Phase:
     own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
     settings = {key: getattr(model, prefix + key) for key in own}
     scaled = name == "offline" and model.offline_scaled_penalties
-    return Phase(name=name, lambda1=model.lambda1, scaled_penalties=scaled, **settings)
+    steps = model.n_steps if name == "online" else 1
+    return Phase(
+        name=name, lambda1=model.lambda1, scaled_penalties=scaled, n_steps=steps, **settings
+    )
 
 
 def refuse_bad_settings(model: SequenceQLearning) -> None:
@@ -119,6 +123,11 @@ def refuse_what_does_not_go_together(model: SequenceQLearning) -> None:
         raise InputError(
             "sequence_length is 1 and the policy has a memory, which learns nothing from "
             "single steps: give longer pieces, a burn_in, state_mode 'stored', or MlpPolicy"
+        )
+    if model.sequence_length is not None and model.n_steps > model.sequence_length - model.burn_in:
+        raise InputError(
+            f"n_steps is {model.n_steps} and {model.sequence_length - model.burn_in} steps of a "
+            "sequence are learned from: give a longer sequence_length, or fewer n_steps"
         )
     quantiles = model.policy_kwargs.get("n_quantiles")
     if (quantiles is not None) != model.quantiles:

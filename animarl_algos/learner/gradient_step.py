@@ -216,7 +216,13 @@ def _burn_in(network: StackedQNetwork, batch: SequenceBatch) -> torch.Tensor:
     state = batch.initial_state
     if state is None:
         state = network.initial_state(batch.batch_size)
-    for t in range(batch.burn_in):
+    prefix, starts = batch.burn_in, batch.starts
+    if bool(((starts == 0) | (starts == prefix)).all()):  # prefixes are whole, or there is none
+        rebuilt = network(
+            batch.observations[:, :prefix], batch.previous_actions[:, :prefix], state
+        ).final_state
+        return torch.where((starts == 0).unsqueeze(-1), rebuilt, state)
+    for t in range(prefix):
         _, after = network.step(batch.observations[:, t], batch.previous_actions[:, t], state)
-        state = torch.where((batch.starts <= t).unsqueeze(-1), after, state)
+        state = torch.where((starts <= t).unsqueeze(-1), after, state)
     return state

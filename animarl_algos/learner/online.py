@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import RolloutReturn, TrainFreq
 from stable_baselines3.common.utils import polyak_update, safe_mean
@@ -17,6 +18,9 @@ from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 
 if TYPE_CHECKING:
     from animarl_algos.learner.algorithm import SequenceQLearning
+
+FARTHEST = 1000.0
+"""Inputs standardised by random steps are clipped at so many sd: learnt behaviour goes farther."""
 
 
 def alternate(
@@ -133,7 +137,23 @@ def train_as_due(model: SequenceQLearning) -> None:
         pace.updates_due = 0.0
         return
     if updates := pace.spend():
+        if model.standardise_inputs:
+            standardise(model)
         model.train(updates, model.batch_size)
+
+
+def standardise(model: SequenceQLearning) -> None:
+    """Let the networks see inputs in units of what the memory holds now, once for all.
+
+    What was standardised before, in the offline phase too, stays.
+    """
+    assert model.replay_buffer is not None
+    policy = model.policy
+    if torch.isfinite(policy.q_net.input_limit).all():
+        return
+    mean, sd = (torch.from_numpy(each) for each in model.replay_buffer.moments())
+    for network in (policy.q_net, policy.q_net_target):
+        network.standardise_inputs(mean.to(model.device), sd.to(model.device), limit=FARTHEST)
 
 
 def write_log(model: SequenceQLearning) -> None:

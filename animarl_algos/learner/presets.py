@@ -168,7 +168,7 @@ def constructor_settings(
 
 
 def section_of(env: Any) -> str:
-    """The environment id under which files speak of ``env``: its own if it is one, or its species'.
+    """The environment id under which files speak of ``env``: its species', or its own.
 
     Parameters
     ----------
@@ -177,14 +177,18 @@ def section_of(env: Any) -> str:
     """
     if isinstance(env, str):
         return env
-    scenario = None
+    scenario, spec = None, None
     if isinstance(env, VecEnv):
         if hasattr(env, "scenario"):
             scenario = env.scenario
         elif env.has_attr("scenario"):
             scenario = env.get_attr("scenario", indices=0)[0]
-    elif isinstance(env, gym.Env) and env.has_wrapper_attr("scenario"):
-        scenario = env.get_wrapper_attr("scenario")
+        if scenario is None and env.has_attr("spec"):
+            spec = env.get_attr("spec", indices=0)[0]
+    elif isinstance(env, gym.Env):
+        spec = env.spec
+        if env.has_wrapper_attr("scenario"):
+            scenario = env.get_wrapper_attr("scenario")
     if isinstance(scenario, Scenario):
         return environment_id(scenario.species.name)
-    return OF_NO_SPECIES
+    return OF_NO_SPECIES if spec is None else str(spec.id)

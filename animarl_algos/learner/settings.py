@@ -34,6 +34,8 @@ class LearnerSettings(PhaseSettings, total=False):
         ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
         measures the penalties of all actions in units of their mean instead of arena units, as in
         the paper.
+    n_steps
+        Rewards summed before the value of what follows, as far as the sequence goes on; online.
     tau
         Share of the online weights that a target update takes over.
     target_update_interval
@@ -55,6 +57,10 @@ class LearnerSettings(PhaseSettings, total=False):
         ``exploration_fraction`` gives the steps as a share of ``total_timesteps`` instead.
     sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
         See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
+    standardise_inputs
+        Whether the networks see observations centred and scaled by mean and sd of those that the
+        memory holds at the first update (of random steps, with ``learning_starts``); where the
+        offline phase has standardised them, that stays.
     max_episode_steps
         Longest episode; None: what the environment declares.
     offline_loss
@@ -93,6 +99,7 @@ class LearnerSettings(PhaseSettings, total=False):
     burn_in: int
     state_mode: str
     prioritized: bool
+    standardise_inputs: bool
     replay_buffer_kwargs: dict[str, Any] | None
     max_episode_steps: int | None
     offline_loss: str

@@ -32,6 +32,8 @@ class Phase:
         Whether penalties of all actions are taken in units of their mean over actions and steps
         (per individual and batch) instead of arena units. That mean is about ``u dt^2``, how far
         one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
+    n_steps
+        Rewards that are summed before the value of what follows (Sutton 1988; Hessel et al. 2018).
     """
 
     name: str
@@ -42,6 +44,7 @@ class Phase:
     lambda3: float
     max_grad_norm: float | None
     scaled_penalties: bool = False
+    n_steps: int = 1
 
     def __post_init__(self) -> None:
         prefix = "" if self.name == "online" else f"{self.name}_"
@@ -54,7 +57,7 @@ class Phase:
 WEIGHTS = tuple(
     each.name
     for each in fields(Phase)
-    if each.name not in ("name", "gamma", "max_grad_norm", "scaled_penalties")
+    if each.name not in ("name", "gamma", "max_grad_norm", "scaled_penalties", "n_steps")
 )
 
 
@@ -68,6 +71,7 @@ class PhaseSettings(TypedDict, total=False):
     lambda2: float
     lambda3: float
     max_grad_norm: float | None
+    n_steps: int
 
     offline_gamma: float
     offline_alpha: float

@@ -98,11 +98,25 @@ class MinibatchValues:
         return self.online.of_actions(with_last)[:, :-1]
 
     def double_q_target(self, rewards: torch.Tensor) -> torch.Tensor:
-        """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``."""
+        """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``.
+
+        With ``n_steps`` of the phase that many rewards come before the value, as far as the
+        sequence goes on: at its end fewer.
+        """
         assert self.target is not None
         best = self.online.q_values.detach().argmax(-1)  # ties: the lowest index
         bootstrap = self.target.of_actions(best)[:, 1:]
-        return one_step_target(rewards, self.batch.terminated > 0, bootstrap, self.phase.gamma)
+        over, gamma = self.batch.terminated > 0, self.phase.gamma
+        target = one_step_target(rewards, over, bootstrap, gamma)
+        if self.phase.n_steps > 1:
+            steps = torch.arange(1, self.batch.num_steps + 1, device=over.device)
+            goes_on = (steps.view(1, -1, 1) < self.batch.lengths.unsqueeze(1)).unsqueeze(-1)
+            for _ in range(self.phase.n_steps - 1):
+                next_one = torch.cat((target[:, 1:], target[:, -1:]), dim=1)
+                target = one_step_target(
+                    rewards, over, torch.where(goes_on, next_one, bootstrap), gamma
+                )
+        return target
 
 
 class LossTerm(Protocol):

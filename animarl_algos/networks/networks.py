@@ -178,7 +178,9 @@ class StackedQNetwork(nn.Module):
         return [self.get_submodule(f"encoder_{i + 1}") for i in range(self.depth)]  # type: ignore[misc]
 
     @torch.no_grad()
-    def standardise_inputs(self, mean: torch.Tensor, sd: torch.Tensor) -> None:
+    def standardise_inputs(
+        self, mean: torch.Tensor, sd: torch.Tensor, limit: float = INPUT_LIMIT
+    ) -> None:
         """See observations as ``clip((o - mean) / sd)`` from now on, but for the treatment flag.
 
         Parameters
@@ -186,6 +188,8 @@ class StackedQNetwork(nn.Module):
         mean, sd : Tensor (K, n)
             Of each individual's observation components, the flag's own included (and not used).
             A component that does not vary (sd 0) keeps its scale.
+        limit
+            Clips what lies farther from the mean [sd].
         """
         sd = torch.where(sd > 1e-6, sd, 1.0)
         if self.condition_flag:
@@ -193,7 +197,7 @@ class StackedQNetwork(nn.Module):
             mean[:, -1], sd[:, -1] = 0.0, 1.0
         self.input_mean.copy_(mean.unsqueeze(1))
         self.input_sd.copy_(sd.unsqueeze(1))
-        self.input_limit.fill_(INPUT_LIMIT)
+        self.input_limit.fill_(limit)
 
     def _standardised(self, observations: torch.Tensor) -> torch.Tensor:
         """Packed observations (K, row, n) in units of their training spread."""

@@ -23,6 +23,7 @@ from animarl_algos.replay.memory_limit import refuse_too_large
 from animarl_algos.replay.rings import (
     EPISODES,
     NEXT,
+    NEXT_ROW,
     OLDEST,
     ROWS_USED,
     Frames,
@@ -193,6 +194,13 @@ class SequenceReplayBuffer:
     def num_steps(self) -> int:
         """Steps of the world in the ring."""
         return int(self.ring.cursor[ROWS_USED]) - self.num_episodes
+
+    def moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Mean and standard deviation ``(K, n)`` of each individual's observations in the ring."""
+        used, rows = int(self.ring.cursor[ROWS_USED]), np.arange(self.buffer_size)
+        held = (int(self.ring.cursor[NEXT_ROW]) - 1 - rows) % self.buffer_size < used
+        observed = self.ring.frames.observations[held].astype(np.float64)
+        return observed.mean(0).astype(np.float32), observed.std(0).astype(np.float32)
 
     @property
     def nbytes(self) -> int:

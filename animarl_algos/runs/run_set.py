@@ -19,7 +19,7 @@ from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 
-TOLD = ("observation", "source", "title", "version_history", "mirror_symmetric")
+TOLD = ("observation", "source", "title", "version_history", "mirror_symmetric", "bodies")
 """Fields of a species that a method may have its own way: what it sees, and names."""
 
 

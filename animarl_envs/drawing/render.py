@@ -1,7 +1,7 @@
 """Drawing scenes with pygame: a picture for a window or as an array.
 
-Shapes are drawn :data:`SUPERSAMPLING` times larger than they are shown and averaged down, text is
-drawn at its final size. The same scene gives the same pixels, with or without a display.
+What stays from picture to picture (arena, texts) is drawn once and kept. The same scene gives the
+same pixels, with or without a display.
 """
 
 from __future__ import annotations
@@ -13,12 +13,19 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.arena import Arena
 from animarl_envs.drawing import palette
-from animarl_envs.drawing.canvas import Canvas, View, view_of
+from animarl_envs.drawing.canvas import SUPERSAMPLING, Canvas, View, view_of
 from animarl_envs.drawing.clips import CLIP_SUFFIXES, write_clip
 from animarl_envs.drawing.palette import RGB
 from animarl_envs.drawing.scene import Scene
-from animarl_envs.drawing.sketch import draw_bodies, draw_ground, draw_paths
+from animarl_envs.drawing.sketch import (
+    draw_arena,
+    draw_bodies,
+    draw_odour,
+    draw_paths,
+    draw_reach,
+)
 from animarl_envs.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
@@ -27,7 +34,6 @@ if TYPE_CHECKING:
 __all__ = ["CLIP_SUFFIXES", "RenderMode", "Renderer", "round_length", "write_clip"]
 
 RenderMode = Literal["rgb_array", "human"]
-SUPERSAMPLING = 2  # a power of two: pygame then averages without rounding down
 TEXT_SUPERSAMPLING = 4
 MOST_TEXTS = 256  # texts that are kept as they were drawn: most stay from picture to picture
 STRIP = 0.12  # height of the text strip, in widths of the picture
@@ -70,6 +76,8 @@ class Renderer:
         self._pygame.font.init()
         self._fonts: dict[int, Any] = {}
         self._texts: dict[tuple[str, RGB], Surface] = {}
+        self._ground: tuple[tuple[Arena, View, str, float | None], Surface] | None = None
+        self._sheet: Surface = self._pygame.Surface((self.size, self.height), 0, 32)
         self._window: Surface | None = None
         self._clock: Any = None
 
@@ -88,9 +96,11 @@ class Renderer:
         if self.mode == "human":
             self._show(picture, scene.title)
             return None
-        # A few times faster than pygame's surfarray, which has the columns first.
-        pixels = np.frombuffer(self._pygame.image.tobytes(picture, "RGB"), dtype=np.uint8)
-        return pixels.reshape(self.height, self.size, 3).copy()
+        # Onto a surface whose memory is the array: faster than any of pygame's own conversions.
+        pixels = np.empty((self.height, self.size, 3), dtype=np.uint8)
+        there = self._pygame.image.frombuffer(pixels, picture.get_size(), "RGB")
+        there.blit(picture, (0, 0))
+        return pixels
 
     def close(self) -> None:
         """Close the window, if any. Closing twice is harmless."""
@@ -101,18 +111,33 @@ class Renderer:
             self._window = None
 
     def _picture(self, scene: Scene) -> Surface:
-        pygame = self._pygame
-        canvas = Canvas(pygame, self.size * SUPERSAMPLING, view_of(scene))
-        draw_ground(canvas, scene)
+        view = view_of(scene)
+        picture = self._page(scene, view)
+        field = picture.subsurface((0, 0, self.size, self.size))
+        canvas = Canvas(self._pygame, field, self.size, view)
+        draw_odour(canvas, scene)
+        draw_reach(canvas, scene)
         draw_paths(canvas, scene)
         draw_bodies(canvas, scene)
-        picture: Surface = pygame.Surface((self.size, self.height), 0, 32)
-        picture.fill(palette.BACKGROUND)
-        picture.blit(pygame.transform.smoothscale(canvas.surface, (self.size,) * 2), (0, 0))
         self._write_strip(picture, scene)
-        if scene.arena.shape == "open" or scene.unit != Scene.unit:
-            self._draw_scale_bar(picture, scene, self.size / (2 * canvas.view.half))
         return picture
+
+    def _page(self, scene: Scene, view: View) -> Surface:
+        """The empty arena with the strip below it, drawn anew only if it is another one."""
+        here = (scene.arena, view, scene.unit, scene.wind)
+        if self._ground is None or self._ground[0] != here:
+            pygame, large = self._pygame, self.size * SUPERSAMPLING
+            ground = pygame.Surface((large, large), 0, 32)
+            ground.fill(palette.BACKGROUND)
+            draw_arena(Canvas(pygame, ground, large, view), scene.arena)
+            page = pygame.Surface((self.size, self.height), 0, 32)
+            page.fill(palette.BACKGROUND)
+            page.blit(pygame.transform.smoothscale(ground, (self.size,) * 2), (0, 0))
+            if scene.arena.shape == "open" or scene.unit != Scene.unit:
+                self._draw_scale_bar(page, scene, self.size / (2 * view.half))
+            self._ground = here, page
+        self._sheet.blit(self._ground[1], (0, 0))
+        return self._sheet
 
     def _show(self, picture: Surface, title: str) -> None:
         pygame = self._pygame
@@ -173,11 +198,11 @@ class Renderer:
 
     def _dot(self, picture: Surface, x: float, top: float, colour: RGB) -> None:
         """The colour key of an individual, at the height of the text."""
-        side = round(0.018 * self.size)
-        sheet = Canvas(self._pygame, side * SUPERSAMPLING, View(0.0, 0.0, 1.0))
-        sheet.disc(np.zeros(2), 0.46 * sheet.pixels, colour)
-        dot = self._pygame.transform.smoothscale(sheet.surface, (side, side))
-        picture.blit(dot, (round(x), round(top + 0.1 * (self._text_size - side))))
+        side = 0.018 * self.size
+        canvas = Canvas(self._pygame, picture, self.size, View(0.0, 0.0, 1.0))
+        canvas.disc(
+            np.array([x + side / 2, top + 0.1 * self._text_size + 0.4 * side]), 0.46 * side, colour
+        )
 
     def _font(self, size: int) -> Any:
         if size not in self._fonts:
@@ -229,12 +254,9 @@ class Renderer:
         if scene.wind is None:
             return
         side = round(0.09 * self.size)
-        sheet = Canvas(self._pygame, side * SUPERSAMPLING, View(0.0, 0.0, 1.0))
-        sheet.surface.fill(palette.ARENA)
-        sheet.arrow(scene.wind, palette.MUTED_TEXT)
-        arrow = self._pygame.transform.smoothscale(sheet.surface, (side, side))
         corner = (round(self.size - left - side), round(low - 0.5 * side))
-        picture.blit(arrow, corner)
+        sheet = picture.subsurface((*corner, side, side))
+        Canvas(self._pygame, sheet, side, View(0.0, 0.0, 1.0)).arrow(scene.wind, palette.MUTED_TEXT)
         width = self._text_width("wind")
         self._write(
             picture, "wind", corner[0] - width - 4, low - 0.012 * self.size, palette.MUTED_TEXT

@@ -17,6 +17,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TARGET_OUT
 from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
+from animarl_envs.species.bodies import PLAIN_BODY, body_of_each
 from animarl_envs.worlds.plume.plume import PlumeField
 
 AT_REST = 1e-9  # a slower individual keeps its heading [arena unit / s]
@@ -32,8 +33,9 @@ class Scene:
     ----------
     arena, contact_radius
         The field, and the distance that counts as contact [arena unit].
-    names, roles
-        For each individual its name and ``"pursuer"``, ``"target"`` or ``"searcher"``.
+    names, roles, bodies
+        For each individual its name, ``"pursuer"``, ``"target"`` or ``"searcher"``, and which of
+        :data:`animarl_envs.drawing.bodies.BODIES` it has; ``bodies`` may be left out.
     positions, headings
         ``(K, 2)`` [arena unit] and ``(K,)``, counter-clockwise from x [rad].
     trails
@@ -64,6 +66,7 @@ class Scene:
     trails: NDArray[np.floating]
     touched: NDArray[np.bool_]
     rewards: NDArray[np.floating]
+    bodies: tuple[str, ...] = ()
     title: str = ""
     condition: str = ""
     note: str = ""
@@ -92,8 +95,13 @@ class Scene:
                     f"{key} of the scene has shape {getattr(self, key).shape}, not {shape}: "
                     f"give one entry for each of {', '.join(self.names)}"
                 )
-        if len(self.roles) != num:
-            raise InputError(f"the scene has {len(self.roles)} roles for {num} individuals")
+        for what, given in (("roles", self.roles), ("bodies", self.bodies or self.roles)):
+            if len(given) != num:
+                raise InputError(f"the scene has {len(given)} {what} for {num} individuals")
+
+    def body(self, i: int) -> str:
+        """What individual ``i`` looks like."""
+        return self.bodies[i] if self.bodies else PLAIN_BODY
 
 
 @dataclass(eq=False)
@@ -167,6 +175,7 @@ class SceneRecorder:
             contact_radius=species.contact_radius,
             names=species.individuals,
             roles=species.roles,
+            bodies=body_of_each(species.bodies, species.roles),
             positions=position,
             trails=np.stack(self._trail),
             touched=_touched(position, species.contact_radius),

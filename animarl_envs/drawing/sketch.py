@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.arena import Arena
 from animarl_envs.drawing import palette
-from animarl_envs.drawing.canvas import WIDEST_BOUNDARY, Canvas, placed, thick_line
+from animarl_envs.drawing.bodies import BODIES, Body
+from animarl_envs.drawing.canvas import WIDEST_BOUNDARY, Canvas, placed
 from animarl_envs.drawing.palette import RGB
 from animarl_envs.drawing.scene import Scene
 from animarl_envs.worlds.plume.plume import PlumeField
@@ -18,25 +22,28 @@ TRAIL_WIDTH = 0.0055
 RECORDED_WIDTH = 0.0035
 OUTLINE_WIDTH = 0.0032
 PLUME_FADE = 0.2  # share of the field, before its end, in which the plume fades out
+UPWIND_FADE = 0.06  # the same at its beginning, where the source is near
 PLUME_MARGIN = 0.04  # share of the field at its end that holds nothing, beyond the cut
 TRAIL_FADE = 25.0  # [frames] over which a trail fades towards its floor
+RIM = 0.05  # white around a body [body length]
 
 
-def draw_ground(canvas: Canvas, scene: Scene) -> None:
-    """The arena's floor and edge, its virtual boundary, the plume and the odour source."""
-    arena = scene.arena
+def draw_arena(canvas: Canvas, arena: Arena) -> None:
+    """The arena's floor and edge, and its virtual boundary: what stays for a whole episode."""
     if arena.shape == "open":
         canvas.surface.fill(palette.ARENA)
-    else:
-        edge = _edge(arena.shape, arena.size)
-        canvas.polygon(canvas.at(edge), palette.ARENA)
-        line = canvas.width(OUTLINE_WIDTH)
-        if arena.size < arena.boundary <= WIDEST_BOUNDARY * arena.size and not arena.rebound:
-            boundary = _edge(arena.shape, arena.boundary)
-            canvas.outline(
-                boundary, palette.BOUNDARY, canvas.width(OUTLINE_WIDTH * 0.7), dashed=True
-            )
-        canvas.outline(edge, palette.OUTLINE, line, dashed=False)
+        return
+    edge = _edge(arena.shape, arena.size)
+    canvas.polygon(canvas.at(edge), palette.ARENA)
+    line = canvas.width(OUTLINE_WIDTH)
+    if arena.size < arena.boundary <= WIDEST_BOUNDARY * arena.size and not arena.rebound:
+        boundary = _edge(arena.shape, arena.boundary)
+        canvas.outline(boundary, palette.BOUNDARY, canvas.width(OUTLINE_WIDTH * 0.7), dashed=True)
+    canvas.outline(edge, palette.OUTLINE, line, dashed=False)
+
+
+def draw_odour(canvas: Canvas, scene: Scene) -> None:
+    """The plume and the odour source, where there are any."""
     if scene.plume is not None:
         _draw_plume(canvas, scene.plume)
     if scene.source is not None:
@@ -48,27 +55,44 @@ def draw_paths(canvas: Canvas, scene: Scene) -> None:
     if scene.demonstration is not None:
         for i in range(len(scene.names)):
             recorded = scene.demonstration[:, i]
-            even = np.full(len(recorded), 0.55)
             hue = palette.mix(palette.DEMONSTRATION, _colour(scene, i), 0.35)
-            canvas.path(recorded, hue, canvas.width(RECORDED_WIDTH), even)
-    age = np.arange(len(scene.trails))[::-1]
-    alpha = palette.TRAIL_FLOOR + (palette.TRAIL_ALPHA - palette.TRAIL_FLOOR) * np.exp(
-        -age / TRAIL_FADE
-    )
+            faint = palette.mix(palette.ARENA, hue, 0.55)
+            canvas.path(recorded, [faint] * (len(recorded) - 1), canvas.width(RECORDED_WIDTH))
+    pieces = len(scene.trails) - 1
     for i in range(len(scene.names)):
-        canvas.path(scene.trails[:, i], _colour(scene, i), canvas.width(TRAIL_WIDTH), alpha)
+        colours = _faded(_colour(scene, i), max(pieces, 0))
+        canvas.path(scene.trails[:, i], colours, canvas.width(TRAIL_WIDTH))
+
+
+@lru_cache(maxsize=64)
+def _fading_colours(colour: RGB) -> list[RGB]:
+    """Of a trail's pieces on the floor, the youngest first, until nothing fades any more."""
+    ages = np.arange(round(5 * TRAIL_FADE))
+    share = palette.TRAIL_FLOOR + (palette.TRAIL_ALPHA - palette.TRAIL_FLOOR) * np.exp(
+        -ages / TRAIL_FADE
+    )
+    return [palette.mix(palette.ARENA, colour, float(each)) for each in share]
+
+
+def _faded(colour: RGB, pieces: int) -> list[RGB]:
+    """The colours of so many pieces of a trail, the oldest first."""
+    young = _fading_colours(colour)[:pieces]
+    return [young[-1]] * (pieces - len(young)) + young[::-1] if young else []
+
+
+def draw_reach(canvas: Canvas, scene: Scene) -> None:
+    """The reach of contact around the target."""
+    for i, role in enumerate(scene.roles):
+        if role == "target":
+            hue, alpha = (palette.TOUCH, 0.5) if scene.touched[i] else (palette.TARGET, 0.07)
+            reach = scene.contact_radius * canvas.scale
+            canvas.disc(canvas.at(scene.positions[i]), reach, hue, alpha)
 
 
 def draw_bodies(canvas: Canvas, scene: Scene) -> None:
-    """Reach of contact around the target, antennae, and everybody, the target on top."""
-    reach = scene.contact_radius * canvas.scale
-    for i, role in enumerate(scene.roles):
-        if role == "target":
-            if scene.touched[i]:
-                canvas.veil(scene.positions[i], reach, palette.TOUCH, 0.5)
-            else:
-                canvas.veil(scene.positions[i], reach, palette.TARGET, 0.07)
+    """Antennae and everybody, the target on top."""
     low, high = BODY_LENGTH
+    reach = scene.contact_radius * canvas.scale
     length = min(max(reach, low * canvas.pixels), high * canvas.pixels)
     if scene.antennae is not None:
         to_tip = float(np.hypot(*(scene.antennae[0] - scene.positions[-1]))) * canvas.scale
@@ -81,42 +105,53 @@ def draw_bodies(canvas: Canvas, scene: Scene) -> None:
 
 
 def _draw_body(canvas: Canvas, scene: Scene, i: int, length: float) -> None:
-    centre, colour = canvas.at(scene.positions[i]), _colour(scene, i)
-    heading = float(scene.headings[i])
-    if scene.touched[i] and scene.roles[i] != "target":
-        halo = placed(BODY_SHAPE * 1.3, centre, heading, length)
-        canvas.polygon(halo, palette.TOUCH)
-    canvas.polygon(placed(BODY_SHAPE * 1.1, centre, heading, length), palette.BACKGROUND)
-    canvas.polygon(placed(BODY_SHAPE, centre, heading, length), colour)
-    light = palette.mix(colour, palette.BACKGROUND, 0.85)
-    for eye in placed(EYES, centre, heading, length).tolist():
-        canvas.pygame.draw.circle(canvas.surface, light, eye, 0.055 * length)
+    centre, own = canvas.at(scene.positions[i]), _colour(scene, i)
+    body = BODIES[scene.body(i)]
+    points, ends = _outlines(body)
+    at = np.split(placed(points, centre, float(scene.headings[i]), length), ends)
+    halo = scene.touched[i] and scene.roles[i] != "target"
+    rim = palette.TOUCH if halo else palette.BACKGROUND
+    rims = [part for part in body if part.rimmed]
+    colours = [rim] * len(rims) + [part.colour(own) for part in body]
+    canvas.shapes(list(zip(at, colours, strict=True)))
+
+
+@lru_cache(maxsize=64)
+def _outlines(body: Body) -> tuple[NDArray[np.float64], list[int]]:
+    """The rims and parts of a body in one array ``(n, 2)``, and where to cut it."""
+    rims = [_widened(part.outline) for part in body if part.rimmed]
+    every = rims + [part.outline for part in body]
+    return np.concatenate(every), np.cumsum([len(each) for each in every])[:-1].tolist()
+
+
+def _widened(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The outline, moved outwards from its own middle by the width of a rim."""
+    middle = outline.mean(axis=0)
+    out = outline - middle
+    return np.asarray(outline + RIM * out / np.linalg.norm(out, axis=1, keepdims=True))
 
 
 def _draw_antennae(canvas: Canvas, scene: Scene, reach: float) -> None:
     """Both antennae in their directions, lit by what they smell; ``reach`` in px."""
     assert scene.antennae is not None
-    root = canvas.at(scene.positions[-1])
+    root, own = canvas.at(scene.positions[-1]), _colour(scene, 0)
     for tip, smell in zip(scene.antennae, scene.odour, strict=True):
-        width = canvas.width(0.8 * OUTLINE_WIDTH)
         ahead = canvas.at(tip) - root
-        end = (root + ahead * reach / max(float(np.hypot(*ahead)), 1e-9)).tolist()
-        thick_line(canvas.pygame.draw, canvas.surface, _colour(scene, 0), root.tolist(), end, width)
+        end = root + ahead * reach / max(float(np.hypot(*ahead)), 1e-9)
+        line = canvas.width(0.8 * OUTLINE_WIDTH)
+        canvas.pygame.draw.aaline(canvas.surface, own, root.tolist(), end.tolist(), line)
         lit = palette.mix(palette.BACKGROUND, palette.TOUCH, min(max(float(smell), 0.0), 1.0))
-        canvas.pygame.draw.circle(canvas.surface, _colour(scene, 0), end, 0.0085 * canvas.pixels)
-        canvas.pygame.draw.circle(canvas.surface, lit, end, 0.006 * canvas.pixels)
+        canvas.disc(end, 0.0085 * canvas.pixels, own)
+        canvas.disc(end, 0.006 * canvas.pixels, lit)
 
 
 def _draw_source(canvas: Canvas, scene: Scene) -> None:
-    source = np.array(scene.source)
+    source = canvas.at(np.array(scene.source))
     reach = scene.contact_radius * canvas.scale
     reached = bool(scene.touched.any())
-    canvas.veil(
-        source, reach, palette.TOUCH if reached else palette.PLUME, 0.45 if reached else 0.14
-    )
-    around = np.linspace(0, 2 * np.pi, 96, endpoint=False)
-    ring = source + scene.contact_radius * np.stack([np.cos(around), np.sin(around)], axis=-1)
-    canvas.outline(ring, palette.PLUME, canvas.width(OUTLINE_WIDTH * 0.7), dashed=False)
+    hue, alpha = (palette.TOUCH, 0.45) if reached else (palette.PLUME, 0.14)
+    canvas.disc(source, reach, hue, alpha)
+    canvas.ring(source, reach, palette.PLUME, canvas.width(OUTLINE_WIDTH * 0.7))
     canvas.disc(source, 0.008 * canvas.pixels, palette.mix(palette.PLUME, palette.TARGET, 0.35))
 
 
@@ -135,27 +170,23 @@ def _draw_plume(canvas: Canvas, plume: PlumeField) -> None:
     canvas.surface.blit(pygame.transform.smoothscale(sheet, size), corner.tolist())
 
 
+@lru_cache(maxsize=8)
 def _fading(shape: tuple[int, int]) -> NDArray[np.float64]:
-    """1 within the field, falling to 0 before its downwind end and its sides, where it is cut."""
+    """1 within the field, falling to 0 before its ends and its sides, where it is cut."""
     columns, rows = ((np.arange(n) + 0.5) / n for n in shape)
-    to_side = np.minimum(rows, 1.0 - rows)
-    along, across = (
-        np.clip((left - PLUME_MARGIN) / fade, 0.0, 1.0)
-        for left, fade in ((1.0 - columns, PLUME_FADE), (to_side, PLUME_FADE / 2))
+    before, along, across = (
+        np.clip((left - margin) / fade, 0.0, 1.0)
+        for left, margin, fade in (
+            (columns, 0.0, UPWIND_FADE),
+            (1.0 - columns, PLUME_MARGIN, PLUME_FADE),
+            (np.minimum(rows, 1.0 - rows), PLUME_MARGIN, PLUME_FADE / 2),
+        )
     )
-    return np.asarray(along[:, None] * across)
+    return np.asarray((before * along)[:, None] * across)
 
 
 def _colour(scene: Scene, i: int) -> RGB:
     return palette.TARGET if scene.roles[i] == "target" else palette.pursuer(i)
-
-
-# A body of length 1 that looks along x: round head in front, tapering tail.
-_ROUND = np.linspace(0.0, 2 * np.pi, 48, endpoint=False)
-BODY_SHAPE: NDArray[np.float64] = np.stack(
-    [-0.5 * np.cos(_ROUND) + 0.05, 0.40 * np.sin(_ROUND) * np.sin(_ROUND / 2) ** 1.3], axis=-1
-)
-EYES: NDArray[np.float64] = np.array([(0.36, 0.13), (0.36, -0.13)])
 
 
 def _edge(shape: str, size: float) -> NDArray[np.float64]:

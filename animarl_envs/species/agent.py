@@ -19,5 +19,6 @@ AGENT = ChaseSpecies(
     planned_flip=(0, 1),
     start_half_side=0.5,
     recording=Recording(frame_rate=10.0, onset_threshold=0.3),
+    bodies=("predator", "prey"),
     source="Fujii et al., Artificial agent dataset; Tsutsui et al. 2024, eLife",
 )

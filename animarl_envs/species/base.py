@@ -12,6 +12,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
+from animarl_envs.species.bodies import PLAIN_BODY, checked_bodies
 from animarl_envs.species.turning import Turning
 
 OBSERVATIONS = ("full", "paper")
@@ -62,6 +63,7 @@ class Species:
     mirror_symmetric: bool = True  # left and right are alike to it
     planned_flip: tuple[int, int] | None = None  # conditions (world, cue) that the paper compares
     recording: Recording
+    bodies: tuple[str, ...] = (PLAIN_BODY,)  # in pictures; a second one is the target's
     source: str = ""
     version_history: tuple[str, ...] = field(default=("v0: first release",))
 
@@ -109,6 +111,7 @@ class Species:
                 f"choose {' or '.join(map(repr, OBSERVATIONS))}"
             )
         self._true_or_false("mirror_symmetric")
+        object.__setattr__(self, "bodies", checked_bodies(self.bodies))
         flip = self.planned_flip
         if flip is not None and (not self.conditions or tuple(flip) not in ((0, 1), (1, 0))):
             raise InputError(
@@ -281,6 +284,12 @@ class SearchSpecies(Species):
     @property
     def roles(self) -> tuple[str, ...]:
         return ("searcher",) * self.num_individuals
+
+    @property
+    def body_of_each(self) -> tuple[str, ...]:
+        """What each individual looks like in pictures."""
+        last = {"target": self.bodies[-1]}
+        return tuple(last.get(role, self.bodies[0]) for role in self.roles)
 
     @property
     def goal(self) -> str:

@@ -28,5 +28,6 @@ FLY = ChaseSpecies(
         start_farther_than=0.3,
         end_closer_than=0.2,
     ),
+    bodies=("fly",),
     source="Fujii et al., Fly dataset and Table 1",
 )

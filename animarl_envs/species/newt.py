@@ -32,5 +32,6 @@ NEWT = ChaseSpecies(
         end_closer_than=0.15,
         longest=50.0,
     ),
+    bodies=("newt",),
     source="Fujii et al., Newt dataset and Table 1",
 )

@@ -23,7 +23,7 @@ from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.flat_demos import recorded_speed
-from animarl_envs.worlds.plume.plume import ModelPlume, PlumeField, as_plume, hit_table
+from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
 from animarl_envs.worlds.search import kernels as kernels
 from animarl_envs.worlds.search.layout import observation_components as observation_components
 from animarl_envs.worlds.search.senses import Body, senses_of
@@ -128,13 +128,8 @@ class SearchWorld(World):
         return antennae_at(self.scenario.species, self.position[:, 0], self.heading)
 
     def scene_details(self, copy: int) -> dict[str, Any]:
-        """What a :class:`animarl_envs.drawing.scene.Scene` shows beside the searcher itself."""
-        step = int(self.phase[copy] + self.step_count[copy]) % self._table.bits.shape[1]
-        pattern = self.patterns[self.pattern[copy]]
-        values, extent = self.plume.field(pattern, (step + 1) * self.scenario.species.dt)
-        left, right, low, high = (edge / self._scale for edge in extent)
+        """What a :class:`animarl_envs.drawing.scene.Scene` shows beside searcher and plume."""
         return {
-            "plume": PlumeField(values=values, extent=(left, right, low, high)),
             "source": (0.0, 0.0),
             "wind": 0.0,
             "antennae": self.antennae()[copy],
