@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from animarl_algos.learner.evaluating import EvaluateIndividuals as EvaluateIndividuals
     from animarl_algos.learner.evaluating import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403
+    from animarl_algos.runs.pretrained import load_pretrained as load_pretrained
 
 
 @cache
@@ -41,6 +42,7 @@ def _homes() -> dict[str, str]:
         "SlotVecEnv": "data.vec_env",
         "evaluate": "evaluation.tables",
         "evaluate_individuals": "learner.evaluating",
+        "load_pretrained": "runs.pretrained",
     }
     return learners | {name: f"{__name__}.{module}" for name, module in others.items()}
 

@@ -23,7 +23,7 @@ from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 
-BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json")
+BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json", "leaderboard.html")
 TINY: dict[str, Any] = {
     "species": ["agent"],
     "recipes": ["soft-bc"],
@@ -46,6 +46,9 @@ class Told:
     def __init__(self) -> None:
         self.begun: list[str] = []
         self.errors: dict[str, str] = {}
+
+    def at_once(self, number: int) -> None:
+        self.side_by_side = number
 
     def started(self, piece: Piece) -> None:
         self.begun.append(piece.name)

@@ -59,6 +59,12 @@ def demonstrations(incomplete: str) -> list[str]:
     return _files(packaged_names(), incomplete)
 
 
+def models(incomplete: str) -> list[str]:
+    """A run's folder, or a packaged model by name."""
+    packaged = sorted(f.name for f in (files("animarl_algos") / "pretrained").iterdir())
+    return _files(packaged, incomplete)
+
+
 species = _offering(lambda: (*SPECIES, CUSTOM))
 environments = _offering(lambda: (environment_id(name) for name in (*SPECIES, CUSTOM)))
 recipes = _offering(_recipes)

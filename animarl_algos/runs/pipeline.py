@@ -30,7 +30,7 @@ from animarl_algos.runs.acting import act_as_chosen, acting_file
 from animarl_algos.runs.alone import alone, holding
 from animarl_algos.runs.machine import timed, timed_stage, wall_times
 from animarl_algos.runs.rolling_out import DECISIONS, method_name, roll_out, stored_rollouts
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_folder import PACKAGED, RunFolder
 from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -41,8 +41,6 @@ from animarl_envs.fitting.result import Method
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
 from animarl_envs.species import Species
-
-PACKAGED = "packaged"
 
 
 def open_run(
