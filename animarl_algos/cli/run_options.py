@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from animarl_algos.cli import completion
-from animarl_algos.runs.pipeline import PACKAGED
+from animarl_algos.runs.run_folder import PACKAGED
 
 Command = Callable[..., None]
 
