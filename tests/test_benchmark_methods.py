@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.methods import Checked, MethodSetting, parse_method, source_of
@@ -23,6 +24,7 @@ from animarl_algos.benchmark.scores import Measured, Score, first_second, start_
 from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import demonstrated_actions
@@ -87,6 +89,34 @@ def test_benchmark_looks_methods_up_at_once() -> None:
             parse_method(given)
 
 
+def test_benchmark_hands_methods_no_test_episode(tmp_path: Path) -> None:
+    """A world of other test episodes gives a method the same to train on, in every field."""
+    clean = few()
+    rng = np.random.default_rng(0)
+    bad = np.repeat(clean.split == "test", clean.lengths)
+    positions = clean.positions.copy()
+    positions[bad] = rng.uniform(-0.9, 0.9, positions[bad].shape)
+    settings = []
+    for name, demos in (("clean", clean), ("poisoned", replace(clean, positions=positions))):
+        world = replace(plan(FEW).worlds[0], data="agent", demos=demos)
+        matrix = replace(FEW, species=("agent",), episodes={})
+        world = replace(world, settings=matrix.world_settings("agent", demos))
+        assert not attempt(world, tmp_path / name).error
+        settings.append(MethodSetting.of(RunFolder(world.folder(tmp_path / name)), 0))
+    first, second = settings
+    assert set(first.demos.split) == {"train", "val"}
+    assert first.demos.fingerprint() == second.demos.fingerprint()
+    assert {k: v for k, v in vars(first).items() if k != "demos"} == {
+        k: v for k, v in vars(second).items() if k != "demos"
+    }
+    seen = []
+    for one in settings:
+        env = one.environment()
+        env.seed(0)
+        seen.append(env.reset())
+    assert np.array_equal(*seen)
+
+
 EXAMPLES = Path(__file__).parents[1] / "examples" / "benchmark"
 FEW = Matrix(
     species=("fly",), episodes={"train": 4, "val": 2, "test": 2}, repetitions=1, thrusts="1"
@@ -122,7 +152,7 @@ def test_benchmark_takes_d3rlpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     example = importlib.import_module("d3rlpy_bc")
     monkeypatch.setattr(example, "STEPS", 300)
     made = rows_of({"d3rlpy": "d3rlpy_bc:make_discrete_bc"}, tmp_path)["d3rlpy"]
-    setting = MethodSetting(plan(FEW).cells[0].world_folder(tmp_path), 0)
+    setting = MethodSetting.of(plan(FEW).cells[0].world_folder(tmp_path), 0)
     train = setting.demos.select(split="train")
     dataset = example.datasets(setting, train, flagged=False)[0]
     learner = example.clone(dataset, 300)
@@ -174,9 +204,9 @@ def test_benchmark_experts_begin_at_the_starts_of_their_condition() -> None:
     demos = load_packaged("agent")
     kept = [np.flatnonzero((demos.split == s) & (demos.condition == c))[:n]
             for s, n in (("train", 3), ("val", 1), ("test", 3)) for c in (0, 1)]  # fmt: skip
-    few = demos.select(episodes=np.sort(np.concatenate(kept)))
-    made = expert_rollouts(few, AGENT, seed=0, repetitions=2)
-    test = few.select(split="test")
+    some = demos.select(episodes=np.sort(np.concatenate(kept)))
+    made = expert_rollouts(some, AGENT, seed=0, repetitions=2)
+    test = some.select(split="test")
     assert (made.condition == test.condition[made.demo]).all()
     assert sorted(made.demo.tolist()) == sorted(list(range(6)) * 2)
     starts = np.stack([made.path(i)[0] for i in range(len(made))])
@@ -196,11 +226,11 @@ def test_benchmark_has_experts_where_they_are_known() -> None:
 
 def test_benchmark_nearest_segment_is_looked_up_and_followed() -> None:
     demos, species = load_packaged("agent"), AGENT
-    few = demos.select(episodes=np.flatnonzero(demos.split == "train")[:2])
-    policy = NearestSegment(species, few, seed=0)
-    seen = demonstration_observations(species, few).astype(np.float64)
-    done = demonstrated_actions(few, species.locomotion)
-    flag = np.full((3, 1), few.condition[0])
+    some = demos.select(episodes=np.flatnonzero(demos.split == "train")[:2])
+    policy = NearestSegment(species, some, seed=0)
+    seen = demonstration_observations(species, some).astype(np.float64)
+    done = demonstrated_actions(some, species.locomotion)
+    flag = np.full((3, 1), some.condition[0])
     going = np.flatnonzero(done[:, 0] >= 0)
     state, first = None, np.zeros(0)
     for t in range(round(SEGMENT / species.dt)):

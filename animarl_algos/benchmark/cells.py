@@ -130,7 +130,7 @@ class Cell:
         if self.factory is None:
             made = reference_rollouts(self.method, world, self.seed, self.repetitions)
             return made, None
-        setting = MethodSetting(world, self.seed)
+        setting = MethodSetting.of(world, self.seed)
         policy = load_factory(self.factory)(setting)
         made = collect_rollouts(
             partial(make_world, world.scenario("test")),

@@ -64,13 +64,16 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
     }
     write_json(out / "leaderboard.json", content)
     _write_csv(out / "leaderboard.csv", _long(rows))
-    text = "".join(_markdown(name, some, ranks[name]) for name, some in scores.items())
+    synthetic = {world.data: world.demos.synthetic for world in plan.worlds}
+    text = "".join(
+        _markdown(name, some, ranks[name], synthetic[name]) for name, some in scores.items()
+    )
     if missing:
         listed = "\n".join(f"- {row}: {why}" for row, why in missing)
         text += f"\n## Not there\n\n{listed}\n"
     with write_then_rename(out / "leaderboard.md") as part:
         part.write_text(f"# Leaderboard\n\n{HOW}{text}", encoding="utf-8")
-    page = leaderboard_page(scores, ranks, code())
+    page = leaderboard_page(scores, ranks, synthetic, code())
     with write_then_rename(out / "leaderboard.html") as part:
         part.write_text(page, encoding="utf-8")
     _write_costs(plan.cells, out, command)
@@ -109,7 +112,7 @@ def _long(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
             yield head | {"seeds": seeds} | measure
 
 
-def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any]) -> str:
+def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any], synthetic: bool) -> str:
     """A section: its methods in the order of their energy score."""
 
     def place(one: Score) -> tuple[bool, float]:
@@ -118,7 +121,9 @@ def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any]) -> s
 
     ordered = sorted(scores, key=place)
     most = max(ordered, key=lambda one: one.rollouts)
-    text = f"\n## {name}\n\n{most.starts} test starts; beside each method seeds × rollouts.\n"
+    kind = "synthetic demonstrations, recorded from no animal" if synthetic else "recordings"
+    text = f"\n## {name}\n\n{most.starts} test starts of {kind}; "
+    text += "beside each method seeds × rollouts.\n"
     for number, keys in enumerate(PARTS):
         heads = [_heading(most.of(key)) for key in keys]
         first = ["rank", "method"] if number == 0 else ["method"]
@@ -155,7 +160,7 @@ def _lacks(scoring: Scoring, out: Path) -> str:
 
 def _write_costs(cells: Sequence[Cell], out: Path, command: str) -> None:
     """Processor time and parameters of every finished cell, on which machine, by which command."""
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"data": cell.data, "method": cell.method, "seed": cell.seed} | cell.cost(out)
         for cell in cells
         if cell.finished(out)

@@ -37,6 +37,7 @@ CAPTION = (
 def leaderboard_page(
     scores: Mapping[str, Sequence[Score]],
     ranks: Mapping[str, Mapping[str, Any]],
+    synthetic: Mapping[str, bool],
     versions: Mapping[str, Any],
 ) -> str:
     """The page as HTML; the same scores give the same bytes.
@@ -47,6 +48,8 @@ def leaderboard_page(
         By set of demonstrations, in the order of their rows.
     ranks
         By set and method, for those that have one.
+    synthetic
+        By set, whether its demonstrations were generated.
     versions
         Of what the numbers depend on.
     """
@@ -57,8 +60,11 @@ def leaderboard_page(
     page = Page(
         title="Leaderboard",
         kind="Every method, every set of demonstrations, every seed",
-        synthetic=False,
-        facts=[(name, f"{some[0].starts} test starts") for name, some in scores.items()],
+        synthetic=bool(scores) and all(synthetic[name] for name in scores),
+        facts=[
+            (name, f"{some[0].starts} test starts{', synthetic' if synthetic[name] else ''}")
+            for name, some in scores.items()
+        ],
         sections=sections,
     )
     return render_page(page)
