@@ -61,7 +61,7 @@ def perform_on_ray(plan: Plan, out: Path, watch: Watch, address: str = AUTO) -> 
                 try:
                     done = ray.get(ended)
                 except ray.exceptions.RayError as error:  # lost more often than it is repeated
-                    said = f"Ray lost it {1 + RETRIES} times ({type(error).__name__})"
+                    said = f"Ray gave it up ({type(error).__name__}: {_last_line(error)})"
                     record_error(piece, out, said)
                     done = Done(piece.name, 0.0, said)
                 watch.ended(piece, done)

@@ -22,7 +22,7 @@ from animarl_algos.report.words import Words
 from animarl_algos.runs.acting import acting_file
 from animarl_algos.runs.rolling_out import trained_model
 from animarl_algos.runs.run_folder import DEMONSTRATIONS, PACKAGED, RunFolder
-from animarl_algos.runs.weights import GIVEN, read_weights, weights_file, write_weights
+from animarl_algos.runs.weights import GIVEN, write_weights
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
@@ -99,7 +99,7 @@ def export_run(
     """
     settings, record = run.settings, run.record
     algo = settings.algo
-    trained_model(run, algo)  # refuses what is not there or does not fit
+    network = trained_model(run, algo).policy.q_net
     if not (run.path / "evaluation" / "verdict.json").exists():
         raise InputError(
             f"{run.path}: a model card needs its evaluation: 'animarl evaluate {run.path}'"
@@ -109,16 +109,14 @@ def export_run(
     evaluation = Evaluation.load(run.path / "evaluation")
     packaged = _is_packaged(run)
     # A path says more of somebody's disk than of the model.
-    record["settings"] |= {"file": PACKAGED if packaged else Path(settings.file).name}
+    file = PACKAGED if packaged else Path(settings.file).name
+    record["settings"] |= {"file": file, "device": "cpu"}
     record["command"] = made_by or record["command"]
     metrics = _metrics(evaluation.verdict) | {"chosen_by_validation": dict(chosen or {})}
     policies = Path("policies")
     with all_files_or_none(out) as part:
         (part / policies).mkdir()
-        write_weights(
-            read_weights(weights_file(run.path / policies, algo)),
-            part / policies / f"{algo}{GIVEN}",
-        )
+        write_weights(network.state_dict(), part / policies / f"{algo}{GIVEN}")
         if acting_file(run, algo).exists():
             shutil.copyfile(acting_file(run, algo), part / policies / f"{algo}.acting.json")
         shutil.copyfile(run.path / "locomotion.json", part / "locomotion.json")
@@ -126,7 +124,7 @@ def export_run(
         (part / METRICS).write_text(json.dumps(metrics, indent=1) + "\n")
         if with_demonstrations and not packaged:
             shutil.copyfile(run.path / DEMONSTRATIONS, part / DEMONSTRATIONS)
-        parameters = sum(p.numel() for p in trained_model(run, algo).policy.q_net.parameters())
+        parameters = sum(p.numel() for p in network.parameters())
         card = model_card(run, evaluation, record, parameters, chosen or {})
         (part / CARD).write_text(card, encoding="utf-8")
     return out
