@@ -6,11 +6,13 @@ Then the whole matrix of a preset is simulated with these on workers that take o
 other, as the runner does it.
 
 python benchmarks/scale.py --slopes --rates --simulate --species agent --out out/scale
+python benchmarks/scale.py --simulate --costs out/bench/costs.csv
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import heapq
 import json
 import tempfile
@@ -155,7 +157,7 @@ def makespan(seconds: list[float], workers: int) -> float:
 
 
 def simulate(preset: str, found: Mapping[str, Any]) -> Iterator[str]:
-    """One row per machine for those species of a preset whose rates were measured."""
+    """The trained cells of those species of a preset whose rates were measured."""
     measured = found["rates"][preset]
     asked: Plan = plan(read_matrix(preset))
     costs = [
@@ -163,13 +165,18 @@ def simulate(preset: str, found: Mapping[str, Any]) -> Iterator[str]:
         for cell in asked.cells
         if cell.settings is not None and cell.method in measured.get(cell.data, {})
     ]
+    return on_machines(f"{preset} ({', '.join(measured)})", costs)
+
+
+def on_machines(what: str, costs: list[float]) -> Iterator[str]:
+    """One row per machine: cells of so many processor seconds."""
     total, longest = sum(costs), max(costs)
     for name, workers in MACHINES.items():
         wall = makespan(costs, workers)
         busy = total / (wall * min(workers, len(costs)))
         yield (
-            f"| {preset} ({', '.join(measured)}) | {len(costs)} | {total / 3600:.1f} | {name} | "
-            f"{wall / 3600:.2f} | {longest / 3600:.2f} | {busy:.0%} |"
+            f"| {what} | {len(costs)} | {total / 60:.1f} | {name} | {wall / 60:.1f} | "
+            f"{longest / 60:.2f} | {busy:.0%} |"
         )
 
 
@@ -192,6 +199,7 @@ def main() -> None:
     parser.add_argument("--slopes", action="store_true")
     parser.add_argument("--rates", action="store_true")
     parser.add_argument("--simulate", action="store_true")
+    parser.add_argument("--costs", type=Path, help="simulate also the cells of a costs.csv")
     parser.add_argument("--species", action="append", help="by default all packaged")
     parser.add_argument("--preset", action="append", help="by default short and paper")
     parser.add_argument("--out", type=Path, default=Path("out/scale"))
@@ -234,9 +242,14 @@ def main() -> None:
                 write_json(file, found)
     if given.simulate:
         print(
-            "| preset (species) | trained cells | processor hours | machine | hours | "
-            "longest cell (h) | busy |\n|---|---|---|---|---|---|---|"
+            "| cells of | number | processor minutes | machine | minutes | longest cell | busy |\n"
+            "|---|---|---|---|---|---|---|"
         )
+        if given.costs is not None:
+            with given.costs.open(encoding="utf-8") as lines:
+                measured = [float(row["processor_seconds"]) for row in csv.DictReader(lines)]
+            for line in on_machines(str(given.costs), measured):
+                print(line)
         for preset in given.preset or ["short", "paper"]:
             if preset in found["rates"]:
                 for line in simulate(preset, found):
