@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from animarl_algos.learner.evaluating import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403
     from animarl_algos.runs.loading import load_run as load_run
+    from animarl_algos.runs.pretrained import load_pretrained as load_pretrained
 
 
 @cache
@@ -43,6 +44,7 @@ def _homes() -> dict[str, str]:
         "evaluate": "evaluation.tables",
         "evaluate_individuals": "learner.evaluating",
         "load_run": "runs.loading",
+        "load_pretrained": "runs.pretrained",
     }
     return learners | {name: f"{__name__}.{module}" for name, module in others.items()}
 

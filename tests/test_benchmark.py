@@ -23,7 +23,7 @@ from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 
-BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json")
+BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json", "leaderboard.html")
 TINY: dict[str, Any] = {
     "species": ["agent"],
     "recipes": ["soft-bc"],
@@ -46,6 +46,9 @@ class Told:
     def __init__(self) -> None:
         self.begun: list[str] = []
         self.errors: dict[str, str] = {}
+
+    def at_once(self, number: int) -> None:
+        self.side_by_side = number
 
     def started(self, piece: Piece) -> None:
         self.begun.append(piece.name)
@@ -213,6 +216,16 @@ def test_benchmark_presets_can_be_read() -> None:
     assert settings.steps == 1_005_000 and len(paper.seeds) == 5
 
 
+@pytest.mark.slow
+def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
+    """Minutes: every recipe and reference on every packaged species, and a score for each."""
+    asked = plan(read_matrix("smoke"))
+    told = run_plan(asked, tmp_path / "smoke", 2)
+    assert told.errors == {}
+    content = json.loads((tmp_path / "smoke" / "leaderboard.json").read_text())
+    assert len(content["rows"]) == len(asked.scorings) and content["missing"] == []
+
+
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
@@ -291,8 +304,10 @@ def test_benchmark_command_lists_and_refuses(
     done = said_by([*asked, "--engine", "local", "--processes", "2"], monkeypatch, capsys)
     assert done.returncode == 0 and "leaderboard.md" in done.stdout
     assert bytes_of(finished) == before
+    monkeypatch.setitem(sys.modules, "ray", None)  # as where it is not installed
     for wrong, sentence in (
         (["--engine", "cloud"], "engine 'cloud' is unknown"),
+        (["--engine", "ray"], "pip install 'animarl[ray]'"),
         (["--processes", "0"], "at least 1"),
         (["--species", "fly"], "it is not in the matrix"),
         (["--only", "agent/x"], "no cell is called so"),

@@ -5,27 +5,33 @@ from __future__ import annotations
 import importlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.methods import Checked, MethodSetting, parse_method, source_of
+from animarl_algos.benchmark.nearest import NEIGHBOURS, SEGMENT, NearestSegment
 from animarl_algos.benchmark.pieces import attempt
 from animarl_algos.benchmark.plan import plan
-from animarl_algos.benchmark.references import Steering, others_as_rollouts
+from animarl_algos.benchmark.references import Steering, expert_rollouts, others_as_rollouts
 from animarl_algos.benchmark.scores import Measured, Score, first_second, start_energies
 from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
+from animarl_envs.fitting import demonstrated_actions
 from animarl_envs.locomotion import COAST
 from animarl_envs.scenario import make_scenario
-from animarl_envs.worlds import make_world
+from animarl_envs.species import AGENT, get_species
+from animarl_envs.worlds import demonstration_observations, make_world
 
 HERE = "test_benchmark_methods"
 
@@ -83,20 +89,78 @@ def test_benchmark_looks_methods_up_at_once() -> None:
             parse_method(given)
 
 
+def test_benchmark_hands_methods_no_test_episode(tmp_path: Path) -> None:
+    """A world of other test episodes gives a method the same to train on, in every field."""
+    clean = few()
+    rng = np.random.default_rng(0)
+    bad = np.repeat(clean.split == "test", clean.lengths)
+    positions = clean.positions.copy()
+    positions[bad] = rng.uniform(-0.9, 0.9, positions[bad].shape)
+    settings = []
+    for name, demos in (("clean", clean), ("poisoned", replace(clean, positions=positions))):
+        world = replace(plan(FEW).worlds[0], data="agent", demos=demos)
+        matrix = replace(FEW, species=("agent",), episodes={})
+        world = replace(world, settings=matrix.world_settings("agent", demos))
+        assert not attempt(world, tmp_path / name).error
+        settings.append(MethodSetting.of(RunFolder(world.folder(tmp_path / name)), 0))
+    first, second = settings
+    assert set(first.demos.split) == {"train", "val"}
+    assert first.demos.fingerprint() == second.demos.fingerprint()
+    assert {k: v for k, v in vars(first).items() if k != "demos"} == {
+        k: v for k, v in vars(second).items() if k != "demos"
+    }
+    seen = []
+    for one in settings:
+        env = one.environment()
+        env.seed(0)
+        seen.append(env.reset())
+    assert np.array_equal(*seen)
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples" / "benchmark"
+FEW = Matrix(
+    species=("fly",), episodes={"train": 4, "val": 2, "test": 2}, repetitions=1, thrusts="1"
+)
+
+
+def rows_of(methods: dict[str, str], out: Path) -> dict[str, Rollouts]:
+    """Rollouts of others' methods on few flies."""
+    asked = plan(FEW, methods)
+    assert not attempt(asked.worlds[0], out).error
+    made = [cell for cell in asked.cells if cell.kind == "method"]
+    for cell in made:
+        assert attempt(cell, out).error == ""
+    return {cell.method: cell.rollouts(out) for cell in made}
+
+
 def test_benchmark_examples_learn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "examples" / "benchmark"))
-    methods = importlib.import_module("methods")
-    monkeypatch.setattr(methods, "STEPS", 1)
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    monkeypatch.setattr(importlib.import_module("methods"), "STEPS", 1)
     monkeypatch.setattr("animarl_algos.benchmark.matrix.WORLD_COPIES", 2)
-    matrix = Matrix(
-        species=("fly",), episodes={"train": 4, "val": 2, "test": 2}, repetitions=1, thrusts="1"
-    )
-    asked = plan(matrix, {"ppo": "methods:make_ppo", "rppo": "methods:make_recurrent_ppo"})
-    assert not attempt(asked.worlds[0], tmp_path).error
-    for cell in asked.cells:
-        if cell.kind == "method":
-            assert not attempt(cell, tmp_path).error
-            assert cell.rollouts(tmp_path).method == cell.method
+    names = {"ppo": "make_ppo", "rppo": "make_recurrent_ppo", "glide": "make_gliding"}
+    made = rows_of({name: f"methods:{factory}" for name, factory in names.items()}, tmp_path)
+    assert {name: one.method for name, one in made.items()} == {name: name for name in names}
+    held = plan(replace(FEW, references=("constant-velocity",)))
+    assert not attempt(held.cells[0], tmp_path).error
+    reference = held.cells[0].rollouts(tmp_path)  # the same by another road
+    assert np.array_equal(made["glide"].positions, reference.positions)
+
+
+def test_benchmark_takes_d3rlpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("d3rlpy")
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    example = importlib.import_module("d3rlpy_bc")
+    monkeypatch.setattr(example, "STEPS", 300)
+    made = rows_of({"d3rlpy": "d3rlpy_bc:make_discrete_bc"}, tmp_path)["d3rlpy"]
+    setting = MethodSetting.of(plan(FEW).cells[0].world_folder(tmp_path), 0)
+    train = setting.demos.select(split="train")
+    dataset = example.datasets(setting, train, flagged=False)[0]
+    learner = example.clone(dataset, 300)
+    seen = np.concatenate([one.observations for one in dataset.episodes])
+    done = np.concatenate([one.actions for one in dataset.episodes]).ravel()
+    most = np.bincount(done).max() / len(done)
+    assert (learner.predict(seen) == done).mean() > most + 0.05  # it learned something
+    assert len(made) == 2
 
 
 # -- references -----------------------------------------------------------------------------------
@@ -134,6 +198,54 @@ def test_benchmark_deals_each_other_recording_once() -> None:
     for condition in (0, 1):
         there = counts[test.condition == condition]
         assert there.max() - there.min() <= 1
+
+
+def test_benchmark_experts_begin_at_the_starts_of_their_condition() -> None:
+    demos = load_packaged("agent")
+    kept = [np.flatnonzero((demos.split == s) & (demos.condition == c))[:n]
+            for s, n in (("train", 3), ("val", 1), ("test", 3)) for c in (0, 1)]  # fmt: skip
+    some = demos.select(episodes=np.sort(np.concatenate(kept)))
+    made = expert_rollouts(some, AGENT, seed=0, repetitions=2)
+    test = some.select(split="test")
+    assert (made.condition == test.condition[made.demo]).all()
+    assert sorted(made.demo.tolist()) == sorted(list(range(6)) * 2)
+    starts = np.stack([made.path(i)[0] for i in range(len(made))])
+    assert np.allclose(starts, test.positions[test.offsets[made.demo]], atol=1e-3)
+    with pytest.raises(InputError, match="leave 'experts' out"):
+        expert_rollouts(load_packaged("fly"), get_species("fly"), seed=0, repetitions=1)
+
+
+def test_benchmark_has_experts_where_they_are_known() -> None:
+    asked = plan(Matrix(species=("agent", "fly"), references=("experts", "still")))
+    assert [cell.name for cell in asked.cells] == [
+        "agent/experts/0",
+        "agent/still/0",
+        "fly/still/0",
+    ]
+
+
+def test_benchmark_nearest_segment_is_looked_up_and_followed() -> None:
+    demos, species = load_packaged("agent"), AGENT
+    some = demos.select(episodes=np.flatnonzero(demos.split == "train")[:2])
+    policy = NearestSegment(species, some, seed=0)
+    seen = demonstration_observations(species, some).astype(np.float64)
+    done = demonstrated_actions(some, species.locomotion)
+    flag = np.full((3, 1), some.condition[0])
+    going = np.flatnonzero(done[:, 0] >= 0)
+    state, first = None, np.zeros(0)
+    for t in range(round(SEGMENT / species.dt)):
+        actions, state = policy.predict(np.concatenate([seen[20 + t], flag], axis=1), state)
+        first = state[0] if t == 0 else first
+        assert actions.tolist() == [done[frame, k] for k, frame in enumerate(state[0])]
+        assert (state[0] == first + t).all()
+    assert (state[1] == 1).all()  # the segment is over
+    for k in range(3):
+        own = seen[going, k]
+        spread = own.std(axis=0)
+        apart = np.linalg.norm(((own - seen[20, k]) / np.where(spread > 0, spread, 1)), axis=1)
+        assert first[k] in going[np.argsort(apart)[:NEIGHBOURS]]
+    with pytest.raises(InputError, match="no training episode is of condition"):
+        policy.predict(np.concatenate([seen[0], 1 - flag], axis=1))
 
 
 # -- measures -------------------------------------------------------------------------------------

@@ -54,6 +54,10 @@ class World:
     def finished(self, out: Path) -> bool:
         return (self.folder(out) / "locomotion.json").exists()
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return ()
+
     def lacks(self, out: Path) -> str:
         return ""
 
@@ -104,6 +108,10 @@ class Cell:
     def world_folder(self, out: Path) -> RunFolder:
         return RunFolder(out / "worlds" / f"{self.data}-{self.world}")
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (f"{self.data}/world",)
+
     def lacks(self, out: Path) -> str:
         there = (self.world_folder(out).path / "locomotion.json").exists()
         return "" if there else f"the world of {self.data} could not be fitted"
@@ -122,7 +130,7 @@ class Cell:
         if self.factory is None:
             made = reference_rollouts(self.method, world, self.seed, self.repetitions)
             return made, None
-        setting = MethodSetting(world, self.seed)
+        setting = MethodSetting.of(world, self.seed)
         policy = load_factory(self.factory)(setting)
         made = collect_rollouts(
             partial(make_world, world.scenario("test")),
@@ -185,6 +193,10 @@ class Scoring:
 
     def finished(self, out: Path) -> bool:
         return (self.folder(out) / "score.json").exists()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(cell.name for cell in self.cells)
 
     def lacks(self, out: Path) -> str:
         lacking = [cell.name for cell in self.cells if not cell.finished(out)]

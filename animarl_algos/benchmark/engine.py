@@ -18,9 +18,8 @@ from collections import Counter, deque
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Protocol
 
-from animarl_algos.benchmark.pieces import Done, Piece, attempt, record_error
+from animarl_algos.benchmark.pieces import Done, Piece, Watch, attempt, record_error
 from animarl_algos.benchmark.plan import Plan
 
 TERMINATED = 143
@@ -28,50 +27,61 @@ PATIENCE = 5.0  # [s]
 ATTEMPTS = 2  # of a piece whose process died
 
 
-class Watch(Protocol):
-    """Is told what happens."""
-
-    def started(self, piece: Piece) -> None: ...
-
-    def ended(self, piece: Piece, done: Done) -> None: ...
-
-
 def perform_all(plan: Plan, out: Path, processes: int, watch: Watch) -> None:
     """Do whatever is not finished; errors are recorded, and the rest goes on."""
-    for stage in plan.stages:
-        todo: deque[Piece] = deque()
-        for piece in stage:
-            if piece.finished(out):
+    watch.at_once(processes)
+    with Workers(processes) as workers:
+        for stage in plan.stages:
+            todo = deque(piece for piece in stage if not piece.finished(out))
+            if processes > 1:
+                workers.perform(todo, out, watch)
                 continue
-            if lacking := piece.lacks(out):
-                record_error(piece, out, lacking)
-                watch.ended(piece, Done(piece.name, 0.0, lacking))
-            else:
-                todo.append(piece)
-        if processes == 1:
             for piece in todo:
                 watch.started(piece)
                 watch.ended(piece, attempt(piece, out))
-        elif todo:
-            _in_processes(todo, out, processes, watch)
 
 
-def _in_processes(todo: deque[Piece], out: Path, processes: int, watch: Watch) -> None:
-    deaths: Counter[str] = Counter()
-    while todo:
-        running: dict[Future[Done], Piece] = {}
-        spawning = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(processes, spawning, initializer=_end_politely) as pool:
+class Workers:
+    """Processes that last over all stages; new ones only after one of them died.
+
+    Parameters
+    ----------
+    number
+        So many, started when there is something to do.
+    """
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._pool is None:
+            return
+        self._pool.shutdown(wait=kind is None, cancel_futures=True)
+        if kind is not None:  # Ctrl-C and signals: the workers end as this process does
+            for child in multiprocessing.active_children():
+                child.terminate()
+
+    def perform(self, todo: deque[Piece], out: Path, watch: Watch) -> None:
+        """Do these pieces, those whose process died once more."""
+        deaths: Counter[str] = Counter()
+        while todo:
+            running: dict[Future[Done], Piece] = {}
             try:
                 while todo or running:
-                    while todo and len(running) < processes:
+                    while todo and len(running) < self._number:
                         piece = todo.popleft()
-                        running[pool.submit(attempt, piece, out)] = piece
+                        running[self._started().submit(attempt, piece, out)] = piece
                         watch.started(piece)
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
                         done = future.result()
                         watch.ended(running.pop(future), done)
             except BrokenProcessPool:
+                self._started().shutdown()
+                self._pool = None
                 for piece in running.values():
                     deaths[piece.name] += 1
                     if deaths[piece.name] < ATTEMPTS:
@@ -80,11 +90,12 @@ def _in_processes(todo: deque[Piece], out: Path, processes: int, watch: Watch) -
                         said = f"its process died {ATTEMPTS} times (see to the memory)"
                         record_error(piece, out, said)
                         watch.ended(piece, Done(piece.name, 0.0, said))
-            except BaseException:  # Ctrl-C and signals: the workers end as this process does
-                pool.shutdown(wait=False, cancel_futures=True)
-                for child in multiprocessing.active_children():
-                    child.terminate()
-                raise
+
+    def _started(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            spawning = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self._number, spawning, initializer=_end_politely)
+        return self._pool
 
 
 def _end_politely() -> None:

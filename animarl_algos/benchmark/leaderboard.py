@@ -1,4 +1,4 @@
-"""The leaderboard as Markdown, CSV and JSON; what it cost stands in files of its own.
+"""The leaderboard as Markdown, CSV, JSON and a page; what it cost stands in files of its own.
 
 The same matrix, version and seeds give the same bytes of ``leaderboard.*``, however many processes
 made them and however often they were killed; ``costs.*`` hold what differs from time to time.
@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from animarl_algos.benchmark.cells import Cell, Scoring
+from animarl_algos.benchmark.leaderboard_page import leaderboard_page
 from animarl_algos.benchmark.pieces import code, recorded_error, write_json
 from animarl_algos.benchmark.plan import Plan
 from animarl_algos.benchmark.ranks import ranked
 from animarl_algos.benchmark.scores import LABELS, Measured, Score
+from animarl_algos.runs.machine import machine
 from animarl_envs.files import write_then_rename
 
 PARTS = (
@@ -35,8 +37,11 @@ methods apart; recordings and tracking know where the recordings go and are not 
 """
 
 
-def write_leaderboard(plan: Plan, out: Path) -> Path:
-    """Write ``leaderboard.{md,csv,json}`` and ``costs.{md,csv}`` of what is finished."""
+def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
+    """Write ``leaderboard.{md,csv,json,html}`` and ``costs.{md,csv}`` of what is finished.
+
+    ``command`` made it, and stands with the machine in ``costs.md``.
+    """
     scores: dict[str, list[Score]] = {}
     for scoring in plan.scorings:
         if scoring.finished(out):
@@ -59,13 +64,19 @@ def write_leaderboard(plan: Plan, out: Path) -> Path:
     }
     write_json(out / "leaderboard.json", content)
     _write_csv(out / "leaderboard.csv", _long(rows))
-    text = "".join(_markdown(name, some, ranks[name]) for name, some in scores.items())
+    synthetic = {world.data: world.demos.synthetic for world in plan.worlds}
+    text = "".join(
+        _markdown(name, some, ranks[name], synthetic[name]) for name, some in scores.items()
+    )
     if missing:
         listed = "\n".join(f"- {row}: {why}" for row, why in missing)
         text += f"\n## Not there\n\n{listed}\n"
     with write_then_rename(out / "leaderboard.md") as part:
         part.write_text(f"# Leaderboard\n\n{HOW}{text}", encoding="utf-8")
-    _write_costs(plan.cells, out)
+    page = leaderboard_page(scores, ranks, synthetic, code())
+    with write_then_rename(out / "leaderboard.html") as part:
+        part.write_text(page, encoding="utf-8")
+    _write_costs(plan.cells, out, command)
     return out / "leaderboard.md"
 
 
@@ -101,7 +112,7 @@ def _long(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
             yield head | {"seeds": seeds} | measure
 
 
-def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any]) -> str:
+def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any], synthetic: bool) -> str:
     """A section: its methods in the order of their energy score."""
 
     def place(one: Score) -> tuple[bool, float]:
@@ -110,7 +121,9 @@ def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any]) -> s
 
     ordered = sorted(scores, key=place)
     most = max(ordered, key=lambda one: one.rollouts)
-    text = f"\n## {name}\n\n{most.starts} test starts; beside each method seeds × rollouts.\n"
+    kind = "synthetic demonstrations, recorded from no animal" if synthetic else "recordings"
+    text = f"\n## {name}\n\n{most.starts} test starts of {kind}; "
+    text += "beside each method seeds × rollouts.\n"
     for number, keys in enumerate(PARTS):
         heads = [_heading(most.of(key)) for key in keys]
         first = ["rank", "method"] if number == 0 else ["method"]
@@ -145,9 +158,9 @@ def _lacks(scoring: Scoring, out: Path) -> str:
     return "; ".join(errors) or recorded_error(scoring, out) or "not finished"
 
 
-def _write_costs(cells: Sequence[Cell], out: Path) -> None:
-    """Processor time and parameters of every finished cell."""
-    rows = [
+def _write_costs(cells: Sequence[Cell], out: Path, command: str) -> None:
+    """Processor time and parameters of every finished cell, on which machine, by which command."""
+    rows: list[dict[str, Any]] = [
         {"data": cell.data, "method": cell.method, "seed": cell.seed} | cell.cost(out)
         for cell in cells
         if cell.finished(out)
@@ -163,7 +176,13 @@ def _write_costs(cells: Sequence[Cell], out: Path) -> None:
         told = "–" if parameters is None else f"{parameters:,}"
         lines.append(f"| {name} | {len(some)} | {seconds:.1f} | {told} |")
     with write_then_rename(out / "costs.md") as part:
-        part.write_text("# What it cost\n\n" + "\n".join(lines) + "\n", encoding="utf-8")
+        made = [f"- {name}: {value}" for name, value in machine().items()]
+        if command:
+            made.insert(0, f"- command: `{command}`")
+        total = sum(row["processor_seconds"] for row in rows)
+        made.append(f"- all cells: {total:.0f} s of processor time")
+        text = "\n".join(["# What it cost", "", *made, "", *lines])
+        part.write_text(f"{text}\n", encoding="utf-8")
 
 
 def _write_csv(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -24,7 +24,10 @@ from animarl_envs.importing.readers import read
 from animarl_envs.species import CUSTOM, SPECIES
 
 FOLDER = resources.files("zoo_configs") / "benchmark"
-REFERENCES = ("recordings", "tracking", "scripted", "constant-velocity", "still", "random")
+REFERENCES = (
+    "recordings", "tracking", "experts", "nearest", "scripted", "constant-velocity", "still",
+    "random",
+)  # fmt: skip
 AROUND = ("acting", "fit_method", "thrusts")
 WORLD_ALGO = "bc"  # any: the world of those who learned nothing is that of its preset
 WORLD_COPIES = 16  # side by side, of the environment that others' methods train in

@@ -6,9 +6,8 @@ import hashlib
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,27 +16,45 @@ from numpy.typing import NDArray
 
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_world import of_the_training
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MethodSetting:
-    """What the factory of a method is handed: everything to train on, and no test episode."""
+    """What the factory of a method is handed: everything to train on, and no test episode.
 
-    world: RunFolder
+    Parameters
+    ----------
+    demos
+        The demonstrations of the splits train and val.
+    species
+        The world's numbers, with the fitted locomotion.
+    seed
+        Of the training.
+    copies, options
+        Of :meth:`environment`.
+    """
+
+    demos: Demonstrations
+    species: Species
     seed: int
+    copies: int
+    options: Mapping[str, Any]
 
-    @cached_property
-    def demos(self) -> Demonstrations:
-        """The demonstrations of the splits train and val."""
-        return self.world.learnable_demos
-
-    @cached_property
-    def species(self) -> Species:
-        """The world's numbers, with the fitted locomotion."""
-        return self.world.species(self.demos, self.world.fit)
+    @classmethod
+    def of(cls, world: RunFolder, seed: int) -> MethodSetting:
+        """That of a fitted world."""
+        demos = world.learnable_demos
+        return cls(
+            demos=demos,
+            species=world.species(demos, world.fit),
+            seed=seed,
+            copies=world.settings.copies,
+            options=of_the_training(world.environment_options),
+        )
 
     def environment(self) -> SlotVecEnv:
         """A vectorised environment to train in, one slot per copy and individual.
@@ -45,7 +62,9 @@ class MethodSetting:
         Its observations are those that the method is asked about afterwards: where recordings of
         both conditions are there, the last component is the condition.
         """
-        return self.world.environment(self.species, self.demos)
+        return SlotVecEnv(
+            self.species, self.copies, demos=self.demos, condition_flag=None, **self.options
+        )
 
 
 class Checked:

@@ -41,6 +41,11 @@ class Piece(Protocol):
         """Whether its result is there."""
         ...
 
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the pieces that come first."""
+        ...
+
     def lacks(self, out: Path) -> str:
         """What it needs and is not there; empty if it can be done."""
         ...
@@ -63,11 +68,23 @@ def code() -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Done:
-    """How an attempt ended: ``error`` is empty where it succeeded."""
+    """How an attempt ended, and after how many seconds; ``error`` is empty where it succeeded."""
 
     name: str
     seconds: float
     error: str = ""
+
+
+class Watch(Protocol):
+    """Is told what happens."""
+
+    def at_once(self, number: int) -> None:
+        """So many pieces are done side by side."""
+        ...
+
+    def started(self, piece: Piece) -> None: ...
+
+    def ended(self, piece: Piece, done: Done) -> None: ...
 
 
 def attempt(piece: Piece, out: Path) -> Done:
@@ -83,6 +100,9 @@ def attempt(piece: Piece, out: Path) -> Done:
     with FileLock(folder / LOCK):
         if piece.finished(out):  # by another command, while this one waited
             return Done(piece.name, 0.0)
+        if lacking := piece.lacks(out):
+            record_error(piece, out, lacking)
+            return Done(piece.name, 0.0, lacking)
         return _performed(piece, out)
 
 

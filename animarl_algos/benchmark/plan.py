@@ -12,12 +12,15 @@ from typing import Any
 from animarl_algos.benchmark.cells import Cell, Scoring, World
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.pieces import Piece, write_json
+from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pipeline import rehearse
 from animarl_algos.runs.run_folder import versions
 from animarl_envs.errors import InputError
 
 FORMAT_VERSION = 1
+MARK = "benchmark.json"
+"""Marks a folder of results."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,11 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None) -> Plan:
             cells += [Cell(**shared, method=algo, seed=s.seed, settings=s) for s in settings]
         for name, factory in methods.items():
             cells += [Cell(**shared, method=name, seed=s, factory=factory) for s in matrix.seeds]
-        cells += [Cell(**shared, method=r, seed=matrix.seeds[0]) for r in matrix.references]
+        cells += [
+            Cell(**shared, method=name, seed=matrix.seeds[0])
+            for name in matrix.references
+            if name != "experts" or teams_of(demos) is not None
+        ]
     rows: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         rows.setdefault((cell.data, cell.method), []).append(cell)
@@ -114,7 +121,7 @@ def claim_folder(out: Path) -> None:
     InputError
         If it holds the results of another version, or something else.
     """
-    file, own = out / "benchmark.json", {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
+    file, own = out / MARK, {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
     if file.exists():
         try:
             there = json.loads(file.read_text())

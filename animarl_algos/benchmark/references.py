@@ -5,6 +5,11 @@
 ``tracking``
     The test recordings themselves as the fitted locomotion follows them in closed loop, knowing
     where to go: what the locomotion model allows.
+``experts``
+    The artificial agents that made the demonstrations, in their own locomotion, where these are
+    known: the most that any method can hope for.
+``nearest``
+    What was done in the nearest recorded second (:mod:`.nearest`).
 ``scripted``
     Pursuers straight at the target, which evades; a moth that surges, zigzags and loops.
 ``constant-velocity``, ``still``, ``random``
@@ -21,8 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.benchmark.nearest import NearestSegment
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.evaluation.told_apart import followed
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -31,7 +38,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import track
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.scenario import Scenario
-from animarl_envs.species import SearchSpecies
+from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
@@ -49,16 +56,43 @@ def reference_rollouts(name: str, world: RunFolder, seed: int, repetitions: int)
     if name == "tracking":
         tracked = followed(test, track(test, species.locomotion, species.arena))
         return replace(tracked, method=name, seed=np.full(len(tracked), seed))
+    if name == "experts":
+        return expert_rollouts(demos, species, seed, repetitions)
     scenario = world.scenario("test")
     if name == "scripted" and not isinstance(species, SearchSpecies):
         scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
     return collect_rollouts(
         partial(make_world, scenario),
-        _policy(name, scenario, seed),
+        _policy(name, scenario, seed, demos),
         method=name,
         seed=seed,
         repetitions=repetitions,
+        cue="actual" if name == "nearest" else None,
     )
+
+
+def expert_rollouts(
+    demos: Demonstrations, species: Species, seed: int, repetitions: int
+) -> Rollouts:
+    """The teams that made the demonstrations, each from the test starts of its own condition.
+
+    Raises
+    ------
+    InputError
+        If they are not known.
+    """
+    teams = teams_of(demos)
+    if teams is None:
+        raise InputError(f"{demos.name}: who made it is not known: leave 'experts' out")
+    test = demos.select(split="test")
+    parts = []
+    for condition in np.unique(test.condition).tolist():
+        own = np.flatnonzero(test.condition == condition)
+        made = teams[condition].roll_out(
+            species, test.select(episodes=own), name="experts", seed=seed, repetitions=repetitions
+        )
+        parts.append(replace(made, demo=own[made.demo]))
+    return Rollouts.concatenate(parts, "experts")
 
 
 def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:
@@ -91,8 +125,10 @@ def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) 
     )
 
 
-def _policy(name: str, scenario: Scenario, seed: int) -> Policy:
+def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> Policy:
     species = scenario.species
+    if name == "nearest":
+        return NearestSegment(species, learnable(demos), seed)
     if name == "random":
         return RandomPolicy(seed, species.num_actions)
     if name == "scripted":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +20,12 @@ from animarl_algos.benchmark.matrix import read_matrix
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
+from animarl_algos.benchmark.ray_engine import perform_on_ray
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.errors import InputError
 
-ENGINES = ("local",)
+ENGINES = ("local", "ray")
 STAGES = ("worlds", "cells", "scores")
 
 app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
@@ -51,8 +54,14 @@ def benchmark_command(
         list[str] | None,
         typer.Option(help="Your own method, NAME=module:factory; repeatable."),
     ] = None,
-    engine: Annotated[str, typer.Option(help="local: processes of this machine.")] = "local",
-    processes: Annotated[int, typer.Option(help="So many, one thread each.")] = 1,
+    engine: Annotated[
+        str,
+        typer.Option(help="local: processes of this machine; ray: a Ray cluster that is there."),
+    ] = "local",
+    processes: Annotated[int, typer.Option(help="So many of engine local, one thread each.")] = 1,
+    address: Annotated[
+        str, typer.Option(help="Of the Ray cluster; auto: this machine's, or that of RAY_ADDRESS.")
+    ] = "auto",
     show: Annotated[
         bool, typer.Option("--list", help="Say what there is to do, and do nothing.")
     ] = False,
@@ -68,6 +77,8 @@ def benchmark_command(
       animarl benchmark --preset short --species agent --list
 
       animarl benchmark --preset short --only 'fly/*' --method mine=my_module:make
+
+      animarl benchmark --preset paper --engine ray --out shared/bench
 
       animarl benchmark score submission.json
     """
@@ -95,12 +106,15 @@ def benchmark_command(
         console.print(_listing(asked, out))
         return
     claim_folder(out)
-    watch = LiveTable(asked, out, processes)
+    watch = LiveTable(asked, out)
     with Live(watch, console=console, refresh_per_second=1):
-        perform_all(asked, out, processes, watch)
+        if engine == "ray":
+            perform_on_ray(asked, out, watch, address)
+        else:
+            perform_all(asked, out, processes, watch)
     for piece, error in watch.failed:
         console.print(f"\n{piece} failed: {error}", soft_wrap=True)
-    page = write_leaderboard(asked, out)
+    page = write_leaderboard(asked, out, shlex.join(["animarl", *sys.argv[1:]]))
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
 
 
@@ -131,18 +145,22 @@ def score_command(
 class LiveTable:
     """How far each stage is, what runs, and about how long it will take.
 
-    The time left goes by what pieces of the same method took, or else others of the stage.
+    The time left goes by what pieces of the same method took, or else others of the stage. A Ray
+    cluster does not tell what it has begun: there the last column is empty.
     """
 
-    def __init__(self, asked: Plan, out: Path, processes: int) -> None:
+    def __init__(self, asked: Plan, out: Path) -> None:
         self.failed: list[tuple[str, str]] = []
-        self._processes = processes
+        self._number = 1
         self._left = [
             {piece.name for piece in stage if not piece.finished(out)} for stage in asked.stages
         ]
         self._all = [len(stage) for stage in asked.stages]
         self._running: dict[str, float] = {}
         self._took: dict[str, list[float]] = {}
+
+    def at_once(self, number: int) -> None:
+        self._number = number
 
     def started(self, piece: Piece) -> None:
         self._running[piece.name] = time.monotonic()
@@ -167,7 +185,7 @@ class LiveTable:
                 took = self._took.get(_kind(name)) or self._took[""]
                 already = time.monotonic() - self._running.get(name, time.monotonic())
                 total += max(0.0, sum(took) / len(took) - already)
-        return total / self._processes
+        return total / self._number
 
     def __rich__(self) -> RenderableType:
         table = Table("stage", "finished", "of", "failed", "running")

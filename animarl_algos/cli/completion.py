@@ -65,6 +65,12 @@ def runs(incomplete: str) -> list[str]:
     return [name[:-1] if (Path(name) / "settings.json").exists() else name for name in found]
 
 
+def models(incomplete: str) -> list[str]:
+    """A packaged model by name, or a run's folder."""
+    packaged = sorted(f.name for f in (files("animarl_algos") / "pretrained").iterdir())
+    return [*(name for name in packaged if name.startswith(incomplete)), *runs(incomplete)]
+
+
 species = _offering(lambda: (*SPECIES, CUSTOM))
 environments = _offering(lambda: (environment_id(name) for name in (*SPECIES, CUSTOM)))
 recipes = _offering(_recipes)

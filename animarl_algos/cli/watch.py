@@ -21,6 +21,7 @@ from animarl_algos.cli.watch_actors import (
     load_trained,
     programmed_actor,
     trained_actor,
+    trained_environment,
 )
 from animarl_algos.cli.watch_beside import HOLD, play_beside
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
@@ -50,14 +51,19 @@ class ConditionChoice(StrEnum):
 
 def watch_command(
     env: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            help="Environment id, such as AnimaRL/Newt-v0.", autocompletion=completion.environments
+            help="Environment id, such as AnimaRL/Newt-v0; by default that of --model.",
+            autocompletion=completion.environments,
         ),
-    ],
+    ] = None,
     model: Annotated[
-        Path | None,
-        typer.Option(help="Run folder whose trained policy acts.", autocompletion=completion.runs),
+        str | None,
+        typer.Option(
+            help="Whose trained policy acts: a run's folder, or a packaged model by name, such as "
+            "fly.",
+            autocompletion=completion.models,
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Clip to write, .gif or .mp4; without it, a window opens.")
@@ -112,7 +118,11 @@ def watch_command(
       animarl watch AnimaRL/Agent-v0 --by script --episodes 3
 
       animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --beside --out clip.mp4
+
+      animarl watch --model fly --out out/fly.gif
     """
+    if env is None and model is None:
+        raise InputError("there is nothing to watch: name an environment, or give --model")
     if out is not None and out.suffix.lower() not in CLIP_SUFFIXES:
         raise InputError(f"{out}: a clip cannot be written as {out.suffix!r}: use .gif or .mp4")
     if focal is not None and model is None:
@@ -125,7 +135,13 @@ def watch_command(
         "condition": "demo" if condition is ConditionChoice.demo else int(condition.value),
     }
     world, actor = prepare(
-        env, model=model, focal=focal, by=by, seed=seed, acting=acting, **options
+        env or trained_environment(str(model)),
+        model=model,
+        focal=focal,
+        by=by,
+        seed=seed,
+        acting=acting,
+        **options,
     )
     renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
     world.seed([seed])
@@ -156,7 +172,7 @@ def watch_command(
 def prepare(
     env: str,
     *,
-    model: Path | None = None,
+    model: str | Path | None = None,
     focal: str | None = None,
     by: Rule | None = None,
     seed: int = 0,

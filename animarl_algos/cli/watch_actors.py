@@ -37,8 +37,10 @@ class Trained:
     senses: dict[str, Any]
 
 
-def load_trained(folder: Path, species: str, seed: int, acting: str | None = None) -> Trained:
-    """The trained policy of a run, as it acts in tests, and the world that it learned in.
+def load_trained(model: str | Path, species: str, seed: int, acting: str | None = None) -> Trained:
+    """The trained policy of a run's folder or of a packaged model, and the world it learned in.
+
+    It acts as it does in tests.
 
     Raises
     ------
@@ -47,9 +49,11 @@ def load_trained(folder: Path, species: str, seed: int, acting: str | None = Non
     """
     from animarl_algos.data.focal import FocalPolicy
     from animarl_algos.runs.acting import acting_of
+    from animarl_algos.runs.pretrained import model_folder
     from animarl_algos.runs.run_folder import RunFolder
     from animarl_algos.runs.run_world import in_the_world
 
+    folder = model_folder(model)
     run = RunFolder(folder, acting)
     settings, recorded = run.settings, run.demos
     if settings.species != species:
@@ -69,6 +73,14 @@ def load_trained(folder: Path, species: str, seed: int, acting: str | None = Non
         policy = FocalPolicy(learner, fitted.individuals, settings.focal)
     senses = in_the_world(run.environment_options)
     return Trained(policy, fitted, recorded, settings.focal, senses)
+
+
+def trained_environment(model: str | Path) -> str:
+    """The id of the environment that a run or a packaged model was trained in."""
+    from animarl_algos.runs.pretrained import model_folder
+    from animarl_algos.runs.run_folder import RunFolder
+
+    return animarl_envs.environment_id(RunFolder(model_folder(model)).settings.species)
 
 
 def idle_actor(world: World, start: bool) -> NDArray[np.integer]:

@@ -65,7 +65,7 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     """Sentence, table and the two figures of the classifier."""
     say = words.say
     yield Text(verdict_sentence(verdict, words))
-    lines = [Row(cells, faint=bool(row["alike"])) for row, cells in _lines(verdict, words)]
+    lines = [Row(cells, faint=bool(row["alike"])) for row, cells in verdict_lines(verdict, words)]
     columns = [say(column) for column in COLUMNS]
     yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
     yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
@@ -152,7 +152,7 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
         table.add_column(
             words.say(heading), justify="left" if wide else "right", no_wrap=not wide
         )  # fmt: skip
-    for row, cells in _lines(verdict, words):
+    for row, cells in verdict_lines(verdict, words):
         table.add_row(*(Text(cell) for cell in cells), style="" if row["alike"] else "bold")
     return table
 
@@ -167,7 +167,7 @@ def _asked(row: Any) -> str:
     return f"{row['label']} ({unit})" if unit else str(row["label"])
 
 
-def _lines(verdict: Verdict, words: Words) -> Iterator[tuple[Any, list[str]]]:
+def verdict_lines(verdict: Verdict, words: Words) -> Iterator[tuple[Any, list[str]]]:
     """Each row of the table with its cells as texts."""
     for _, row in verdict.table.iterrows():
         scale, unit = _scale(row)

@@ -4,7 +4,7 @@ settings.json       as resolved, with versions, machine, command and the demonst
 demonstrations.npz  with their splits and provenance
 locomotion.json     the fitted parameters
 checkpoints/        the last whole checkpoint of each learner
-policies/           final weights of each learner (tensors only)
+policies/           final weights of each learner (tensors only), and the rule that it acts by
 logs/               learning curves: CSV and TensorBoard
 rollouts/           on the test split, by method
 evaluation/         tables, and the verdict
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from animarl_algos.data.focal import focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, load_tensors, serialised
+from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, serialised
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.machine import machine
@@ -36,13 +36,15 @@ from animarl_algos.runs.run_world import (
     of_the_training,
     of_those_who_move,
 )
+from animarl_algos.runs.weights import read_weights, weights_file
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit
 from animarl_envs.fitting.custom_species import species_of
-from animarl_envs.scenario import Condition, Scenario, make_scenario
+from animarl_envs.scenario import PACKAGED, Condition, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
 
@@ -53,6 +55,7 @@ PACKAGES = (
     "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
     "scipy", "stable-baselines3", "torch",
 )  # fmt: skip
+DEMONSTRATIONS = "demonstrations.npz"
 OPTIONS_BEFORE = {"observation": "paper", "rebound": False}
 """Options of the world in runs that were recorded before these existed."""
 
@@ -96,7 +99,7 @@ class RunFolder:
                         "choose another --out, or remove it"
                     )
             return
-        demos.save(self.path / "demonstrations.npz")
+        demos.save(self.path / DEMONSTRATIONS)
         record = resolved | {
             "versions": versions(), "machine": machine(), "command": command,
         }  # fmt: skip
@@ -164,8 +167,17 @@ class RunFolder:
 
     @property
     def demos(self) -> Demonstrations:
-        """The demonstrations of the run, all splits, of those who move in its world."""
-        demos = Demonstrations.load(self.path / "demonstrations.npz")
+        """The demonstrations (packaged ones need no copy), all splits, of those who move."""
+        file, record = self.path / DEMONSTRATIONS, self._read()
+        if file.exists() or record["settings"]["file"] != PACKAGED:
+            demos = Demonstrations.load(file)
+        else:
+            demos = load_packaged(self.settings.species)
+            if demos.fingerprint() != record["fingerprint"]:
+                raise InputError(
+                    f"{self.path}: it was trained on packaged demonstrations of another version: "
+                    "train it anew"
+                )
         return of_those_who_move(demos, self.environment_options)
 
     @property
@@ -240,9 +252,9 @@ class RunFolder:
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
         """Put the final weights into a learner of the same settings."""
-        file = self.path / "policies" / f"{name}.pt"
+        file = weights_file(self.path / "policies", name)
         try:
-            weights = load_tensors(file)
+            weights = read_weights(file)
             model.policy.q_net.load_state_dict(weights)
             model.policy.q_net_target.load_state_dict(weights)
         except FileNotFoundError:
@@ -256,7 +268,7 @@ class RunFolder:
             ) from None
 
     def has_policy(self, name: str) -> bool:
-        return (self.path / "policies" / f"{name}.pt").exists()
+        return weights_file(self.path / "policies", name).exists()
 
     def log_folder(self, name: str) -> Path:
         """A new folder for the logs of one session of one learner."""

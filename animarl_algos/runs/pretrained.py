@@ -1,0 +1,233 @@
+"""Trained models to give away: exported from a run, or packaged and called by name.
+
+An exported model is the part of a run's folder that its policy acts by, with weights as safetensors
+and everything else as JSON, and a card. Whatever takes a run's folder takes it too; demonstrations
+that come with the package are not copied.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from animarl_algos.evaluation.tables import Evaluation
+from animarl_algos.evaluation.verdict import Verdict
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.report.provenance import flattened
+from animarl_algos.report.verdict_section import COLUMNS, verdict_lines, verdict_sentence
+from animarl_algos.report.words import Words
+from animarl_algos.runs.acting import acting_file
+from animarl_algos.runs.rolling_out import trained_model
+from animarl_algos.runs.run_folder import DEMONSTRATIONS, RunFolder
+from animarl_algos.runs.weights import GIVEN, write_weights
+from animarl_envs import environment_id
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.errors import InputError
+from animarl_envs.files import all_files_or_none
+from animarl_envs.scenario import PACKAGED
+
+FOLDER = Path(__file__).resolve().parents[1] / "pretrained"
+CARD, METRICS = "README.md", "metrics.json"
+
+
+def pretrained_names() -> tuple[str, ...]:
+    """Models that come with the package."""
+    return tuple(sorted(path.parent.name for path in FOLDER.glob("*/settings.json")))
+
+
+def model_folder(model: str | Path) -> Path:
+    """A folder as it is; else that of the packaged model of this name.
+
+    Raises
+    ------
+    InputError
+        If there is neither.
+    """
+    folder = Path(model)
+    if folder.exists():
+        return folder
+    if str(model) in pretrained_names():
+        return FOLDER / str(model)
+    raise InputError(
+        f"{model}: there is no such folder and no packaged model of that name: name the folder of "
+        f"a run, or one of {', '.join(pretrained_names())}"
+    )
+
+
+def load_pretrained(model: str | Path) -> SequenceQLearning:
+    """A packaged model (``"fly"``), an exported one or a run's, in its world, acting by its rule.
+
+    ``predict`` is stable-baselines3's; ``model.get_env()`` is the fitted world with its
+    demonstrations, one slot per individual and copy.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a file of it is damaged.
+    """
+    run = RunFolder(model_folder(model))
+    return trained_model(run, run.settings.algo)
+
+
+def export_run(
+    run: RunFolder,
+    out: Path,
+    *,
+    with_demonstrations: bool = False,
+    made_by: str | None = None,
+    chosen: Mapping[str, float] | None = None,
+) -> Path:
+    """Write what a run's policy acts by into a folder of its own, with a model card.
+
+    Parameters
+    ----------
+    with_demonstrations
+        Copy the recordings as well. Without them others need the same file to load the model;
+        packaged ones they have.
+    made_by
+        The command, for the card; by default that of the run.
+    chosen
+        By candidate, the number on validation episodes that this model was chosen by: the lowest.
+
+    Raises
+    ------
+    InputError
+        If the run was not trained or not evaluated, or the folder holds something else.
+    """
+    settings, record = run.settings, run.record
+    algo = settings.algo
+    network = trained_model(run, algo).policy.q_net
+    if not (run.path / "evaluation" / "verdict.json").exists():
+        raise InputError(
+            f"{run.path}: a model card needs its evaluation: 'animarl evaluate {run.path}'"
+        )
+    if out.is_dir() and any(out.iterdir()) and not (out / "settings.json").is_file():
+        raise InputError(f"{out}: it holds something that is no model: name another --out")
+    evaluation = Evaluation.load(run.path / "evaluation")
+    packaged = _is_packaged(run)
+    # A path says more of somebody's disk than of the model.
+    file = PACKAGED if packaged else Path(settings.file).name
+    record["settings"] |= {"file": file, "device": "cpu"}
+    record["command"] = made_by or record["command"]
+    metrics = _metrics(evaluation.verdict) | {"chosen_by_validation": dict(chosen or {})}
+    policies = Path("policies")
+    with all_files_or_none(out) as part:
+        (part / policies).mkdir()
+        write_weights(network.state_dict(), part / policies / f"{algo}{GIVEN}")
+        if acting_file(run, algo).exists():
+            shutil.copyfile(acting_file(run, algo), part / policies / f"{algo}.acting.json")
+        shutil.copyfile(run.path / "locomotion.json", part / "locomotion.json")
+        (part / "settings.json").write_text(json.dumps(record, indent=2) + "\n")
+        (part / METRICS).write_text(json.dumps(metrics, indent=1) + "\n")
+        if with_demonstrations and not packaged:
+            shutil.copyfile(run.path / DEMONSTRATIONS, part / DEMONSTRATIONS)
+        parameters = sum(p.numel() for p in network.parameters())
+        card = model_card(run, evaluation, record, parameters, chosen or {})
+        (part / CARD).write_text(card, encoding="utf-8")
+    return out
+
+
+def _metrics(verdict: Verdict) -> dict[str, Any]:
+    """What the verdict found, as plain numbers; None where something is not defined."""
+    rows = json.loads(verdict.table.to_json(orient="records", double_precision=6))
+    keys = ("measure", "unit", "recorded", "simulated", "difference", "difference_low",
+            "difference_high", "null", "energy", "energy_pooled", "verdict")  # fmt: skip
+    return {
+        "words": list(verdict.words),
+        "starts": verdict.starts,
+        "rollouts": verdict.rollouts,
+        "measures": [{key: row[key] for key in keys} for row in rows],
+    }
+
+
+def _is_packaged(run: RunFolder) -> bool:
+    """Whether its demonstrations, untouched, come with the package."""
+    name = run.settings.species
+    return name in packaged_names() and (
+        load_packaged(name).fingerprint() == run.record["fingerprint"]
+    )
+
+
+def model_card(
+    run: RunFolder,
+    evaluation: Evaluation,
+    record: Mapping[str, Any],
+    parameters: int,
+    chosen: Mapping[str, float],
+) -> str:
+    """Data, licence, settings, metrics and limits of a trained model, as Markdown."""
+    settings, demos = run.settings, run.demos
+    words, verdict = Words.of(demos), evaluation.verdict
+    species = run.species(demos, run.fit)
+    licence = str(demos.provenance.get("licence") or "not stated")
+    kind = "synthetic, recorded from no animal" if demos.synthetic else "recorded"
+    counts = ", ".join(f"{(demos.split == s).sum()} {s}" for s in ("train", "val", "test"))
+    rows = "\n".join(
+        f"| {' | '.join(cell.replace(chr(10), ' ') for cell in cells)} |"
+        for cells in ([words.say(c) for c in COLUMNS], ["---"] * len(COLUMNS),
+                      *(cells for _, cells in verdict_lines(verdict, words)))
+    )  # fmt: skip
+    lines = [
+        f"# {species.title}: {settings.algo}",
+        "",
+        f"A policy of {', '.join(species.individuals)} in `{environment_id(settings.species)}`, "
+        f"trained with `{settings.algo}` (seed {settings.seed}, {parameters:,} parameters). "
+        "Weights: safetensors; everything else: JSON.",
+        "",
+        f"- **Data**: {demos.provenance.get('source') or demos.name} ({kind}); episodes: {counts}; "
+        f"fingerprint `{record['fingerprint']}`.",
+        f"- **Licence**: of the data {licence}; of the weights that of the data, of the code MIT.",
+        f"- **Made by** `{record['command']}`, commit "
+        f"{record.get('machine', {}).get('commit', 'not known')}.",
+        "- **Acts by** the rule in `policies`, "
+        + ("chosen on training and validation episodes." if settings.acting == "chosen"
+           else f"`{settings.acting}`."),
+        *(
+            [
+                "- **Chosen** by mismatch of outcomes, durations, path lengths and speeds on "
+                "validation episodes (the lower, the more alike): "
+                + ", ".join(f"{name} {number:.3f}" for name, number in chosen.items())
+                + "."
+            ]
+            if chosen
+            else []
+        ),
+        "",
+        "## Metrics",
+        "",
+        verdict_sentence(verdict, words),
+        "",
+        "Test split, which nothing before saw. docs/faithful.md says how to read the table.",
+        "",
+        rows,
+        "",
+        "## Limits",
+        "",
+        *(f"- {words.say(limit)}" for limit in _limits(demos, verdict, settings.seed)),
+        "",
+        "## Settings",
+        "",
+        *(f"- {name}: {value}" for name, value in flattened(record["learner"])),
+        *(f"- environment {name}: {value}" for name, value in flattened(record["environment"])),
+        *(f"- {name} {version}" for name, version in record["versions"].items()),
+        "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _limits(demos: Demonstrations, verdict: Verdict, seed: int) -> list[str]:
+    limits = [
+        f"One training seed ({seed}): its intervals speak of test starts, not of other trainings.",
+        "It moves as these recordings do, from starts like theirs, in their arena; nothing was "
+        "tested elsewhere.",
+        "A counterfactual of it is no measurement: compare it with a truth where there is one.",
+    ]
+    if demos.synthetic:
+        limits.insert(0, "The data are synthetic: it says nothing about living animals.")
+    if not verdict.like:
+        limits.insert(0, f"What was found wrong on the test split: {verdict.overall}.")
+    return limits

@@ -1,0 +1,148 @@
+"""Trained models to give away: what is exported acts as the run did; those of the package load."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_runs import made
+
+from animarl_algos import load_pretrained
+from animarl_algos.cli.main import main
+from animarl_algos.cli.watch import prepare
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.pretrained import FOLDER, export_run, pretrained_names
+from animarl_algos.runs.rolling_out import trained_model
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.demos.packaged import packaged_names
+from animarl_envs.errors import InputError
+
+LARGEST = 3_000_000  # [bytes]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A small run of clones, evaluated."""
+    trained = made(tmp_path_factory.mktemp("runs"), "soft-bc")
+    pipeline.evaluate_run(trained)
+    return trained
+
+
+def answers(model: Any) -> Any:
+    """Actions in the model's own world from a seed of its own."""
+    model.policy.seed(5)
+    seen = np.random.default_rng(0).normal(size=(6, model.observation_space.shape[0]))
+    return model.predict(seen.astype(np.float32))[0].tolist()
+
+
+def test_an_exported_model_acts_as_the_run(run: RunFolder, tmp_path: Path) -> None:
+    out = export_run(run, tmp_path / "model", with_demonstrations=True)
+    assert answers(load_pretrained(out)) == answers(trained_model(run, "soft-bc"))
+    assert (out / "policies" / "soft-bc.safetensors").is_file()
+    assert not list(out.rglob("*.pt"))
+    world, actor = prepare("AnimaRL/Agent-v0", model=out)
+    world.reset()
+    assert actor(world, True).shape == (1, 3)
+    card = (out / "README.md").read_text()
+    for told in ("**Data**", "**Licence**", "MIT", "## Metrics", "Told apart", "## Limits",
+                 "synthetic", "One training seed", "## Settings", "offline_epochs: 1"):  # fmt: skip
+        assert told in card, told
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert {"auc", "duration"} <= {row["measure"] for row in metrics["measures"]}
+
+
+def test_recordings_are_given_away_only_when_asked(run: RunFolder, tmp_path: Path) -> None:
+    out = export_run(run, tmp_path / "model")
+    assert not (out / "demonstrations.npz").exists()
+    with pytest.raises(InputError, match=r"demonstrations\.npz"):
+        load_pretrained(out)
+    shutil.copyfile(run.path / "demonstrations.npz", out / "demonstrations.npz")
+    assert answers(load_pretrained(out)) == answers(trained_model(run, "soft-bc"))
+
+
+def test_damaged_weights_are_refused(run: RunFolder, tmp_path: Path) -> None:
+    out = export_run(run, tmp_path / "model", with_demonstrations=True)
+    file = out / "policies" / "soft-bc.safetensors"
+    whole = file.read_bytes()
+    for damaged in (whole[:-8], b"", b"\xff" * 200, whole[:8] + b"[" + whole[9:]):
+        file.write_bytes(damaged)
+        with pytest.raises(InputError, match="not a policy of this run"):
+            load_pretrained(out)
+
+
+def test_what_cannot_be_exported_says_why(run: RunFolder, tmp_path: Path) -> None:
+    lacking = tmp_path / "run"
+    shutil.copytree(run.path, lacking)
+    shutil.rmtree(lacking / "evaluation")
+    with pytest.raises(InputError, match="needs its evaluation"):
+        export_run(RunFolder(lacking), tmp_path / "model")
+    shutil.rmtree(lacking / "policies")
+    with pytest.raises(InputError, match="no trained policy"):
+        export_run(RunFolder(lacking), tmp_path / "model")
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.txt").write_text("1")
+    with pytest.raises(InputError, match="no model"):
+        export_run(run, tmp_path / "thesis")
+    with pytest.raises(InputError, match="no packaged model of that name"):
+        load_pretrained("cat")
+
+
+def said_by(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> tuple[int, str]:
+    monkeypatch.setattr(sys, "argv", ["animarl", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out + said.err
+
+
+def test_the_command_exports_and_refuses(
+    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    out = tmp_path / "model"
+    code, said = said_by(["export", str(run.path), "--out", str(out)], monkeypatch, capsys)
+    assert code == 0 and "README.md" in said and (out / "README.md").is_file()
+    code, said = said_by(["watch"], monkeypatch, capsys)
+    assert code == 2 and "nothing to watch" in said
+    code, said = said_by(["watch", "--model", "cat"], monkeypatch, capsys)
+    assert code == 2 and "no packaged model" in said
+
+
+def test_every_packaged_species_has_a_small_model() -> None:
+    assert set(pretrained_names()) == set(packaged_names())
+    for name in pretrained_names():
+        files = [file for file in (FOLDER / name).rglob("*") if file.is_file()]
+        assert sum(file.stat().st_size for file in files) < LARGEST
+        assert {file.suffix for file in files} == {".json", ".md", ".safetensors"}
+
+
+@pytest.mark.parametrize("name", packaged_names())
+def test_packaged_models_act_in_their_world(name: str) -> None:
+    model = load_pretrained(name)
+    env = model.get_env()
+    assert env is not None
+    seen, state = env.reset(), None
+    start = np.ones(env.num_envs, dtype=bool)
+    taken = []
+    for _ in range(20):
+        actions, state = model.predict(seen, state=state, episode_start=start)
+        seen, _, start, _ = env.step(actions)
+        taken.append(actions)
+    assert len(np.unique(taken)) > 1 and np.isfinite(seen).all()
+    card = (FOLDER / name / "README.md").read_text()
+    assert "synthetic" in card and "no animal" in card and "**Licence**" in card
+
+
+def test_watch_takes_a_packaged_model_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    clip = tmp_path / "fly.gif"
+    code, said = said_by(
+        ["watch", "--model", "fly", "--steps", "4", "--size", "80", "--out", str(clip)],
+        monkeypatch, capsys,
+    )  # fmt: skip
+    assert code == 0 and str(clip) in said and clip.stat().st_size > 100

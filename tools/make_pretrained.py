@@ -1,0 +1,105 @@
+"""The trained models that come with the package: ``python -m tools.make_pretrained``.
+
+Recipes of the benchmark's preset ``short`` are trained on the packaged demonstrations (what is
+finished in ``--out`` is kept). For each species the cell whose rollouts from validation starts are
+most like the validation recordings is evaluated on the test split and exported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from animarl_algos.benchmark.cells import Cell
+from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.pieces import Done, Piece
+from animarl_algos.benchmark.plan import claim_folder, plan
+from animarl_algos.evaluation.acting_choice import compared
+from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.runs.pipeline import evaluate_run
+from animarl_algos.runs.pretrained import FOLDER, export_run
+from animarl_algos.runs.rolling_out import trained_model
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.errors import InputError
+from animarl_envs.worlds import make_world
+
+PRESET = "short"
+REPETITIONS = 5
+
+
+class Printed:
+    """What is done, line by line."""
+
+    def __init__(self) -> None:
+        self.failed: list[str] = []
+
+    def at_once(self, number: int) -> None:
+        pass
+
+    def started(self, piece: Piece) -> None:
+        print(f"{piece.name} begins", flush=True)
+
+    def ended(self, piece: Piece, done: Done) -> None:
+        print(f"{piece.name}: {done.error or f'{done.seconds:.0f} s'}", flush=True)
+        if done.error:
+            self.failed.append(done.error)
+
+
+def validation_mismatch(run: RunFolder) -> float:
+    """How far rollouts from validation starts are from the validation recordings."""
+    algo = run.settings.algo
+    model = trained_model(run, algo)
+    model.policy.seed(run.settings.seed)
+    rollouts = collect_rollouts(
+        partial(make_world, run.scenario("val")),
+        model,
+        method=algo,
+        seed=run.settings.seed,
+        repetitions=REPETITIONS,
+        cue="actual" if model.layout.condition_flag else None,
+    )
+    recorded = Rollouts.from_demonstrations(run.demos.select(split="val"))
+    return compared(algo, rollouts, recorded).mismatch
+
+
+def make(out: Path, recipes: Sequence[str], seeds: Sequence[int], processes: int) -> None:
+    """Train, choose, evaluate and export one model for each packaged species."""
+    wanted = [f"*/{recipe}/{seed}" for recipe in recipes for seed in seeds]
+    asked = plan(read_matrix(PRESET)).only(wanted)
+    claim_folder(out)
+    printed = Printed()
+    perform_all(asked, out, processes, printed)
+    if printed.failed:
+        raise InputError(printed.failed[0])
+    command = " ".join(["python -m tools.make_pretrained", *sys.argv[1:]])
+    by_species: dict[str, list[Cell]] = {}
+    for cell in asked.cells:
+        by_species.setdefault(cell.data, []).append(cell)
+    for species, cells in by_species.items():
+        runs = {f"{c.method}, seed {c.seed}": RunFolder(c.folder(out) / "run") for c in cells}
+        chosen = {name: validation_mismatch(run) for name, run in runs.items()}
+        best = runs[min(chosen, key=lambda name: chosen[name])]
+        print(species, ", ".join(f"{name}: {value:.3f}" for name, value in chosen.items()))
+        evaluate_run(best)
+        shutil.rmtree(FOLDER / species, ignore_errors=True)
+        export_run(best, FOLDER / species, made_by=command, chosen=chosen)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/bench-short"))
+    parser.add_argument("--recipe", action="append", help="by default soft-bc; repeatable")
+    parser.add_argument("--seed", action="append", type=int, help="by default 0; repeatable")
+    parser.add_argument("--processes", type=int, default=1)
+    given = parser.parse_args()
+    make(given.out, given.recipe or ["soft-bc"], given.seed or [0], given.processes)
+
+
+if __name__ == "__main__":
+    main()
