@@ -114,6 +114,7 @@ def evaluate(
     learner: str | None = None,
     planned_flip: tuple[int, int] | None = None,
     floor: Tracked | None = None,
+    perturbed: Tracked | None = None,
     references: Demonstrations | None = None,
     smoothing: int | None = None,
     resamples: int = RESAMPLES,
@@ -132,7 +133,7 @@ def evaluate(
         Of the resampling.
     learner
         The method that the verdict is about; the first by default.
-    floor, references, smoothing
+    floor, perturbed, references, smoothing
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
     planned_flip
         See :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
@@ -179,6 +180,7 @@ def evaluate(
             replace(rollouts[learner], method=learner),
             seed=seed,
             floor=floor,
+            perturbed=perturbed,
             baselines={name: r for name, r in rollouts.items() if name != learner},
             references=references,
             smoothing=smoothing,

@@ -1,7 +1,8 @@
 """The row ``auc`` of a verdict: whether a classifier tells rollouts and recordings apart.
 
 Its area is read beside that of recordings among themselves, of the locomotion model's closed-loop
-tracking and of random actions. Up to ``NEAR_AUC`` the two are taken for alike.
+tracking, of the same with some actions at random, and of random actions. Up to ``NEAR_AUC`` the two
+are taken for alike.
 """
 
 from __future__ import annotations
@@ -69,6 +70,7 @@ class Classified:
     simulated: Telling
     among: Interval
     floor: Interval
+    perturbed: Interval
     ceiling: Interval
     block: int | None
 
@@ -78,6 +80,7 @@ class Classified:
         prepared: Prepared,
         counted: Rollouts,
         floor: Tracked | None,
+        perturbed: Tracked | None,
         baselines: Mapping[str, Rollouts],
         references: Demonstrations | None,
         streams: list[np.random.Generator],
@@ -94,12 +97,15 @@ class Classified:
         own = windows(prepared.recorded)
         rng, null_rng = streams
         simulated = tell_apart(own, windows(counted), rng, importance=True)
-        ceiling = tracked = UNDEFINED
+        ceiling = tracked = shaken = UNDEFINED
         if (random := baselines.get("random")) is not None:
             drawn = prepared.filtered(factual(random, demos))
             ceiling = tell_apart(own, windows(drawn), rng, deals=1).auc
         if floor is not None:
             tracked = tell_apart(own, windows(prepared.filtered(followed(demos, floor))), rng).auc
+        if perturbed is not None:
+            other = windows(prepared.filtered(followed(demos, perturbed)))
+            shaken = tell_apart(own, other, rng, deals=1).auc
         if references is None:
             among = among_themselves(own, null_rng)
         else:
@@ -108,7 +114,7 @@ class Classified:
             )
             apart = replace(others, group=others.group + own.group.max() + 1)
             among = tell_apart(own, apart, null_rng, deals=1).auc
-        return cls(simulated, among, tracked, ceiling, block)
+        return cls(simulated, among, tracked, shaken, ceiling, block)
 
 
 def auc_row(found: Classified) -> dict[str, Any]:

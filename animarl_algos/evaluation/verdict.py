@@ -37,6 +37,7 @@ Floats = NDArray[np.float64]
 LIKE = "moves like the recordings"
 WORSE = "worse than untrained"
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
+AREAS = ("auc", "among", "floor", "perturbed", "ceiling")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,10 +65,10 @@ class Verdict:
         How many count.
     smoothing
         Frames of the moving average that both sides went through.
-    auc, among, floor, ceiling
+    auc, among, floor, perturbed, ceiling
         Areas under the ROC curve of the classifier: of the rollouts, of recordings among
-        themselves (their central 95 %), of closed-loop tracking and of random actions (NaN where
-        they were not given).
+        themselves (their central 95 %), of closed-loop tracking, of such tracking with some actions
+        at random, and of random actions (NaN where they were not given).
     importance
         By kind of feature, how much of the area rests on it.
     parts
@@ -83,6 +84,7 @@ class Verdict:
     auc: Interval = UNDEFINED
     among: Interval = UNDEFINED
     floor: Interval = UNDEFINED
+    perturbed: Interval = UNDEFINED
     ceiling: Interval = UNDEFINED
     importance: Mapping[str, float]
     parts: bool = False
@@ -108,7 +110,7 @@ class Verdict:
         with write_then_rename(folder / "verdict.csv") as part:
             self.table.to_csv(part, index=False)
         plain = {k: v for k, v in vars(self).items() if k != "table"}
-        for key in ("auc", "among", "floor", "ceiling"):
+        for key in AREAS:
             ends = (plain[key].estimate, plain[key].low, plain[key].high)
             plain[key] = [end if math.isfinite(end) else None for end in ends]
         with write_then_rename(folder / "verdict.json") as part:
@@ -121,9 +123,9 @@ class Verdict:
 
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
-        for key in ("auc", "among", "floor", "ceiling"):
-            estimate, low, high = (math.nan if end is None else end for end in plain[key])
-            plain[key] = Interval(estimate, low, high)
+        for key in AREAS:
+            ends = plain.get(key, (None, None, None))  # older ones lack the perturbed
+            plain[key] = Interval(*(math.nan if end is None else end for end in ends))
         table = pd.read_csv(
             folder / "verdict.csv", float_precision="round_trip", keep_default_na=True
         )
@@ -138,6 +140,7 @@ def verdict(
     *,
     seed: int,
     floor: Tracked | None = None,
+    perturbed: Tracked | None = None,
     baselines: Mapping[str, Rollouts] | None = None,
     references: Demonstrations | None = None,
     smoothing: int | None = None,
@@ -156,6 +159,8 @@ def verdict(
     floor
         The same demonstrations as the fitted locomotion follows them; looked at on the grid on
         which recorded positions lie, as rollouts are.
+    perturbed
+        The same with some actions at random, to read areas by.
     baselines
         Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, and of an
         ``"untrained"`` network, which a trained one should beat.
@@ -183,7 +188,9 @@ def verdict(
     prepared = Prepared.of(recorded, smoothing)
     counted = prepared.filtered(factual(rollouts, recorded))
     rows = rows_of(prepared, counted, streams[0])
-    comparison = Classified.of(prepared, counted, floor, baselines or {}, references, streams[1:3])
+    comparison = Classified.of(
+        prepared, counted, floor, perturbed, baselines or {}, references, streams[1:3]
+    )
     rows.append(auc_row(comparison))
     words = _overall(rows, comparison)
     untrained = (baselines or {}).get("untrained")
@@ -201,6 +208,7 @@ def verdict(
         auc=comparison.simulated.auc,
         among=comparison.among,
         floor=comparison.floor,
+        perturbed=comparison.perturbed,
         ceiling=comparison.ceiling,
         importance=comparison.simulated.importance,
         parts=comparison.block is not None,

@@ -214,8 +214,8 @@ def _classifier_caption(verdict: Verdict) -> str:
         f"Left: how often boosted trees, shown {WINDOW:g} s of motion of a demonstration that they "
         "were not trained on, rank the simulated above the recorded: 0.5 is chance. Beside it "
         "demonstrations among themselves, and, where they were rolled out, the demonstrations as "
-        "the fitted locomotion follows them (an estimate of what it allows) and random actions. "
-        "Right: "
+        "the fitted locomotion follows them (an estimate of what it allows), the same with one "
+        "action in ten at random, and random actions. Right: "
         f"by how much the area falls when one kind of feature is shuffled.{parts}"
     )
 
@@ -225,6 +225,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
         method_label(verdict.learner): verdict.auc,
         "demonstrations among themselves": verdict.among,
         "closed-loop tracking": verdict.floor,
+        "... one action in ten at random": verdict.perturbed,
         "random": verdict.ceiling,
     }
     shown = {name: area for name, area in areas.items() if math.isfinite(area.estimate)}

@@ -26,6 +26,7 @@ from animarl_algos.runs.rolling_out import (
     UNTRAINED,
     lacking,
     method_name,
+    perturbed,
     stored_rollouts,
 )
 from animarl_algos.runs.run_folder import RunFolder
@@ -76,6 +77,7 @@ def compare_runs(folders: Sequence[str | Path], *, resamples: int = RESAMPLES) -
         seed=0,
         planned_flip=species.planned_flip,
         floor=track(test, species.locomotion, species.arena),
+        perturbed=perturbed(test, species, 0),
         learner=next(iter(runs.methods)),
         references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
         resamples=resamples,

@@ -30,7 +30,13 @@ from animarl_algos.report.report import write_report
 from animarl_algos.runs.acting import act_as_chosen, acting_file
 from animarl_algos.runs.alone import alone, holding
 from animarl_algos.runs.machine import timed, timed_stage, wall_times
-from animarl_algos.runs.rolling_out import DECISIONS, method_name, roll_out, stored_rollouts
+from animarl_algos.runs.rolling_out import (
+    DECISIONS,
+    method_name,
+    perturbed,
+    roll_out,
+    stored_rollouts,
+)
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
 from animarl_algos.runs.run_world import world_in_words
@@ -169,6 +175,7 @@ def evaluate_run(run: RunFolder) -> Evaluation:
         seed=run.settings.seed,
         planned_flip=species.planned_flip,
         floor=track(test, species.locomotion, species.arena),
+        perturbed=perturbed(test, species, run.settings.seed),
         learner=method_name(run.settings.algo),
         references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
     )

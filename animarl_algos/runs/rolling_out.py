@@ -12,7 +12,10 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.runs.acting import act_as_chosen, for_all
 from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import Tracking, track
+from animarl_envs.species import Species
 from animarl_envs.worlds import make_world
 
 DECISIONS = Path("rollouts", "decisions.npz")
@@ -162,3 +165,8 @@ def stored_rollouts(run: RunFolder) -> dict[str, Rollouts]:
         )
     files.sort(key=lambda file: file.stem != own)
     return {file.stem: Rollouts.load(file) for file in files}
+
+
+def perturbed(test: Demonstrations, species: Species, seed: int) -> Tracking:
+    """Recordings as the fitted locomotion follows them, with one action in ten at random."""
+    return track(test, species.locomotion, species.arena, random_share=0.1, seed=seed)

@@ -40,7 +40,12 @@ class Tracking:
 
 
 def track(
-    demos: Demonstrations, locomotion: Sequence[Locomotion], arena: Arena | None = None
+    demos: Demonstrations,
+    locomotion: Sequence[Locomotion],
+    arena: Arena | None = None,
+    *,
+    random_share: float = 0.0,
+    seed: int = 0,
 ) -> Tracking:
     """Follow every recorded episode from its first state, all individuals together.
 
@@ -55,13 +60,20 @@ def track(
         Parameters of each of them, with equally many thrust magnitudes.
     arena
         Whose walls hold, if it has ``rebound``; by default that of ``demos``.
+    random_share, seed
+        So many of all actions are drawn at random instead, which the following ones mend.
 
     Raises
     ------
     InputError
-        If there are not K equally rich sets of parameters.
+        If there are not K equally rich sets of parameters, or the share is none.
     """
     _check(demos, locomotion)
+    if not 0.0 <= random_share <= 1.0:
+        raise InputError(f"random_share is {random_share}: give a share from 0 to 1")
+    rng, shape = np.random.default_rng(seed), demos.positions.shape[:2]
+    drawn = rng.integers(locomotion[0].num_actions, size=shape)
+    forced = np.where(rng.random(shape) < random_share, drawn, -1)
     arena = demos.arena if arena is None else arena
     recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
     starts = demos.offsets.astype(np.int64)
@@ -77,7 +89,7 @@ def track(
     for t in range(int(demos.lengths.max())):
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
-            position_now, velocity_now, paths, speeds, actions,
+            position_now, velocity_now, paths, speeds, forced, actions,
         )  # fmt: skip
         if arena.rebound:
             _hold_by_walls(arena, position_now, velocity_now)
@@ -171,9 +183,12 @@ def _hold_by_walls(arena: Arena, position: Floats, velocity: Floats) -> None:
 @jit
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
-    position, velocity, paths, speeds, actions,
+    position, velocity, paths, speeds, forced, actions,
 ):  # fmt: skip
-    """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``."""
+    """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
+
+    ``forced`` ``(frames, K)`` are actions that are taken whatever they lead to, -1 for none.
+    """
     K = position.shape[0]
     towards = np.empty((K, 2))
     for b in range(len(starts) - 1):
@@ -200,6 +215,8 @@ def _follow(  # type: ignore[no-untyped-def]
         for i in range(K):
             least, action, best_x, best_y = np.inf, 0, 0.0, 0.0
             for k in range(pushes.shape[1]):
+                if forced[frame, i] >= 0 and k != forced[frame, i]:
+                    continue
                 ahead, left = pushes[i, k, 0], pushes[i, k, 1]
                 ax = ahead * towards[i, 0] - left * towards[i, 1]
                 ay = ahead * towards[i, 1] + left * towards[i, 0]
