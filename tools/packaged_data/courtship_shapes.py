@@ -116,7 +116,7 @@ def recorded_tracks(species: str, data: Path) -> list[NDArray[np.float64]]:
     for tracks in read_tracks(path):
         cleaned, _ = clean(tracks, recipe.cleaning)
         assert cleaned.frame_rate is not None
-        bodies = scale_of(cleaned, recipe.scaling).to_arena(cleaned.bodies)
+        bodies = scale_of([cleaned], recipe.scaling).to_arena(cleaned.bodies)
         found.append(resample(bodies, cleaned.frame_rate, DECISION_RATE))
     return found
 
