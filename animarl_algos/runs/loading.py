@@ -10,7 +10,8 @@ from typing import Any
 from animarl_algos.evaluation.collect import Cue, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.runs.rolling_out import for_all, method_name, trained_model
+from animarl_algos.runs.acting import for_all
+from animarl_algos.runs.rolling_out import method_name, trained_model
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
