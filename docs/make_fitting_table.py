@@ -44,7 +44,7 @@ def sleap_clip(data: Path) -> Demonstrations:
 
 def termites(data: Path, kind: str) -> Demonstrations:
     path = data / "termite_tandem" / "tracks_30fps_int16.npz"
-    scaling = {"shape": "disc", "width": DISH, "boundary": 1.3}
+    scaling = {"shape": "disc", "width": DISH, "boundary": 1.3, "each": True}
     return read(path, kind=kind, scaling=scaling)
 
 
