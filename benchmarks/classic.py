@@ -186,10 +186,13 @@ def cell(folder: Path, task: str, learner: Learner, seed: int, steps: int | None
 
 
 def interval(values: Sequence[float]) -> str:
-    """Mean and Student's t interval over seeds."""
-    mean, sd, n = float(np.mean(values)), float(np.std(values, ddof=1)), len(values)
-    half = float(stats.t.ppf(0.975, n - 1)) * sd / np.sqrt(n) if n > 1 else np.nan
+    """Mean and, of more than one, Student's t interval over seeds."""
+    mean, n = float(np.mean(values)), len(values)
     digits = 0 if abs(mean) >= 20 else 2
+    if n == 1:
+        return f"{mean:.{digits}f}"
+    sd = float(np.std(values, ddof=1))
+    half = float(stats.t.ppf(0.975, n - 1)) * sd / np.sqrt(n)
     return f"{mean:.{digits}f} [{mean - half:.{digits}f}, {mean + half:.{digits}f}]"
 
 

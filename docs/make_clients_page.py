@@ -59,7 +59,6 @@ CLIENTS = (
     ),
     Client("torchrl_env", ("torchrl",), "`GymEnv`"),
     Client("tianshou_env", ("tianshou",), "`gym.make` in `DummyVectorEnv`"),
-    Client("rllib_ppo", ("ray", "gymnasium"), "`gym.make`", ("ray[rllib]>=2.40", "torch")),
     Client("minari_collector", ("minari", "jax"), "`gym.make`", ("minari[hdf5,create]>=0.5",)),
 )  # fmt: skip
 
