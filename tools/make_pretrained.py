@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import shutil
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -26,6 +25,7 @@ from animarl_algos.runs.pipeline import evaluate_run
 from animarl_algos.runs.pretrained import FOLDER, export_run
 from animarl_algos.runs.rolling_out import trained_model
 from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.demos.packaged import packaged_names
 from animarl_envs.errors import InputError
 from animarl_envs.worlds import make_world
 
@@ -68,16 +68,17 @@ def validation_mismatch(run: RunFolder) -> float:
     return compared(algo, rollouts, recorded).mismatch
 
 
-def make(out: Path, recipes: Sequence[str], seeds: Sequence[int], processes: int) -> None:
-    """Train, choose, evaluate and export one model for each packaged species."""
-    wanted = [f"*/{recipe}/{seed}" for recipe in recipes for seed in seeds]
+def make(
+    out: Path, names: Sequence[str], recipes: Sequence[str], seeds: Sequence[int], processes: int
+) -> None:
+    """Train, choose, evaluate and export one model for each species."""
+    wanted = [f"{name}/{r}/{seed}" for name in names for r in recipes for seed in seeds]
     asked = plan(read_matrix(PRESET)).only(wanted)
     claim_folder(out)
     printed = Printed()
     perform_all(asked, out, processes, printed)
     if printed.failed:
         raise InputError(printed.failed[0])
-    command = " ".join(["python -m tools.make_pretrained", *sys.argv[1:]])
     by_species: dict[str, list[Cell]] = {}
     for cell in asked.cells:
         by_species.setdefault(cell.data, []).append(cell)
@@ -87,6 +88,9 @@ def make(out: Path, recipes: Sequence[str], seeds: Sequence[int], processes: int
         best = runs[min(chosen, key=lambda name: chosen[name])]
         print(species, ", ".join(f"{name}: {value:.3f}" for name, value in chosen.items()))
         evaluate_run(best)
+        told = [f"--species {species}", *(f"--recipe {recipe}" for recipe in recipes)]
+        told += [f"--seed {seed}" for seed in seeds]
+        command = " ".join(["python -m tools.make_pretrained", *told])
         shutil.rmtree(FOLDER / species, ignore_errors=True)
         export_run(best, FOLDER / species, made_by=command, chosen=chosen)
 
@@ -94,11 +98,13 @@ def make(out: Path, recipes: Sequence[str], seeds: Sequence[int], processes: int
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/bench-short"))
+    parser.add_argument("--species", action="append", help="by default all packaged; repeatable")
     parser.add_argument("--recipe", action="append", help="by default soft-bc; repeatable")
     parser.add_argument("--seed", action="append", type=int, help="by default 0; repeatable")
     parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
-    make(given.out, given.recipe or ["soft-bc"], given.seed or [0], given.processes)
+    names = given.species or packaged_names()
+    make(given.out, names, given.recipe or ["soft-bc"], given.seed or [0], given.processes)
 
 
 if __name__ == "__main__":
