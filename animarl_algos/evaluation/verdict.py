@@ -125,7 +125,8 @@ class Verdict:
         plain = json.loads((folder / "verdict.json").read_text())
         for key in AREAS:
             ends = plain.get(key, (None, None, None))  # older ones lack the perturbed
-            plain[key] = Interval(*(math.nan if end is None else end for end in ends))
+            estimate, low, high = (math.nan if end is None else end for end in ends)
+            plain[key] = Interval(estimate, low, high)
         table = pd.read_csv(
             folder / "verdict.csv", float_precision="round_trip", keep_default_na=True
         )
