@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from animarl_algos.cli.main import app
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import find_reader, read, read_tracks
+from animarl_envs.importing.tracks import merge
 from tools.fuzz.layouts import BODIES
 
 RATE = 25.0
@@ -289,8 +290,9 @@ def test_exports_are_imported_by_one_command(kind: str, tmp_path: Path) -> None:
     rate = [] if export.timed else ["--fps", "25"]
     ran = CliRunner().invoke(app, ["import", str(path), *rate, "--out", str(out)])
     assert ran.exit_code == 0, ran.output
-    demos, expected = read(out), export.expected(path)
-    assert demos.num_individuals == expected.shape[1]
+    demos = read(out)
+    (tracks,) = merge(read_tracks(path))  # of a workbook with a sheet for each animal
+    assert set(demos.individuals) == set(tracks.individuals)
     assert demos.dt == pytest.approx(1 / RATE) and demos.provenance["unit"] == export.unit
 
 
@@ -320,8 +322,6 @@ def test_exports_in_pieces_of_a_second_clock_are_laid_side_by_side(tmp_path: Pat
         path.write_text("\n".join([*head, "Trial time,X center,Y center", "s,cm,cm", *rows[late:]])
                         + "\n")  # fmt: skip
         paths.append(path)
-    from animarl_envs.importing.tracks import merge
-
     (both,) = merge([tracks for path in paths for tracks in read_tracks(path)])
     assert both.individuals == ("s0", "s1")
     np.testing.assert_array_equal(both.bodies[:, 0], BODIES[:, 0])
