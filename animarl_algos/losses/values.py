@@ -103,7 +103,7 @@ def n_step_target(
     gamma: float,
     n_steps: int,
 ) -> torch.Tensor:
-    """As :func:`one_step_target`, after ``n_steps`` rewards or those that are left, (K, T, B, Q)."""
+    """As :func:`one_step_target`, after ``n_steps`` rewards or those that are left."""
     target = one_step_target(rewards, over, bootstrap, gamma)
     if n_steps > 1:
         steps = torch.arange(1, batch.num_steps + 1, device=over.device)
