@@ -22,7 +22,7 @@ from animarl_algos.losses.losses import (
     treatment_cross_entropy,
 )
 from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.values import ValueDistribution, one_step_target
+from animarl_algos.losses.values import ValueDistribution, n_step_target
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -106,17 +106,10 @@ class MinibatchValues:
         assert self.target is not None
         best = self.online.q_values.detach().argmax(-1)  # ties: the lowest index
         bootstrap = self.target.of_actions(best)[:, 1:]
-        over, gamma = self.batch.terminated > 0, self.phase.gamma
-        target = one_step_target(rewards, over, bootstrap, gamma)
-        if self.phase.n_steps > 1:
-            steps = torch.arange(1, self.batch.num_steps + 1, device=over.device)
-            goes_on = (steps.view(1, -1, 1) < self.batch.lengths.unsqueeze(1)).unsqueeze(-1)
-            for _ in range(self.phase.n_steps - 1):
-                next_one = torch.cat((target[:, 1:], target[:, -1:]), dim=1)
-                target = one_step_target(
-                    rewards, over, torch.where(goes_on, next_one, bootstrap), gamma
-                )
-        return target
+        over, phase = self.batch.terminated > 0, self.phase
+        return n_step_target(
+            rewards, over, bootstrap, self.batch, gamma=phase.gamma, n_steps=phase.n_steps
+        )
 
 
 class LossTerm(Protocol):

@@ -20,6 +20,7 @@ from torch.nn import functional
 
 from animarl_algos.losses.quantile_huber import quantile_huber
 from animarl_algos.ranges import Range
+from animarl_algos.replay.batch import SequenceBatch
 
 
 class ErrorLoss(Enum):
@@ -91,6 +92,27 @@ def one_step_target(
     """
     discount = gamma * (~terminated).to(rewards.dtype)
     return rewards.unsqueeze(-1) + discount.unsqueeze(-1) * bootstrap
+
+
+def n_step_target(
+    rewards: torch.Tensor,
+    over: torch.Tensor,
+    bootstrap: torch.Tensor,
+    batch: SequenceBatch,
+    *,
+    gamma: float,
+    n_steps: int,
+) -> torch.Tensor:
+    """As :func:`one_step_target`, after ``n_steps`` rewards or those that are left."""
+    target = one_step_target(rewards, over, bootstrap, gamma)
+    if n_steps > 1:
+        steps = torch.arange(1, batch.num_steps + 1, device=over.device)
+        goes_on = (steps.view(1, -1, 1) < batch.lengths.unsqueeze(1)).unsqueeze(-1)
+        for _ in range(n_steps - 1):
+            later = torch.cat((target[:, 1:], target[:, -1:]), dim=1)
+            later = torch.where(goes_on, later, bootstrap)
+            target = one_step_target(rewards, over, later, gamma)
+    return target
 
 
 @dataclass(frozen=True)

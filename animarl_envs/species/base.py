@@ -66,7 +66,6 @@ class Species:
     bodies: tuple[str, ...] = (PLAIN_BODY,)  # in pictures; a second one is the target's
     source: str = ""
     version_history: tuple[str, ...] = field(default=("v0: first release",))
-
     reward_components = ("touch", "elapsed", "boundary")
 
     def __post_init__(self) -> None:
@@ -95,16 +94,14 @@ class Species:
             )
         if not is_whole(self.warmup) or not 0 <= self.warmup < self.time_limit:
             raise InputError(
-                f"warmup is {self.warmup!r} steps: it must be a whole number between 0 and the "
-                "time limit"
+                f"warmup is {self.warmup!r} steps: give a whole number between 0 and the time limit"
             )
         object.__setattr__(self, "time_limit", int(self.time_limit))
         object.__setattr__(self, "warmup", int(self.warmup))
         object.__setattr__(self, "conditions", _names(self.conditions))
-        penalty = self.boundary_penalty
-        if not is_number(penalty) or not abs(penalty) < float("inf"):
-            raise InputError(f"boundary_penalty is {penalty!r}: it must be a number")
-        object.__setattr__(self, "boundary_penalty", float(penalty))
+        if not is_number(self.boundary_penalty) or not abs(self.boundary_penalty) < float("inf"):
+            raise InputError(f"boundary_penalty is {self.boundary_penalty!r}: it must be a number")
+        object.__setattr__(self, "boundary_penalty", float(self.boundary_penalty))
         if self.observation not in OBSERVATIONS:
             raise InputError(
                 f"observation is {self.observation!r}: "
