@@ -265,6 +265,8 @@ def test_one_episode_is_looked_at(
     done = animarl("inspect", runs[0], "--episode", 3, "--out", "out")
     assert done.returncode == 0, done.stderr
     whole(tmp_path / "out", {"steps", "values", "metrics"})
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert 'id="player"' in page and "beside the first rollouts of each method" in page
     steps = pd.read_parquet(tmp_path / "out" / "steps.parquet")
     test = few().select(split="test")
     recorded = steps[(steps["method"] == "recorded") & (steps["individual"] == "prey")]
@@ -289,6 +291,8 @@ def test_shifts_have_their_truth(
     assert "nothing is claimed: 2 training seeds" in done.stdout
     out = tmp_path / "first"
     whole(out, {"counterfactual", "claims", "episodes"})
+    page = (out / "report.html").read_text()
+    assert "For the methods section" in page and "told the condition of the start" in page
     assert contents(out) == contents(tmp_path / "second")
     table = pd.read_csv(out / "counterfactual.csv")
     episodes = pd.read_csv(out / "episodes.csv")

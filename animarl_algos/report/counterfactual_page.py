@@ -31,7 +31,14 @@ from animarl_algos.report.counterfactual_panels import (
 from animarl_algos.report.counterfactual_player import shift_player
 from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import code_and_machine, flattened, origin
+from animarl_algos.report.provenance import (
+    code_and_machine,
+    flattened,
+    licence,
+    made_with,
+    origin,
+    words_to_paste,
+)
 from animarl_algos.report.sentences import NOTHING, with_interval
 from animarl_algos.report.style import method_label
 
@@ -44,6 +51,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> tuple[list[Section], st
         Section("episodes", "Every episode", list(_episodes(inputs))),
         Section("paths", "Factual beside flipped", list(_paths(inputs))),
         Section("provenance", "How this was made", list(_provenance(inputs))),
+        Section("paste", "To paste", list(words_to_paste(_methods(inputs), inputs.versions))),
     ]
     sections = [section for section in sections if section.blocks]
     said = [Sentences(list(findings(inputs))), Sentences(list(cautions(inputs)))]
@@ -217,6 +225,27 @@ def _provenance(inputs: CounterfactualInputs) -> Iterator[Block]:
     yield code_and_machine(inputs.machine, inputs.wall_time)
     yield Pairs("Settings", flattened(inputs.settings))
     yield Pairs("Versions", list(inputs.versions.items()))
+
+
+def _methods(inputs: CounterfactualInputs) -> str:
+    trained = "; ".join(
+        f"{method_label(name)}, {len(seeds)} training seed{'s' if len(seeds) != 1 else ''}"
+        for name, seeds in inputs.seeds.items()
+    )
+    truth = (
+        ""
+        if inputs.teams is None
+        else ", beside what the teams of the other condition do from the same starts"
+    )
+    return (
+        f"{made_with(inputs.demos, inputs.versions, inputs.machine)}; licence of the data: "
+        f"{licence(inputs.demos)}). Trained policies ({trained}) were rolled out from "
+        f"{inputs.demos.num_episodes} test starts, told the condition of the start and, with the "
+        "same random numbers, the other one. Shifts are the differences of means over starts, with "
+        "95 % intervals over starts and, from two training seeds on, over seeds by Student's t"
+        f"{truth}, and beside the shifts of untrained networks and of networks that cannot see the "
+        "condition."
+    )
 
 
 def _variant(inputs: CounterfactualInputs, method: str) -> str:

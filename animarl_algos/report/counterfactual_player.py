@@ -20,6 +20,7 @@ from animarl_algos.report.scenes import (
     Field,
     Player,
     Scene,
+    of_starts,
     track,
     view,
 )
@@ -40,7 +41,8 @@ def shift_player(inputs: CounterfactualInputs) -> Player:
     species = inputs.species
     chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
     field = Field(inputs.demos, species.arena, species.contact_radius)
-    return Player.playing(field, list(_scenes(inputs)), views, chosen)
+    scenes = list(_scenes(inputs))
+    return Player.playing(field, scenes, views, of_starts(field, len(scenes), chosen))
 
 
 def _scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:

@@ -27,6 +27,8 @@ from animarl_algos.report.blocks import (
 from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
 from animarl_algos.report.provenance import code_and_machine, flattened, origin
+from animarl_algos.report.scenes import RECORDED as BY_RECORDING
+from animarl_algos.report.scenes import Field, Player, Scene, track, view
 from animarl_algos.report.sentences import NOTHING, number
 from animarl_algos.report.style import method_label, to_image
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -83,12 +85,34 @@ def inspection_page(inputs: InspectionInputs) -> tuple[list[Section], str]:
             ("Method", method_label(inputs.learner)),
             ("Condition", _condition(inputs, int(inputs.recording.condition[0]))),
         ],
+        player=_player(inputs),
         sections=[found, *sections],
         glossary=glossary(
             map(method_label, inputs.rollouts), "\n".join(t for s in sections for t in s.texts)
         ),
     )
     return sections, render_page(page)
+
+
+def _player(inputs: InspectionInputs) -> Player:
+    """The recording beside the first rollouts of every method, one scene for each repetition."""
+    field = Field(inputs.demos, inputs.species.arena, inputs.species.contact_radius)
+    recorded = track(inputs.demos, inputs.recording, 0)
+    views = [
+        view(name, inputs.recorded, BY_RECORDING, method_label(name), name)
+        for name in dict.fromkeys([inputs.learner, *inputs.rollouts])
+    ]
+    count = min(MOST_PATHS, *(len(rollouts) for rollouts in inputs.rollouts.values()))
+    scenes = [
+        Scene(
+            f"Rollout {k}",
+            {BY_RECORDING: recorded}
+            | {name: track(inputs.demos, r, k) for name, r in inputs.rollouts.items()},
+        )
+        for k in range(count)
+    ]
+    said = f"The {inputs.recorded} episode beside the first rollouts of each method from its start."
+    return Player.playing(field, scenes, views, said)
 
 
 def _findings(inputs: InspectionInputs) -> Iterator[str]:

@@ -77,10 +77,27 @@ def licence(demos: Demonstrations) -> str:
 
 def to_paste(inputs: ReportInputs) -> Iterator[Block]:
     """A paragraph for the methods, and what to cite."""
+    yield from words_to_paste(methods_paragraph(inputs), inputs.versions)
+
+
+def words_to_paste(methods: str, versions: Mapping[str, str]) -> Iterator[Block]:
+    """A paragraph for the methods, as text to copy, and what to cite."""
     yield Heading("For the methods section")
-    yield Command(methods_paragraph(inputs))
+    yield Command(methods)
     yield Heading("To cite")
-    yield Command("\n\n".join([PAPER, _software(inputs)]))
+    yield Command("\n\n".join([PAPER, _software(versions)]))
+
+
+def made_with(
+    demos: Demonstrations, versions: Mapping[str, str], machine: Mapping[str, str]
+) -> str:
+    """How the first sentence of a methods section begins."""
+    version = versions.get("animarl")
+    return (
+        f"Simulations were made with AnimaRL{f' {version}' if version else ''}{_commit(machine)} "
+        f"from {'synthetic' if demos.synthetic else 'recorded'} episodes of "
+        f"{', '.join(demos.individuals)} ({demos.species}; time step {demos.dt:g} s"
+    )
 
 
 def methods_paragraph(inputs: ReportInputs) -> str:
@@ -88,11 +105,8 @@ def methods_paragraph(inputs: ReportInputs) -> str:
     demos, evaluation, words = inputs.demos, inputs.evaluation, inputs.words
     verdict = evaluation.verdict
     splits = ", ".join(f"{count} {split}" for split, count in inputs.episodes.items())
-    version = inputs.versions.get("animarl")
     sentences = [
-        f"Simulations were made with AnimaRL{f' {version}' if version else ''}"
-        f"{_commit(inputs)} from {'synthetic' if words.synthetic else 'recorded'} episodes of "
-        f"{', '.join(demos.individuals)} ({demos.species}; time step {demos.dt:g} s"
+        f"{made_with(demos, inputs.versions, inputs.machine)}"
         f"{f'; episodes: {splits}' if splits else ''}; licence of the data: {licence(demos)})."
     ]
     if inputs.fit is not None:
@@ -150,13 +164,13 @@ def _seeds(inputs: ReportInputs) -> str:
     return ", ".join(map(str, inputs.seeds)) or "not given"
 
 
-def _commit(inputs: ReportInputs) -> str:
-    commit = inputs.machine.get("commit", "")
+def _commit(machine: Mapping[str, str]) -> str:
+    commit = machine.get("commit", "")
     return f" (commit {commit[:12]})" if commit and " " not in commit.strip() else ""
 
 
-def _software(inputs: ReportInputs) -> str:
-    version = inputs.versions.get("animarl")
+def _software(versions: Mapping[str, str]) -> str:
+    version = versions.get("animarl")
     lines = [
         "@software{animarl,",
         "  title   = {AnimaRL},",

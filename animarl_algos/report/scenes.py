@@ -76,13 +76,13 @@ class Player:
             views.append(view("flipped", f"{flipper}, factual", FACTUAL, TOLD_OTHER, FLIPPED))
         chosen = "from rollouts near their recording to far from it (DTW distance)"
         field = Field(inputs.demos, inputs.arena, inputs.contact_radius)
-        return cls.playing(field, scenes, views, chosen)
+        return cls.playing(field, scenes, views, of_starts(field, len(scenes), chosen))
 
     @classmethod
     def playing(
-        cls, field: Field, scenes: Sequence[Scene], views: Sequence[dict[str, Any]], chosen: str
+        cls, field: Field, scenes: Sequence[Scene], views: Sequence[dict[str, Any]], said: str
     ) -> Player:
-        """Any scenes; ``chosen`` says how their starts were."""
+        """Any scenes; the caption begins with what is ``said`` of them."""
         demos, words = field.demos, field.words
         numbers = sum(t.path.size for s in scenes for t in s.tracks.values())
         stride = -(-numbers * 8 // (3 * BUDGET))  # two bytes a number, four characters for three
@@ -105,7 +105,7 @@ class Player:
             "views": list(views),
             "scenes": [_packed(scene, field, max(1, stride)) for scene in scenes],
         }
-        return cls(data, _caption(field, len(scenes), chosen))
+        return cls(data, _caption(field, said))
 
 
 def view(key: str, left: str, first: str, right: str, second: str) -> dict[str, Any]:
@@ -213,7 +213,12 @@ def pack(path: Floats, low: Floats, span: float) -> str:
     return base64.b64encode(levels.tobytes()).decode()
 
 
-def _caption(field: Field, count: int, chosen: str) -> str:
+def of_starts(field: Field, count: int, chosen: str) -> str:
+    """How many starts are shown, and how they were ``chosen``."""
+    return field.words.say(f"{count} test starts, all different, {chosen}.")
+
+
+def _caption(field: Field, said: str) -> str:
     walls = {"open": "The field is open."}.get(
         field.arena.shape,
         "The outline is a wall." if field.arena.rebound
@@ -223,4 +228,4 @@ def _caption(field: Field, count: int, chosen: str) -> str:
         "" if field.contact_radius is None
         else " The dotted ring shows how near is contact; it is drawn thick while there is any."
     )  # fmt: skip
-    return field.words.say(f"{count} test starts, all different, {chosen}. {walls}{contact}")
+    return f"{said} {walls}{contact}"
