@@ -142,7 +142,7 @@ def test_watch_takes_a_packaged_model_by_name(
 ) -> None:
     clip = tmp_path / "fly.gif"
     code, said = said_by(
-        ["watch", "--model", "fly", "--steps", "4", "--size", "80", "--out", str(clip)],
+        ["watch", "--model", "fly", "--steps", "4", "--size", "100", "--out", str(clip)],
         monkeypatch, capsys,
     )  # fmt: skip
     assert code == 0 and str(clip) in said and clip.stat().st_size > 100
