@@ -29,7 +29,8 @@ from animarl_envs.worlds.chase.neighbours import (
     lay_out,
     look,
 )
-from animarl_envs.worlds.exponential import log_of, tanh_of
+from animarl_envs.worlds.chase.walls import observe_wall
+from animarl_envs.worlds.exponential import log_of, tanh_of, tanh_tripled
 
 ABSENT, REST, HARDEST = layout.ABSENT, layout.REST, layout.HARDEST
 SQUARE = SHAPE_CODES["square"]
@@ -82,7 +83,7 @@ def observe(position, velocity, acceleration, towards, neighbours, senses, obser
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
         if first[0, layout.AT_WALL] != ABSENT:
-            _observe_wall(
+            observe_wall(
                 i, position, velocity, towards, first, stride[i], scales, shape, edge, observation
             )
 
@@ -142,18 +143,12 @@ def _observe_scales(i, velocity, towards, first, stride, observation):  # type: 
         left = tanh_of((vy * ex - vx * ey) / 3.0)
         observation[i, coarse, b] = ahead
         observation[i, coarse + 1, b] = left
-        observation[i, fine, b] = _tripled(ahead)
-        observation[i, fine + 1, b] = _tripled(left)
+        observation[i, fine, b] = tanh_tripled(ahead)
+        observation[i, fine + 1, b] = tanh_tripled(left)
     for b in range(velocity.shape[2]):
         vx = velocity[i, 0, b] * per_stride
         vy = velocity[i, 1, b] * per_stride
         observation[i, at, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
-
-
-@part
-def _tripled(t):  # type: ignore[no-untyped-def]
-    """``tanh(3 a)`` of ``t = tanh(a)``."""
-    return t * (3.0 + t * t) / (1.0 + 3.0 * t * t)
 
 
 @part
@@ -256,47 +251,6 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
         ahead, left = _egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
-
-
-@part
-def _observe_wall(  # type: ignore[no-untyped-def]
-    i, position, velocity, towards, first, stride, scales, shape, edge, observation
-):
-    """The nearest wall: how far, in which direction, and the own velocity towards and along it.
-
-    Who walks along a wall keeps a small distance that does not show among distances to the centre.
-    From the middle of a disc it lies towards the focus.
-    """
-    at, by, where = first[0, layout.AT_WALL], first[0, layout.BY_WALL], first[0, layout.WALL_CIRCLE]
-    fine, coarse = first[0, layout.FINE_WALL], first[0, layout.COARSE_WALL]
-    per_stride = 1.0 / stride
-    for b in range(position.shape[2]):
-        x = position[i, 0, b]
-        y = position[i, 1, b]
-        ex = towards[i, 0, b]
-        ey = towards[i, 1, b]
-        if shape == SQUARE:
-            sideways = abs(x) >= abs(y)
-            out = abs(x) if sideways else abs(y)
-            nx = math.copysign(1.0, x) if sideways else 0.0
-            ny = 0.0 if sideways else math.copysign(1.0, y)
-        else:
-            out = math.sqrt(x * x + y * y)
-            nx = x / out if out > 0.0 else ex
-            ny = y / out if out > 0.0 else ey
-        near = edge - out
-        observation[i, at, b] = tanh_of(near / scales[0])
-        observation[i, by, b] = tanh_of(near / scales[1])
-        observation[i, where, b] = nx * ex + ny * ey
-        observation[i, where + 1, b] = ny * ex - nx * ey
-        vx = velocity[i, 0, b] * per_stride
-        vy = velocity[i, 1, b] * per_stride
-        outwards = tanh_of((vx * nx + vy * ny) / 3.0)
-        along = tanh_of((vy * nx - vx * ny) / 3.0)
-        observation[i, coarse, b] = outwards
-        observation[i, coarse + 1, b] = along
-        observation[i, fine, b] = _tripled(outwards)
-        observation[i, fine + 1, b] = _tripled(along)
 
 
 @part
