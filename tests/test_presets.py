@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
+from animarl_algos import DQN
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.presets import constructed, known_settings, learner_preset
 from animarl_algos.learner.zoo_files import CONFIGS, PRESETS
@@ -312,3 +313,9 @@ def test_epochs_in_a_file_are_a_number(tmp_path: Path) -> None:
     (tmp_path / "own.yml").write_text("common: {default: {offline_epochs: true}}")
     with pytest.raises(InputError, match=r"own\.yml: common: default: 'offline_epochs' is True"):
         learner_preset("bc", "AnimaRL/Agent-v0", config=tmp_path / "own.yml")
+
+
+def test_a_tasks_section_holds_for_the_policy_it_names() -> None:
+    named, other = DQN(env="CartPole-v1"), DQN("GruPolicy", "CartPole-v1", max_episode_steps=500)
+    assert (named.sequence_length, named.gamma) == (1, 0.99)
+    assert (other.sequence_length, other.gamma) == (None, 0.9)

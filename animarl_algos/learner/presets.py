@@ -143,7 +143,8 @@ def constructor_settings(
     plain, pretrained
         Names of the learner's files: as it is, and, if it has one, for ``offline_epochs`` above 0.
     env
-        What it learns in: its species has a section of its own.
+        What it learns in: its species has a section of its own, and so have a few ordinary tasks,
+        which holds for the policy that it names alone.
     given
         Settings by name; a table goes over the preset's key by key, and None empties it.
 
@@ -154,6 +155,10 @@ def constructor_settings(
     """
     section = section_of(env)
     settings = constructed(learner_preset(plain, section).arguments)
+    asked = given.get("policy", settings["policy"])
+    if not section.startswith("AnimaRL/") and asked not in (settings["policy"], None):
+        section = OF_NO_SPECIES
+        settings = constructed(learner_preset(plain, section).arguments)
     for name in given:
         if name not in settings:
             raise InputError(f"setting {name!r} is unknown: choose among {', '.join(settings)}")
