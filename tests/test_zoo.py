@@ -348,7 +348,7 @@ def test_a_trial_has_the_network_that_was_asked_for(
     tune = ["optimize", "--algo", "qr-dqn", *CARTPOLE, "--n-trials=1", "--pruner=none", *params]
     done = zoo(*tune)
     assert done.returncode == 0, done.stderr
-    assert networks == [{"hidden": 8, "n_quantiles": 7}]
+    assert [(one["hidden"], one["n_quantiles"]) for one in networks] == [(8, 7)]
     place = ["--storage", f"sqlite:///{tmp_path}/logs/qr-dqn/optuna.db", "--study-name",
              "qr-dqn CartPole-v1"]  # fmt: skip
     study = optuna.load_study(study_name=place[3], storage=place[1])
