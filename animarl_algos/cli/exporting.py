@@ -8,8 +8,6 @@ from typing import Annotated
 import typer
 
 from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.runs.pretrained import CARD, export_run
-from animarl_algos.runs.run_folder import RunFolder
 
 
 def export_command(
@@ -32,6 +30,9 @@ def export_command(
 
       animarl export out/demo --out out/agent-model
     """
+    from animarl_algos.runs.pretrained import CARD, export_run
+    from animarl_algos.runs.run_folder import RunFolder
+
     folder = export_run(RunFolder(run), out, with_demonstrations=demonstrations)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     PlainConsole().print(
