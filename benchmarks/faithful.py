@@ -85,14 +85,13 @@ class Bar:
         }[self.kind]
         return bool(value <= limit) if math.isfinite(value) and math.isfinite(limit) else None
 
-    @property
-    def words(self) -> str:
+    def words(self, found: Verdict) -> str:
         return {
             "alike": "inside its null or within 10 %",
             "null": "within the null of recordings",
             "p": f"p > {self.limit:g}",
             "auc": f"at most {self.limit:g}",
-            "floor": f"at most {self.limit:g} above the floor",
+            "floor": f"at most {self.limit:g} above the floor, {found.floor.estimate:.3g}",
             "difference": f"within {self.limit:g}",
             "relative": f"within {100 * self.limit:g} %",
         }[self.kind]
@@ -266,7 +265,7 @@ def bar_rows(one: DataSet, found: Verdict) -> list[dict[str, Any]]:
             met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found)]
             keys = ("label", "recorded", "simulated", "difference_low", "difference_high",
                     "distance", "null", "recorded_null", "p", "verdict")  # fmt: skip
-            rows.append({k: row[k] for k in keys} | {"bar": bar.words, "met?": met})
+            rows.append({k: row[k] for k in keys} | {"bar": bar.words(found), "met?": met})
     return rows
 
 
