@@ -7,7 +7,8 @@
 
 Every cell (data set and seed) is imported, fitted, trained with the default preset and rolled out
 by the functions of the pipeline; then comes the verdict on the validation split. ``--test`` asks
-about the test split, once, at the end. Finished cells are kept under ``--out`` and not made again.
+about the test split, once, at the end. Finished cells are kept under ``--out`` and not made again;
+rows of other sets and seeds that stand in the table of ``--out`` stay, with the commit of each.
 The recordings lie in $ANIMARL_DATA (by default ../shared/data); those that are not there are left
 out and named.
 """
@@ -308,8 +309,22 @@ def main(
             head = {"set": one.name, "seed": s, "overall": found.overall, **done}
             lines += [head | row for row in bar_rows(one, found)]
     if lines:
-        write(pd.DataFrame(lines), out, split)
-        console.print(markdown(pd.DataFrame(lines)), soft_wrap=True, highlight=False, markup=False)
+        table = with_others(pd.DataFrame(lines), out / "faithful.csv")
+        write(table, out, split)
+        console.print(markdown(table), soft_wrap=True, highlight=False, markup=False)
+
+
+def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
+    """Beside the rows of an earlier table of other sets and seeds, in the order of the sets."""
+    if file.exists():
+        earlier, cell = pd.read_csv(file), ["set", "seed"]
+        anew = pd.MultiIndex.from_frame(table[cell])
+        kept = earlier[~pd.MultiIndex.from_frame(earlier[cell]).isin(anew)]
+        table = pd.concat([kept, table], ignore_index=True)
+    order = {one.name: number for number, one in enumerate(SETS)}
+    place = pd.DataFrame({"set": table["set"].map(order), "seed": table["seed"]})
+    rows = place.sort_values(["set", "seed"], kind="stable").index
+    return table.loc[rows].reset_index(drop=True)
 
 
 def write(table: pd.DataFrame, out: Path, split: str) -> None:
