@@ -1,0 +1,27 @@
+"""Tables of metrics with given values, and single rows of what is made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+
+def metrics_rows(
+    method: str, seed: int, value: NDArray[np.float64], captured: NDArray[np.bool_], **more: object
+) -> pd.DataFrame:
+    """One row per demonstration with every metric equal to ``value``."""
+    count = len(value)
+    names = ("path_length", "duration", "dtw", "dtw_per_step")
+    columns: dict[str, object] = {"method": method, "seed": seed, "demo": np.arange(count)}
+    columns |= {"repetition": 0, "condition": 0, "cue": -1, "outcome": 0, "captured": captured}
+    columns |= {"return": captured.astype(float), **dict.fromkeys(names, value), **more}
+    return pd.DataFrame(columns)
+
+
+def row(table: pd.DataFrame, **where: object) -> pd.Series:
+    chosen = table
+    for key, value in where.items():
+        chosen = chosen[chosen[key] == value]
+    assert len(chosen) == 1
+    return chosen.iloc[0]
