@@ -53,7 +53,7 @@ ALGOS = ("dqcil-pt", "dqdil-pt", "bc", "soft-bc")
 SPECIES = "agent"
 TINY = {"offline_epochs": 1, "policy_kwargs": {"hidden": 32}}
 SHOWN = (of.PREDICTED, of.TRUE, of.MISSED, of.UNTRAINED_SHIFT, of.BLIND, of.ERROR)
-PROBE_STEPS = 1000
+PROBE_STEPS = (4000, 12_000)  # both beyond the first updates; what differs is learning as usual
 PAGE = "all"  # below the cells: the page, every table and figure
 KEPT = ("counterfactual.csv", "claims.csv")  # that is small enough
 
@@ -116,6 +116,18 @@ def seconds(
         return time.process_time() - began
 
 
+def seconds_a_step(demos: Demonstrations, fitted: LocomotionFit, algo: str) -> float:
+    """Processor time of one online step, from two lengths in both of which it learns."""
+    short, long = PROBE_STEPS
+    taken = seconds(demos, fitted, algo, long, 1) - seconds(demos, fitted, algo, short, 1)
+    if taken <= 0:
+        raise RuntimeError(
+            f"{long} steps of {algo} took no longer than {short}: the machine is too busy to "
+            "estimate by"
+        )
+    return taken / (long - short)
+
+
 def estimate(
     demos: Demonstrations, algos: Sequence[str], steps: int | None, seeds: int, console: Console
 ) -> None:
@@ -131,12 +143,12 @@ def estimate(
         seconds(demos, fitted, algo, 1, 1)  # what is compiled and loaded once is not counted
         one, three = (seconds(demos, fitted, algo, 1, number) for number in (1, 3))
         epoch = max(0.0, three - one) / 2
-        further = seconds(demos, fitted, algo, PROBE_STEPS, 1) - one if online else 0.0
-        need = fit + one + (epochs - 1) * epoch + further / PROBE_STEPS * whole.steps
+        step = seconds_a_step(demos, fitted, algo) if online else 0.0
+        need = fit + one + (epochs - 1) * epoch + step * whole.steps
         total += seeds * need
         console.print(
             f"{algo}: {fit + one - epoch:.0f} s around it, {epoch:.1f} s an epoch ({epochs} at "
-            f"most), {1e3 * further / PROBE_STEPS:.1f} s for 1,000 of "
+            f"most), {1e3 * step:.1f} s for 1,000 of "
             f"{whole.steps if online else 0:,} steps: {need / 60:.0f} min a seed"
         )
     console.print(

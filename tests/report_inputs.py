@@ -8,9 +8,12 @@ import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation import Answers, Asked, Rollouts, cue_effects, evaluate
+from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
 from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
 from animarl_algos.report.counterfactual_page import counterfactual_page
+from animarl_algos.report.inspection_page import InspectionInputs, inspection_page
 from animarl_algos.report.report import render_report
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -183,6 +186,49 @@ def asked_page() -> str:
             settings={"DQCIL": {"alpha": 1.0}},
             versions={"torch": "2.13.0"},
             command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
+        )
+    )
+    return page
+
+
+@cache
+def inspected_page() -> str:
+    """The page of one episode, with the rollouts of two methods."""
+    demos, episode = make_demos(), 3
+    rollouts = {
+        name: made.select(made.demo == episode)
+        for name, made in ((name, make_rollouts(demos, name)) for name in ("dqdil", "bc"))
+    }
+    recording = Rollouts.from_demonstrations(demos).select(np.array([episode]))
+    steps, rng = int(recording.lengths[0]) - 1, np.random.default_rng(0)
+    everything = {recording.method: recording, **rollouts}
+    _, page = inspection_page(
+        InspectionInputs(
+            learner="dqdil",
+            episode=episode,
+            demos=demos,
+            species=AGENT,
+            recording=recording,
+            rollouts=rollouts,
+            decisions=Decisions(
+                individual="predator_0",
+                demo=episode,
+                q=rng.normal(size=(steps, 13)),
+                actions=rng.integers(13, size=steps),
+                moment=steps // 2,
+                x=np.linspace(-1, 1, 9),
+                y=np.linspace(-1, 1, 9),
+                map_q=rng.normal(size=(9, 9, 13)),
+                focus=rng.normal(size=(9, 9, 2)),
+                others=np.array([(0.3, 0.2), (-0.4, 0.1)]),
+            ),
+            metrics=pd.concat([measure(r, demos) for r in everything.values()], ignore_index=True),
+            world={"arena": "square"},
+            environment={"time_limit": 20, "arena": None},
+            machine={"commit": "0123456789abcdef", "processor": "Some processor"},
+            wall_time={"training DQDIL": 150.0},
+            versions={"animarl": "0.1.0", "torch": "2.13.0"},
+            command="animarl inspect runs/dqdil-0 --episode 3",
         )
     )
     return page

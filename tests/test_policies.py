@@ -151,6 +151,41 @@ def test_memory_is_hidden_state_and_executed_action() -> None:
     assert not np.allclose(as_chosen, as_executed)
 
 
+@kinds
+def test_slots_that_are_over_cost_nothing_and_change_no_other(kind: type[GruPolicy]) -> None:
+    policy = make(kind, previous_action=True, temperature=1.0)
+    observations, over = observe(), np.arange(S) % 5 == 0
+    taken = []
+    for leaving in (False, True):
+        policy.seed(7)
+        state, actions = None, []
+        for observation in observations:
+            told, state = policy.predict(observation, state)
+            if leaving:
+                state = policy.leave_out(state, over)
+            actions.append(told)
+        taken.append((np.stack(actions)[:, ~over], state[0][~over], state[1][~over]))
+    for whole, others in zip(*taken, strict=True):
+        np.testing.assert_array_equal(others, whole)
+    values, hidden, _ = policy.advance(observations[0], state, None)
+    assert not values[over].any() and values[~over].all()
+    np.testing.assert_array_equal(hidden[over], state[0][over])
+    values, _, _ = policy.advance(observations[0], state, np.ones(S, dtype=bool))
+    assert values.all()  # begun anew
+
+
+def test_who_only_acts_has_no_optimiser() -> None:
+    policy = make()
+    policy.predict(observe()[0])
+    assert policy._optimizer is None
+    made = policy.optimizer
+    assert made is policy.optimizer and made.param_groups[0]["lr"] == 1e-3
+    held = [p for group in made.param_groups for p in group["params"]]
+    assert list(map(id, held)) == list(map(id, policy.q_net.parameters()))
+    with pytest.raises(InputError, match="do not fit"):
+        make(optimizer_kwargs={"lrr": 1})
+
+
 def test_greedy_ties_go_to_the_lowest_index_and_draw_nothing() -> None:
     policy = make(epsilon=1.0)
     before = policy.random_state

@@ -158,6 +158,30 @@ def test_batches_do_not_change_what_a_policy_does(monkeypatch: pytest.MonkeyPatc
     assert np.array_equal(whole.demo, parts.demo)
 
 
+def test_copies_that_have_ended_are_left_out_of_what_is_decided() -> None:
+    class Leaving(Recorder):
+        def __init__(self) -> None:
+            super().__init__()
+            self.left: list[NDArray[np.bool_]] = []
+
+        def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
+            self.left.append(over.reshape(-1, 3))
+            return state
+
+    plain, leaving = Recorder(), Leaving()
+    made = [
+        collect_rollouts(world_maker(), policy, method="straight", seed=0, repetitions=2)
+        for policy in (plain, leaving)
+    ]
+    np.testing.assert_array_equal(made[0].positions, made[1].positions)
+    steps, left = made[1].lengths - 1, np.stack(leaving.left)
+    assert len(np.unique(steps)) > 1
+    first = steps.min()  # decided for all until then
+    expected = np.arange(first, steps.max())[:, None] >= steps
+    assert len(leaving.seen) == steps.max()
+    np.testing.assert_array_equal(left, np.repeat(expected[..., None], 3, axis=2))
+
+
 def test_random_policy_is_uniform() -> None:
     actions, _ = RandomPolicy(0).predict(np.zeros((13_000, 4)))
     counts = np.bincount(actions, minlength=13)

@@ -58,3 +58,10 @@ class FocalPolicy:
     def remember(self, state: Any, executed: NDArray[np.integer]) -> Any:
         """See :meth:`GruPolicy.remember`; ``executed`` of all slots."""
         return self.policy.remember(state, executed[self.index :: self.individuals])
+
+    def leave_out(self, state: Any, over: NDArray[np.bool_]) -> Any:
+        """See :meth:`GruPolicy.leave_out`; ``over`` of all slots. Foreign policies have none."""
+        leave_out = getattr(self.policy, "leave_out", None)
+        return (
+            state if leave_out is None else leave_out(state, over[self.index :: self.individuals])
+        )

@@ -15,8 +15,9 @@ recordings among themselves may come out a little below 0.5 in small sets.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,22 @@ class Telling:
     importance: Mapping[str, float] = field(default_factory=dict)
 
 
+def on_one_thread(function: Callable[..., Telling]) -> Callable[..., Telling]:
+    """Looking for the thread pools takes longer than to score windows: it is done once."""
+
+    @wraps(function)
+    def limited(*arguments: Any, **keywords: Any) -> Telling:
+        try:
+            from threadpoolctl import threadpool_limits
+        except ImportError as error:
+            raise MissingExtraError("telling simulation from recording", "algos") from error
+        with threadpool_limits(1):
+            return function(*arguments, **keywords)
+
+    return limited
+
+
+@on_one_thread
 def tell_apart(
     first: Windows,
     second: Windows,
@@ -189,23 +206,16 @@ def _resampled(kind: Ints, rng: np.random.Generator) -> Floats:
 
 
 def _fitted(values: Floats, simulated: NDArray[np.bool_]) -> Any:
-    """A function that scores windows, fitted with both classes of equal weight, on one thread."""
+    """A function that scores windows, fitted with both classes of equal weight."""
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
-        from threadpoolctl import threadpool_limits
     except ImportError as error:
         raise MissingExtraError("telling simulation from recording", "algos") from error
     share = simulated.mean()
     weights = np.where(simulated, 0.5 / share, 0.5 / (1.0 - share))
     model = HistGradientBoostingClassifier(random_state=0, **TREES)
-    with threadpool_limits(1):
-        model.fit(values, simulated, sample_weight=weights)
-
-    def scores(windows: Floats) -> Floats:
-        with threadpool_limits(1):
-            return np.asarray(model.decision_function(windows))
-
-    return scores
+    model.fit(values, simulated, sample_weight=weights)
+    return model.decision_function
 
 
 def _compare(

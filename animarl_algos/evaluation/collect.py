@@ -151,6 +151,7 @@ def _run_batch(
     starts = np.ones(copies * num, dtype=bool)
     state: Any = None
     executed_by = ExecutedActions(world)
+    leave_out = getattr(policy, "leave_out", None)  # policies of other libraries have none
     while running.any():
         observation = world.observation.reshape(copies * num, -1)
         if flag is not None:
@@ -162,6 +163,8 @@ def _run_batch(
         asked = np.asarray(actions).reshape(copies, num)
         executed = executed_by(asked)
         state = remembered(policy, state, asked, executed)
+        if leave_out is not None and not running.all():
+            state = leave_out(state, np.repeat(~running, num))
         world.step(asked)
         starts = np.zeros_like(starts)
         frames.append(world.position.copy())

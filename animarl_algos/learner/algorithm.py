@@ -472,6 +472,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """See :meth:`GruPolicy.remember`."""
         return self.policy.remember(state, executed)
 
+    def leave_out(self, state: Memory, over: NDArray[np.bool_]) -> Memory:
+        """See :meth:`GruPolicy.leave_out`."""
+        return self.policy.leave_out(state, over)
+
     def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
         """Boltzmann temperatures ``(K,)`` of maximum likelihood for the demonstrated actions.
 

@@ -162,14 +162,38 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         self.q_net_target.load_state_dict(self.q_net.state_dict())
         self.q_net_target.requires_grad_(False)
         self._actor = CompiledActor(self.q_net)
-        try:
-            self.optimizer = self.optimizer_class(
-                self.q_net.parameters(),
-                lr=lr_schedule(1),  # type: ignore[call-arg]
-                **self.optimizer_kwargs,
-            )
-        except (TypeError, ValueError) as error:
-            raise InputError(f"optimizer_class and optimizer_kwargs do not fit: {error}") from error
+        self._first_rate = lr_schedule(1)
+        self._optimizer: torch.optim.Optimizer | None = None
+        if self.optimizer_class is not torch.optim.Adam or self.optimizer_kwargs.keys() - {"fused"}:
+            _ = self.optimizer  # what does not fit is refused now
+
+    @property
+    def optimizer(self) -> torch.optim.Optimizer:
+        """That of ``q_net``, made when first asked for.
+
+        Who only acts needs none, and the first one of a process takes seconds to import.
+
+        Raises
+        ------
+        InputError
+            If ``optimizer_class`` and ``optimizer_kwargs`` do not fit.
+        """
+        if self._optimizer is None:
+            try:
+                self._optimizer = self.optimizer_class(
+                    self.q_net.parameters(),
+                    lr=self._first_rate,  # type: ignore[call-arg]
+                    **self.optimizer_kwargs,
+                )
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    f"optimizer_class and optimizer_kwargs do not fit: {error}"
+                ) from error
+        return self._optimizer
+
+    @optimizer.setter
+    def optimizer(self, optimizer: torch.optim.Optimizer) -> None:
+        self._optimizer = optimizer
 
     def make_q_net(self) -> StackedQNetwork:
         """A network as the constructor's arguments describe it, freshly initialised."""
@@ -271,6 +295,13 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
     def remember(self, state: State, executed: NDArray[np.integer]) -> State:
         """The ``state`` after a step that executed other actions (S,) than the returned ones."""
         return state[0], executed.astype(np.int64)
+
+    def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
+        """The ``state`` in which slots whose episode is ``over`` (S,) cost nothing.
+
+        They still get an action, any, so that the others meet the same random numbers.
+        """
+        return state[0], np.where(over, slots.GONE, state[1])
 
     def advance(
         self,

@@ -16,6 +16,8 @@ from animarl_envs.errors import InputError
 
 State = tuple[NDArray[np.float32], NDArray[np.int64]]
 """Hidden state (S, H) and previous action (S,)."""
+GONE = np.iinfo(np.int64).min
+"""In the place of a previous action: this slot's episode is over, nothing is worked out for it."""
 
 
 def flattened(
@@ -55,9 +57,10 @@ def remembered(
             f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
             f"of {units} units: give the one that the last call returned"
         )
-    if not 0 <= previous.min() <= previous.max() <= num_actions:
+    told = previous[previous != GONE]
+    if len(told) and not 0 <= told.min() <= told.max() <= num_actions:
         raise InputError(
-            f"previous actions run from {previous.min()} to {previous.max()}: they must lie in "
+            f"previous actions run from {told.min()} to {told.max()}: they must lie in "
             f"0 .. {num_actions - 1}, or be {num_actions} for none"
         )
     if episode_start is not None:
@@ -83,5 +86,6 @@ def decide_on_device(
         array: NDArray[Any] = tensor.transpose(0, 1).flatten(0, 1).cpu().numpy()
         return array
 
-    q_values, state = network.step(stacked(observation), stacked(previous), stacked(hidden))
+    some = np.where(previous == GONE, 0, previous)
+    q_values, state = network.step(stacked(observation), stacked(some), stacked(hidden))
     return slots(q_values), slots(state)

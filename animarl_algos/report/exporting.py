@@ -30,7 +30,7 @@ def write_figures(sections: Sequence[Section], folder: str | Path) -> list[str]:
     folder, names = Path(folder), []
     for name, image in named_figures(sections):
         assert image.figure is not None  # of a page that was just drawn
-        image.figure.set_layout_engine("none")  # placed when the page drew it
+        image.figure.set_layout_engine(None)  # placed when the page drew it
         for suffix, options in FORMATS.items():
             with figure_style(), write_then_rename(folder / f"{name}.{suffix}") as part:
                 image.figure.savefig(part, format=suffix, **options)

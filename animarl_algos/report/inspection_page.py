@@ -26,7 +26,14 @@ from animarl_algos.report.blocks import (
 )
 from animarl_algos.report.glossary import glossary
 from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import code_and_machine, flattened, origin
+from animarl_algos.report.provenance import (
+    code_and_machine,
+    flattened,
+    licence,
+    made_with,
+    origin,
+    words_to_paste,
+)
 from animarl_algos.report.scenes import RECORDED as BY_RECORDING
 from animarl_algos.report.scenes import Field, Player, Scene, track, view
 from animarl_algos.report.sentences import NOTHING, number
@@ -74,6 +81,7 @@ def inspection_page(inputs: InspectionInputs) -> tuple[list[Section], str]:
         Section("episodes", "What became of it", list(_episodes(inputs))),
         Section("decisions", "Decisions along the demonstration", list(_decisions(inputs))),
         Section("provenance", "How this was made", list(_provenance(inputs))),
+        Section("paste", "To paste", list(words_to_paste(_methods(inputs), inputs.versions))),
     ]
     found = Section("findings", "In short", [Sentences(list(_findings(inputs)))])
     page = Page(
@@ -216,6 +224,22 @@ def _provenance(inputs: InspectionInputs) -> Iterator[Block]:
     yield Pairs("Demonstrations", origin(inputs.demos))
     yield code_and_machine(inputs.machine, inputs.wall_time)
     yield Pairs("Versions", list(inputs.versions.items()))
+
+
+def _methods(inputs: InspectionInputs) -> str:
+    """What was done, in the past tense, with the numbers of this episode."""
+    names = list(map(method_label, inputs.rollouts))
+    several = f" and {names[-1]}" if len(names) > 1 else ""
+    rollouts = sum(map(len, inputs.rollouts.values()))
+    return (
+        f"{made_with(inputs.demos, inputs.versions, inputs.machine)}; licence of the data: "
+        f"{licence(inputs.demos)}). From the first frame of one {inputs.recorded} test episode "
+        f"(number {inputs.episode}, {inputs.demos.recording[inputs.episode]}), {rollouts} "
+        f"rollouts of {', '.join(names[:-1] if several else names)}{several} were simulated. Along "
+        f"the {inputs.recorded} path, {method_label(inputs.learner)} was asked at every time step "
+        f"for the values of all actions of {inputs.decisions.individual}. One episode was chosen "
+        "to be shown; nothing was inferred from it."
+    )
 
 
 def _condition(inputs: InspectionInputs, condition: int) -> str:

@@ -26,12 +26,18 @@ def _decide(  # type: ignore[no-untyped-def]
     weight_input, weight_hidden, bias_input, bias_hidden,
     inputs, first, second, from_input, from_state, seen, head, value, advantage,
 ):  # fmt: skip
-    """Fill ``q_values`` (S, actions), overwrite ``hidden`` (S, H); slot s is individual s mod K."""
+    """Fill ``q_values`` (S, actions), overwrite ``hidden`` (S, H); slot s is individual s mod K.
+
+    Where the previous action is below zero, values are zero and the hidden state stays.
+    """
     slots, actions = q_values.shape
     individuals = len(mean)
     units = hidden.shape[1]
     quantiles = len(value)
     for s in range(slots):
+        if previous_action[s] < 0:
+            q_values[s] = 0.0
+            continue
         k = s % individuals
         h = hidden[s]
         for i in range(len(inputs)):
