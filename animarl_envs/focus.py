@@ -1,8 +1,10 @@
 """What each recorded individual is heading for: the x axis of its egocentric frame.
 
 The focus of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at
-each frame (ties: the lower index). A searcher must not be told where the source is: its focus is
-the fixed upwind direction. Individuals of a group without a target face their nearest companion.
+each frame (ties: the lower index). Where one pursues several, the focus of each target is the
+pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
+its focus is the fixed upwind direction. Individuals of a group without a target face their nearest
+companion.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> N
     positions
         ``(..., individuals, 2)``, arena frame [arena unit].
     roles
-        ``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual; the target comes last.
+        ``"pursuer"``, ``"target"`` or ``"searcher"`` for each individual; the target comes last,
+        or a pursuer of several targets (:func:`lone_pursuer`).
 
     Returns
     -------
@@ -35,23 +38,45 @@ def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> N
     """
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     out = np.empty_like(points)
-    pursuers = [i for i, role in enumerate(roles) if role == "pursuer"]
-    has_target = "target" in roles
-    for i, role in enumerate(roles):
-        if role == "searcher":
+    for i, candidates in enumerate(foci(roles)):
+        if candidates is None:
             out[..., i, :] = UPWIND
-        elif role == "pursuer" and has_target:
-            out[..., i, :] = _unit(points[..., -1, :] - points[..., i, :])
+        elif len(candidates) == 1:
+            out[..., i, :] = _unit(points[..., candidates[0], :] - points[..., i, :])
         else:
-            others = [j for j in pursuers if j != i]
-            out[..., i, :] = _towards_nearest(points, i, others)
+            out[..., i, :] = _towards_nearest(points, i, candidates)
     return out
+
+
+def foci(roles: Sequence[str]) -> list[list[int] | None]:
+    """Of each individual those of whom the nearest is its focus; ``None`` for a searcher."""
+    last = len(roles) - 1
+    one, many = [last], list(range(last))
+    if "target" in roles:
+        return [many if i == last else one for i in range(len(roles))]
+    if "searcher" in roles:
+        return [None for _ in roles]
+    return [[j for j in range(len(roles)) if j != i] for i in range(len(roles))]
+
+
+def foremost(roles: Sequence[str]) -> int:
+    """The first individual that is no target."""
+    return next(i for i, role in enumerate(roles) if role != "target")
+
+
+def lone_pursuer(roles: Sequence[str]) -> bool:
+    """Whether the last individual pursues all others."""
+    *many, last = roles
+    return last == "pursuer" and set(many) == {"target"}
 
 
 def distances_to_target(
     positions: NDArray[np.float64], roles: Sequence[str]
 ) -> NDArray[np.float64]:
-    """``(frames, pursuers)`` to the target, or of a searcher to the source at the origin."""
+    """``(frames, pursuers)`` to the target, or of a searcher to the source at the origin.
+
+    Of a lone pursuer to each target: ``(frames, targets)``.
+    """
     if "target" in roles:
         return np.asarray(np.linalg.norm(positions[:, :-1] - positions[:, -1:], axis=2))
     if "searcher" in roles:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.pursuers import first_pursuers
+from animarl_envs.demos.pursuers import COUNTS, first_of_role
 from animarl_envs.errors import InputError, knowing
+from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import (
     CUSTOM,
     SPECIES,
@@ -183,8 +184,8 @@ def make_scenario(
         Who moves an individual, by name; ``"action"`` for those not named.
     options
         What :func:`~animarl_envs.species.options.with_options` takes: ``num_pursuers``,
-        ``arena``, ``contact_radius``, ``time_limit``, ``dt``, ``locomotion``, ``rebound`` ...
-        With fewer pursuers than recorded, the first ones' recordings are used. With more, only
+        ``num_targets``, ``arena``, ``contact_radius``, ``time_limit``, ``locomotion``, ...
+        With fewer pursuers (or targets) than recorded, the first ones are used. With more, only
         the species is made from the recordings, and ``start`` must be ``"uniform"`` or positions.
 
     Raises
@@ -197,14 +198,16 @@ def make_scenario(
     loaded = _load_demos(demos, spec)
     if loaded is not None and spec is not None:
         refuse_other_species(loaded, spec.name)
-    more = _more_pursuers(loaded, options.get("num_pursuers"), start)
+    more = any(_more_than_recorded(loaded, key, options.get(key), start) for key in COUNTS)
     if more and loaded is not None:
         spec, loaded = spec or _recorded_species(loaded), None
         options.setdefault("dt", spec.dt)
-    if loaded is not None and options.get("num_pursuers") is not None:
+    for key in COUNTS:
+        if loaded is None or options.get(key) is None:
+            continue
         if spec is not None:
-            with_options(spec, num_pursuers=options["num_pursuers"])  # refused as without demos
-        loaded = first_pursuers(loaded, options.pop("num_pursuers"))
+            with_options(spec, **{key: options[key]})  # refused as without demos
+        loaded = first_of_role(loaded, key, options.pop(key))
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
         spec = _recorded_species(loaded)
@@ -213,6 +216,8 @@ def make_scenario(
     if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
         options.setdefault("dt", loaded.dt)
         options.setdefault("individuals", loaded.individuals)
+        if lone_pursuer(loaded.roles):
+            options.setdefault("lone_pursuer", True)
     with knowing(make_scenario):
         spec = with_options(spec, **options)
     if start is None:
@@ -236,11 +241,11 @@ def make_scenario(
     )
 
 
-def _more_pursuers(demos: Demonstrations | None, count: Any, start: Any) -> bool:
-    """Whether more pursuers are asked for than were recorded, where nobody follows a recording."""
+def _more_than_recorded(demos: Demonstrations | None, option: str, count: Any, start: Any) -> bool:
+    """Whether more of a role are asked for than recorded, where nobody follows a recording."""
     if demos is None or start is None or (isinstance(start, str) and start == "demo"):
         return False
-    recorded = demos.roles.count("pursuer")
+    recorded = demos.roles.count(COUNTS[option])
     return recorded > 0 and is_whole(count) and bool(count > recorded)
 
 

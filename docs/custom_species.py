@@ -1,6 +1,7 @@
 """A chase of other animals is a spec: names, locomotion, arena, contact, time.
 
-Any number of pursuers and one target live in the chase world. Numbers have units: lengths in arena
+Any number of pursuers and one target live in the chase world, or with `lone_pursuer=True` one
+pursuer and any number of targets. Numbers have units: lengths in arena
 units, times in seconds or steps. Give the spec where a species is expected: to `gym.make` under any
 id of the suite, to `gym.make_vec`, and to `parallel_env`.
 """

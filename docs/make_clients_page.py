@@ -59,7 +59,13 @@ CLIENTS = (
     ),
     Client("torchrl_env", ("torchrl",), "`GymEnv`"),
     Client("tianshou_env", ("tianshou",), "`gym.make` in `DummyVectorEnv`"),
-    Client("minari_collector", ("minari", "jax"), "`gym.make`", ("minari[hdf5,create]>=0.5",)),
+    Client(
+        "minari_collector", ("minari", "jax"), "`gym.make`",
+        ("minari[hdf5,create]>=0.5", "pillow"),  # Minari 0.5.4 imports Pillow unasked
+    ),
+    Client(
+        "rllib_ppo", ("ray", "gymnasium", "pettingzoo"), "`parallel_env`", ("ray[rllib]>=2.40",),
+    ),
 )  # fmt: skip
 
 HEAD = """# AnimaRL in other libraries

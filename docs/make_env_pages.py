@@ -81,10 +81,14 @@ def page(species: Species) -> str:
 
 
 FOCUS = {
-    "chase": "the target is a pursuer's focus, the nearest pursuer is the target's",
+    "chase": "the target is a pursuer's focus, the nearest pursuer is the target's; where one "
+    "pursues several, the pursuer is theirs and the nearest of them is the pursuer's",
     "search": "the direction upwind, -x, since the moth is not told where the source is",
 }
-ORDER = {"chase": " Others are in this order: the target first, then pursuers by distance."}
+ORDER = {
+    "chase": " Others are in this order: the target first (or who pursues several), then the "
+    "others by distance."
+}
 OTHER_OBSERVATION = {
     "chase": (
         '`observation="paper"` has the components of the paper instead, of which three are '
@@ -99,9 +103,9 @@ ACTIONS = (
 
 OUTCOMES = {
     "chase": (
-        '`info["outcome"]` says how: k above 0 for contact by individual k - 1, 0 for the time '
-        "limit (and as long as the episode goes on), -1 if the target left, -2 if a pursuer did. "
-        "Recordings that were cut for another reason have -3."
+        '`info["outcome"]` says how: k above 0 for contact by individual k - 1 (of several '
+        "targets: with it), 0 for the time limit (and as long as the episode goes on), -1 if "
+        "the target left, -2 if a pursuer did. Recordings that were cut for another reason have -3."
     ),
     "search": (
         '`info["outcome"]` says how: 1 for the source, 0 for the time limit (and as long as the '
@@ -238,7 +242,8 @@ def option_defaults(species: Species) -> dict[str, str]:
                 shown[name] = repr(parameter.default)
     is_chase = isinstance(species, ChaseSpecies)
     if is_chase:
-        shown["num_pursuers"] = str(len(species.individuals) - 1)
+        shown["num_pursuers"] = str(species.num_pursuers)
+        shown["num_targets"] = str(species.roles.count("target"))
     shown |= {"arena": arena_text(species.arena), "boundary": number(species.arena.boundary)}
     shown |= {"rebound": repr(species.arena.rebound), "locomotion": "see Facts"}
     hidden = {"name", "individuals", "recording", "locomotion", "arena", "source", "title"}
@@ -320,11 +325,29 @@ CUSTOM_NUMBERS = [
     ("`start_half_side`, `warmup`", "half the arena's size; 0 steps"),
 ]
 CUSTOM = (
-    "Any file of demonstrations is an environment at once: one or more pursuers and a target, or "
-    "one searcher. `animarl import` makes the file from a tracker's (name the target with "
-    "`--target NAME`, or let `--target auto` find who is approached), `animarl run demos.npz` "
+    "Any file of demonstrations is an environment at once: one or more pursuers and a target, one "
+    "pursuer and its targets, or one searcher. `animarl import` makes the file from a tracker's "
+    "(name the target with `--target NAME`, let `--target auto` find who is approached, or name "
+    "who pursues all others with `--pursuer NAME`), `animarl run demos.npz` "
     "learns from it, `animarl watch AnimaRL/Custom-v0 --demos demos.npz` shows it."
 )
+
+
+FLOCK = """## One pursuer, several targets
+
+A dog and its flock: `animarl import flock.csv --fps 25 --pursuer dog --out flock.npz`, or rows of
+`recording, individual, role` in the table of `--metadata`; without recordings `num_targets=5`. The
+targets come first, the pursuer last.
+
+- The focus of each target is the pursuer; that of the pursuer is its nearest target, chosen anew at
+  each step.
+- The first touch of any target ends the episode, for all; `info["outcome"]` is k for target k - 1.
+- The pursuer gets +1 for it; each target dt for every step in which it is not touched. Who leaves
+  the boundary gets -10.
+- By their scripts the pursuer goes straight at the nearest target and each target runs from the
+  pursuer; they do not keep together, as recorded or trained flocks may.
+- Who is named `focal` acts; by default the pursuer. Path lengths and distances of reports are the
+  pursuer's."""
 
 
 def custom_page() -> str:
@@ -344,6 +367,7 @@ def custom_page() -> str:
         "silkmoths or agents can be given to those environments too, `gym.make(\"AnimaRL/Fly-v0\", "
         "demos=\"demos.npz\")`: names, number and time step are then the file's, all else is the "
         "species'.",
+        FLOCK,
         "## A species without demonstrations",
         doc,
         "![Two dogs and a sheep](../images/custom.png)",

@@ -10,7 +10,7 @@ POSITIVE = "a positive number"
 NOT_NEGATIVE = "zero or a positive number"
 
 NOTES: dict[str, tuple[str, str]] = {
-    "focal": ("a name of an individual", "who acts; by default the first"),
+    "focal": ("a name of an individual", "who acts; by default the first that is no target"),
     "others": (
         "`'replay'`, `'scripted'`, `'coast'`, a function from observations to actions, or a "
         "mapping from names to these",
@@ -65,7 +65,10 @@ NOTES: dict[str, tuple[str, str]] = {
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
     "name": ("a word", "its name"),
     "title": ("text", "shown in pictures"),
-    "individuals": ("different names", "pursuers first, the target last"),
+    "individuals": (
+        "different names",
+        "pursuers first, the target last (with `lone_pursuer`: targets, the pursuer)",
+    ),
     "recording": ("a `Recording`", "how it was recorded and cut"),
     "source": ("text", "where the numbers come from"),
     "version_history": ("a tuple of texts", "what changed"),
@@ -76,6 +79,15 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "a whole number, at least 1",
         "how many pursue; with demonstrations the first ones; more than were recorded start "
         'anywhere (`start="uniform"`)',
+    ),
+    "num_targets": (
+        "a whole number, at least 1",
+        "of one pursuer: the individuals are then the targets and, last, the pursuer; with "
+        "demonstrations the first ones, as above",
+    ),
+    "lone_pursuer": (
+        "`True`, `False`",
+        "the last individual pursues all others, as `num_targets` and a flock's demonstrations say",
     ),
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
     "senses_centre": (

@@ -58,6 +58,17 @@ def dogs(pursuers: int) -> Demonstrations:
     return scripted_chase(species, 61 - np.arange(8), name="dogs.npz")
 
 
+@cache
+def flock(targets: int) -> Demonstrations:
+    """Eight episodes of so many sheep and a dog of known locomotion, who pursues them."""
+    species = replace(
+        AGENT, name="custom", individuals=(*(f"sheep_{i}" for i in range(targets)), "dog"),
+        locomotion=(*(PREY,) * targets, CHASER), lone_pursuer=True,
+        arena=Arena("disc", 2.0, 2.2), time_limit=60,
+    )  # fmt: skip
+    return scripted_chase(species, 61 - np.arange(8), name="flock.npz")
+
+
 def search(**changes: Any) -> Demonstrations:
     """Three random walks upwind of a searcher of no known species, without odour."""
     return replace(_walks("custom", "beetle", 0.4, 3, 0.4), **changes)

@@ -67,7 +67,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"dt": float("nan")}, "dt"),
     ({"individuals": ("prey", "prey")}, "appears twice"),
     (same_tracks(), "same track"),
-    ({"roles": ("target", "pursuer")}, "comes last"),
+    ({"roles": ("target", "target")}, "comes last"),
     ({"roles": ("pursuer", "bystander")}, "roles"),
     ({"condition": np.array([0, 2, 1])}, "condition"),
     ({"condition": np.array([0, 1])}, "2 entries for 3 episodes"),

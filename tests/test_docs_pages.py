@@ -46,7 +46,7 @@ def test_options_of_the_page_are_those_that_are_accepted(generator, name):
     known = set(str(refusal.value).rpartition("choose one of ")[2].split(", "))
     not_options = {"source", "title", "version_history", "drivers"}
     if not isinstance(species, ChaseSpecies):
-        not_options.add("num_pursuers")
+        not_options |= {"num_pursuers", "num_targets"}
     assert known - not_options <= listed
 
 
@@ -54,7 +54,7 @@ def test_options_of_the_page_are_those_that_are_accepted(generator, name):
 def test_defaults_of_the_page_make_the_same_world(generator, name):
     species, env_id = SPECIES[name], animarl_envs.environment_id(name)
     shown = generator.option_defaults(species)
-    taken_apart = {"arena", "boundary", "locomotion", "num_pursuers", "render_mode"}
+    taken_apart = {"arena", "boundary", "locomotion", "num_pursuers", "num_targets", "render_mode"}
     given = {key: ast.literal_eval(text) for key, text in shown.items() if key not in taken_apart}
     plain, spelled = gym.make(env_id).unwrapped, gym.make(env_id, **given).unwrapped
     assert plain.scenario.species == spelled.scenario.species

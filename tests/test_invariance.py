@@ -78,9 +78,11 @@ class Course:
 def follow(name: str, chase: Chase, *, at: int = 0, **options: Any) -> Course:
     """One copy, its clock at step ``at`` when it starts."""
     count = len(chase.position) - 1
-    scenario = make_scenario(
-        name, demos=None, num_pursuers=count, start=chase.position, condition=0, **options
-    )
+    if not options.get("lone_pursuer"):
+        options["num_pursuers"] = count
+    else:
+        options["individuals"] = (*(f"sheep_{i}" for i in range(count)), "dog")
+    scenario = make_scenario(name, demos=None, start=chase.position, condition=0, **options)
     world = make_world(scenario, 1)
     world.reset()
     state = world.get_state()
@@ -120,15 +122,16 @@ def frames(course: Course) -> list[str]:
 @often
 @given(seeds, pursuers, st.floats(-3.0, 3.0), st.sampled_from(["disc", "open"]),
        st.booleans(), st.sampled_from(["agent", "fly", "newt"]),
-       st.sampled_from(["full", "paper"]))  # fmt: skip
+       st.sampled_from(["full", "paper"]), st.booleans())  # fmt: skip
 def test_invariance_rotation_turns_the_paths(
-    seed: int, count: int, angle: float, shape: str, rebound: bool, name: str, kind: str
-) -> None:
+    seed: int, count: int, angle: float, shape: str, rebound: bool, name: str, kind: str,
+    lone: bool,
+) -> None:  # fmt: skip
     """Turned starts give turned paths, the same rewards and ends, and the same egocentric view."""
     chase = Chase.drawn(seed, count)
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     options: dict[str, Any] = {"arena": shape} | ({"rebound": rebound} if shape == "disc" else {})
-    options["observation"] = kind
+    options |= {"observation": kind, "lone_pursuer": lone}
     one, two = follow(name, chase, **options), follow(name, chase.changed(turn), **options)
     assert two.position == pytest.approx(one.position @ turn.T, abs=1e-6)
     assert two.velocity == pytest.approx(one.velocity @ turn.T, abs=1e-5)
@@ -140,14 +143,15 @@ def test_invariance_rotation_turns_the_paths(
 
 @often
 @given(seeds, pursuers, st.sampled_from(["square", "disc", "open"]), st.sampled_from(["x", "y"]),
-       st.sampled_from(["agent", "fly", "newt"]), st.sampled_from(["full", "paper"]))  # fmt: skip
+       st.sampled_from(["agent", "fly", "newt"]), st.sampled_from(["full", "paper"]),
+       st.booleans())  # fmt: skip
 def test_invariance_mirroring_mirrors_the_paths(
-    seed: int, count: int, shape: str, axis: str, name: str, kind: str
+    seed: int, count: int, shape: str, axis: str, name: str, kind: str, lone: bool
 ) -> None:
     """Mirrored starts and actions: all that is on the left is on the right, nothing else."""
     chase = Chase.drawn(seed, count)
     mirror = np.diag([1.0, -1.0] if axis == "x" else [-1.0, 1.0])
-    options = {"arena": shape, "observation": kind}
+    options = {"arena": shape, "observation": kind, "lone_pursuer": lone}
     one = follow(name, chase, **options)
     two = follow(name, chase.changed(mirror, MIRRORED[chase.actions]), **options)
     assert two.position == pytest.approx(one.position @ mirror, abs=1e-6)
@@ -168,13 +172,13 @@ def test_invariance_mirrored_actions_are_mirrored_vectors() -> None:
 
 @often
 @given(seeds, st.integers(2, 4), st.randoms(use_true_random=False),
-       st.sampled_from(["agent", "fly", "newt"]))  # fmt: skip
+       st.sampled_from(["agent", "fly", "newt"]), st.booleans())  # fmt: skip
 def test_invariance_relabelling_the_pursuers_permutes_theirs(
-    seed: int, count: int, random: Any, name: str
+    seed: int, count: int, random: Any, name: str, lone: bool
 ) -> None:
     chase = Chase.drawn(seed, count)
     order = [*random.sample(range(count), count), count]
-    same = {"locomotion": SPECIES[name].locomotion[0]}
+    same = {"locomotion": SPECIES[name].locomotion[0], "lone_pursuer": lone}
     one, two = follow(name, chase, **same), follow(name, chase.relabelled(order), **same)
     assert two.position == pytest.approx(one.position[:, order], abs=1e-12)
     assert two.reward == pytest.approx(one.reward[:, order], abs=1e-12)

@@ -44,16 +44,18 @@ def unit(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def moves(
-    own: Locomotion, who: int, given: tuple[NDArray[np.float64], ...], shape: int, size: float
-) -> NDArray[np.uint64]:
+    own: Locomotion, who: int, given: tuple[NDArray[np.float64], ...], shape: int, size: float,
+    lone: bool = False,
+) -> NDArray[np.uint64]:  # fmt: skip
     """What ``decide`` says of positions, velocities and focus directions ``(B, K, 2)``."""
     position, velocity, towards = (np.ascontiguousarray(a.transpose(1, 2, 0)) for a in given)
     individuals, _, copies = position.shape
     actions = np.full((individuals, copies), 77, dtype=np.uint64)
     pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * individuals)
     decide(
-        who, position, velocity, towards, own.damping, own.thrust, pushes, DT, shape, size, actions
-    )
+        who, position, velocity, towards, own.damping, own.thrust, pushes, DT, shape, size, lone,
+        actions,
+    )  # fmt: skip
     others = np.delete(actions, who, axis=0)
     assert (others == 77).all()  # a rule speaks for its own individual alone
     return actions[who]
@@ -111,3 +113,13 @@ def test_the_target_runs_from_who_is_behind_it() -> None:
     position = np.array([[[1.0, 0.0], [0.0, 0.0]]])
     towards = np.array([[[-1.0, 0.0], [1.0, 0.0]]])
     assert moves(OWN, 1, (position, np.zeros((1, 2, 2)), towards), OPEN, 1.0).tolist() == [6]
+
+
+def test_each_target_of_a_lone_pursuer_runs_from_it_alone() -> None:
+    """As if there were the two of them; the pursuer accelerates straight at its focus."""
+    position, velocity, towards = scene(4, 60, 1.5, seed=4)
+    for who in range(3):
+        pair = tuple(each[:, [3, who]] for each in (position, velocity, towards))
+        chosen = moves(OWN, who, (position, velocity, towards), DISC, 1.5, lone=True)
+        np.testing.assert_array_equal(chosen, moves(OWN, 1, pair, DISC, 1.5))
+    assert (moves(OWN, 3, (position, velocity, towards), DISC, 1.5, lone=True) == 0).all()

@@ -12,7 +12,7 @@ from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.rolling_out import stored_rollouts
-from animarl_envs.demos.pursuers import first_pursuers
+from animarl_envs.demos.pursuers import first_of_role
 
 LIMIT = 20
 
@@ -59,7 +59,7 @@ def test_fewer_pursuers_hold_everywhere(tmp_path: Path) -> None:
     run = made(tmp_path, env_kwargs={"num_pursuers": 1})
     rollouts: Rollouts = stored_rollouts(run)["DQCIL-PT"]
     assert rollouts.individuals == ("predator_0", "prey")
-    test = first_pursuers(few(), 1).select(split="test")
+    test = first_of_role(few(), "num_pursuers", 1).select(split="test")
     starts = rollouts.positions[rollouts.offsets[:-1]]
     recorded = test.positions[test.offsets[:-1]][rollouts.demo]
     assert np.abs(starts - recorded).max() < 1e-6

@@ -64,7 +64,8 @@ def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
             )
         )
     if "target" in demos.roles or "searcher" in demos.roles:
-        to = "target" if "target" in demos.roles else "source"
+        targets = demos.roles.count("target")
+        to = "source" if not targets else "target" if targets == 1 else "nearest target"
         table = episode_table(demos)
         first = float(np.median([row["first_distance"] for row in table]))
         least = float(np.median([row["least_distance"] for row in table]))
@@ -148,7 +149,7 @@ def hints(demos: Demonstrations) -> list[str]:
     if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
         found.append(
             "nobody is the target: name who is pursued by --target NAME, or --target auto for the "
-            "one whom the others approach"
+            "one whom the others approach, or who pursues all others by --pursuer NAME"
         )
     sizes = [float(scale["unit"]) for scale in demos.provenance.get("scales", {}).values()]
     if sizes and max(sizes) > UNLIKE * min(sizes):
@@ -257,6 +258,8 @@ def _flags(cleaning: Mapping[str, Any]) -> list[str]:
 def _target(recipe: ImportRecipe) -> str:
     if recipe.searcher:
         return "the source at the origin"
+    if recipe.pursuer is not None:
+        return f"all but {recipe.pursuer}, who pursues them"
     if recipe.target is None:
         return "none named"
     return "who is approached" if recipe.target == "auto" else recipe.target

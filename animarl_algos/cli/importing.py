@@ -51,6 +51,9 @@ def import_command(
         str | None,
         typer.Option(help="The pursued individual; auto (default): who is approached; none."),
     ] = None,
+    pursuer: Annotated[
+        str | None, typer.Option(help="The only pursuer: all others are its targets.")
+    ] = None,
     metadata: Annotated[
         Path | None,
         typer.Option(
@@ -142,6 +145,8 @@ def import_command(
 
       animarl import pairs.csv --fps 30 --target auto --decision-rate 10 --out demos.npz
 
+      animarl import flock.csv --fps 25 --pursuer dog --out flock.npz
+
       animarl import *.csv --fps 30 --metadata sessions.csv --px-per-cm 14.2 --out demos.npz
 
       animarl import more.csv --recipe demos.recipe.yaml --out more.npz
@@ -160,8 +165,8 @@ def import_command(
         report(finished, None if dry_run else out, None)
         return
     given: dict[str, Any] = {
-        "frame_rate": fps, "decision_rate": decision_rate, "target": target, "species": species,
-        "merge_individuals": merge_individuals,
+        "frame_rate": fps, "decision_rate": decision_rate, "target": target, "pursuer": pursuer,
+        "species": species, "merge_individuals": merge_individuals,
         "metadata": str(metadata) if metadata else None, "name_pattern": name_pattern,
         "condition": condition, "licence": licence, "synthetic": synthetic,
         "options": _options(option) or None,
@@ -190,7 +195,8 @@ def import_command(
         given["individuals"] = [name for name, _, _ in pairs]
         given["rename"] = {name: new for name, _, new in pairs if new} or None
     base = ImportRecipe.load(recipe) if recipe is not None else default_recipe(reader)
-    if recipe is None and target is None and base.target is None and not base.searcher:
+    unsaid = target is None and pursuer is None
+    if recipe is None and unsaid and base.target is None and not base.searcher:
         given["target"] = AUTO
     record = _merged(base.to_dict(), given)
     if target == NOBODY:

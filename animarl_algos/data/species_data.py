@@ -18,6 +18,7 @@ from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINI
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import Species
 from animarl_envs.worlds import demonstration_observations
 
@@ -152,6 +153,8 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
     """
     rewards = np.zeros(demos.positions.shape[:2], dtype=np.float32)
     last = demos.offsets[1:] - 2  # the frame that the last step leaves
+    if lone_pursuer(demos.roles):
+        return _of_a_lone_pursuer(species, demos, last, rewards)
     pursuers = [i for i, role in enumerate(demos.roles) if role != "target"]
     if "target" in demos.roles:
         rewards[:, -1] = demos.dt
@@ -171,4 +174,25 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
             for i in pursuers:
                 if not replace(species.arena, rebound=False).contains(end[i]):
                     rewards[last[e], i] += species.boundary_penalty
+    return rewards
+
+
+def _of_a_lone_pursuer(
+    species: Species, demos: Demonstrations, last: NDArray[np.int64], rewards: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The same where the last individual pursues all others: a target lasts until it is touched."""
+    field = replace(species.arena, rebound=False)
+    rewards[:, :-1] = demos.dt
+    rewards[demos.offsets[1:] - 1] = 0.0
+    for e, outcome in enumerate(demos.outcome):
+        end = demos.positions[demos.offsets[e + 1] - 1]
+        if outcome > TIME_OUT:
+            touched = np.linalg.norm(end[:-1] - end[-1], axis=1) < species.contact_radius
+            touched[outcome - 1] = True
+            rewards[last[e], :-1][touched] = 0.0
+            rewards[last[e], -1] = 1.0
+        elif outcome in (TARGET_OUT, PURSUER_OUT):
+            out = ~field.contains(end)
+            rewards[last[e], :-1][out[:-1]] = 0.0
+            rewards[last[e], out] += species.boundary_penalty
     return rewards

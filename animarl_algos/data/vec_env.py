@@ -195,7 +195,7 @@ class SlotVecEnv(VecEnv):
                     "demo": int(world.demo[b]),
                 }
             # one episode of the world: its return is the mean over the pursuers that learn
-            pursuers = self._learners < max(1, len(world.scenario.names) - 1)
+            pursuers = world.scenario.species.pursuing[self._learners]
             mean = self._return[b, pursuers if pursuers.any() else slice(None)].mean()
             infos[b * K]["episode"] = {"r": float(mean), "l": int(world.step_count[b]), "t": 0.0}
 

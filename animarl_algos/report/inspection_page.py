@@ -39,7 +39,8 @@ from animarl_algos.report.scenes import Field, Player, Scene, track, view
 from animarl_algos.report.sentences import NOTHING, number
 from animarl_algos.report.style import method_label, to_image
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.episode import TIME_OUT
+from animarl_envs.demos.summary import ending_in_words
 from animarl_envs.species import Species
 
 if TYPE_CHECKING:
@@ -201,10 +202,9 @@ def _decisions(inputs: InspectionInputs) -> Iterator[Block]:
     along = interpretation.values_along_path(decisions.q, decisions.actions, dt, title=who)
     images = [to_image(along, f"Action values of {who} along the demonstration")]
     if decisions.map_q.size:
-        role = inputs.demos.roles[inputs.demos.individuals.index(who)]
         figure = interpretation.value_map(
             decisions.x, decisions.y, decisions.map_q, decisions.focus, inputs.demos.arena,
-            others=decisions.others, target_last=role != "target",
+            others=decisions.others, targets=interpretation.other_targets(inputs.demos, who),
             title=f"{who} at {number(decisions.moment * dt)} s",
         )  # fmt: skip
         images.append(to_image(figure, f"Best action value of {who} over the arena"))
@@ -252,11 +252,7 @@ def _told(inputs: InspectionInputs, cue: int, condition: int) -> str:
 
 
 def _ending(inputs: InspectionInputs, outcome: int) -> str:
-    names = inputs.demos.individuals
-    if outcome > 0:
-        return f"{names[outcome - 1]} reached {inputs.species.goal}"
-    return {
-        TIME_OUT: "time limit",
-        TARGET_OUT: f"{names[-1]} left the arena",
-        PURSUER_OUT: "a pursuer left the arena",
-    }.get(outcome, "unfinished")
+    if outcome == TIME_OUT:
+        return "time limit"
+    demos = inputs.demos
+    return ending_in_words(outcome, demos.individuals, demos.roles) or "unfinished"

@@ -5,6 +5,7 @@ They take plain arrays, so any source of Q-values can be shown: a trained networ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.report import style, themes
 from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.units import RECORDED_SCALE, Unit
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS, NUM_DIRECTIONS, action_directions
@@ -92,6 +94,15 @@ def values_along_path(
     return figure
 
 
+def other_targets(demos: Demonstrations, who: str) -> list[bool]:
+    """Which of the others are targets, in order."""
+    return [
+        role == "target"
+        for name, role in zip(demos.individuals, demos.roles, strict=True)
+        if name != who
+    ]
+
+
 def value_map(
     x: Floats,
     y: Floats,
@@ -100,7 +111,7 @@ def value_map(
     arena: Arena,
     *,
     others: Floats | None = None,
-    target_last: bool = True,
+    targets: Sequence[bool] = (),
     unit: Unit = RECORDED_SCALE,
     title: str = "",
 ) -> Figure:
@@ -117,8 +128,8 @@ def value_map(
         an action into a direction in the arena.
     others
         ``(individuals, 2)``, where the others stand.
-    target_last
-        Whether the last of them is the target, which is drawn as a dark cross.
+    targets
+        Which of them are targets, drawn as dark crosses; by default none.
     unit
         Of the axes.
     """
@@ -145,9 +156,9 @@ def value_map(
         if others is not None:
             marks: dict[str, Any] = {"markeredgecolor": style.ON_MAP, "markeredgewidth": 1.0}
             marks["markersize"] = 6
-            pursuers = len(others) - target_last
-            panel.plot(*others[:pursuers].T, "o", color=themes.VERMILION.hex, **marks)
-            panel.plot(*others[pursuers:].T, "X", color=style.RECORDED_COLOUR, **marks)
+            aims = np.array(targets, dtype=bool) if len(targets) else np.zeros(len(others), bool)
+            panel.plot(*others[~aims].T, "o", color=themes.VERMILION.hex, **marks)
+            panel.plot(*others[aims].T, "X", color=style.RECORDED_COLOUR, **marks)
         panel.set_aspect("equal")
         panel.set(xlabel=f"x ({unit.name})", ylabel=f"y ({unit.name})", title=title)
         if arena.shape == "disc":

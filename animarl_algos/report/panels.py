@@ -159,7 +159,7 @@ def decision_panels(inputs: ReportInputs, decisions: Decisions) -> list[Image]:
             decisions.focus,
             inputs.demos.arena,
             others=decisions.others,
-            target_last=not is_target(inputs, who),
+            targets=interpretation.other_targets(inputs.demos, who),
             unit=inputs.words.unit,
             title=f"{who} at {number(decisions.moment * dt)} s",
         )

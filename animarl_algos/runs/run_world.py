@@ -13,22 +13,23 @@ from typing import Any
 
 from animarl_algos.data.vec_env import OWN_OPTIONS, SCENARIO_OPTIONS, species_options
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.pursuers import first_pursuers
+from animarl_envs.demos.pursuers import COUNTS, first_of_role
 from animarl_envs.species import Species
 
-PURSUERS = "num_pursuers"
 SENSES = ("observation_noise", "observation_delay")
 
 
 def of_those_who_move(demos: Demonstrations, options: Mapping[str, Any]) -> Demonstrations:
-    """The demonstrations, of the first pursuers alone where the world has fewer."""
-    count = options.get(PURSUERS)
-    return demos if count is None else first_pursuers(demos, count)
+    """The demonstrations, of the first pursuers or targets alone where the world has fewer."""
+    for key in COUNTS:
+        if options.get(key) is not None:
+            demos = first_of_role(demos, key, options[key])
+    return demos
 
 
 def of_the_species(options: Mapping[str, Any]) -> dict[str, Any]:
     """Options that change the species; of a species of :func:`of_those_who_move`."""
-    return {key: value for key, value in species_options(options).items() if key != PURSUERS}
+    return {key: value for key, value in species_options(options).items() if key not in COUNTS}
 
 
 def in_the_world(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -17,9 +17,9 @@ FILLED = "filled"
 INTERVAL = "interval"
 """Signal ``(frames,)``: the time that led to a frame [s], where a last step may be shorter."""
 
-# Outcome codes, one per episode. k > 0: contact by individual k - 1.
+# Outcome codes, one per episode. k > 0: contact by individual k - 1 (of several targets: with it).
 TIME_OUT = 0
-TARGET_OUT = -1  # the target left the boundary
+TARGET_OUT = -1  # the target, or one of them, left the boundary
 PURSUER_OUT = -2  # a pursuer left the boundary
 UNFINISHED = -3  # the recording was cut for another reason
 

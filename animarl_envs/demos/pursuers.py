@@ -1,4 +1,4 @@
-"""Demonstrations of many pursuers as demonstrations of fewer."""
+"""Demonstrations of many pursuers, or of many targets, as demonstrations of fewer."""
 
 from __future__ import annotations
 
@@ -6,39 +6,48 @@ from dataclasses import replace
 
 import numpy as np
 
+from animarl_envs.checks import is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 
+COUNTS = {"num_pursuers": "pursuer", "num_targets": "target"}
+"""Options that say how many take part, and of which role."""
 
-def first_pursuers(demos: Demonstrations, count: int) -> Demonstrations:
-    """The recordings of the first ``count`` pursuers and of the target.
 
-    An episode that ended by the contact of a pursuer who is left out is unfinished.
+def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrations:
+    """The recordings of the first ``count`` individuals of a role and of all others.
+
+    An episode that ended by the contact of one who is left out is unfinished.
+
+    Parameters
+    ----------
+    option
+        One of :data:`COUNTS`, which names the role.
 
     Raises
     ------
     InputError
-        If fewer pursuers were recorded.
+        If fewer were recorded.
     """
-    recorded = demos.roles.count("pursuer")
+    role = COUNTS[option]
+    recorded = demos.roles.count(role)
     if recorded == 0:
-        raise InputError(
-            f"num_pursuers does not apply to {demos.name}, where nobody pursues: drop it"
-        )
-    if isinstance(count, bool) or not isinstance(count, int):
-        raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
+        nobody = "nobody pursues" if role == "pursuer" else "nobody is pursued"
+        raise InputError(f"{option} does not apply to {demos.name}, where {nobody}: drop it")
+    if not is_whole(count):
+        raise InputError(f"{option} is {count!r}: it must be a whole number, 1 or more")
     if not 1 <= count <= recorded:
         raise InputError(
-            f"num_pursuers is {count} but {demos.name} holds {recorded} pursuer"
+            f"{option} is {count} but {demos.name} holds {recorded} {role}"
             f"{'s' * (recorded != 1)}: choose at most {recorded}, or start='uniform', where nobody "
-            "follows a demonstration and more pursuers move like those recorded"
+            f"follows a demonstration and more {role}s move like those recorded"
         )
     if count == recorded:
         return demos
     everyone = demos.num_individuals
-    kept = [*range(count), *range(recorded, everyone)]
-    # Recorded actions are left out: the target's may have been told towards one who is gone now.
+    kept = [*range(count), *range(recorded, everyone)]  # several of a role come first
+    # Recorded actions are left out: one may have been told towards somebody who is gone now.
     outcome = np.where(demos.outcome > count, UNFINISHED, demos.outcome)
     signals = {
         key: value[:, kept] if value.ndim > 1 and value.shape[1] == everyone else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,23 @@ def outcome_name(outcome: int, demos: Demonstrations) -> str:
     """An outcome code in words."""
     if outcome > 0:
         name, role = demos.individuals[outcome - 1], demos.roles[outcome - 1]
-        return f"{name} reached the source" if role == "searcher" else f"contact by {name}"
+        reached = {"searcher": f"{name} reached the source", "target": f"contact with {name}"}
+        return reached.get(role, f"contact by {name}")
+    if outcome == TARGET_OUT and demos.roles.count("target") > 1:
+        return "a target left"
     return OUTCOME_NAMES.get(outcome, "recording ended")
+
+
+def ending_in_words(outcome: int, individuals: Sequence[str], roles: Sequence[str]) -> str:
+    """Who reached whom, or who left the arena; nothing, if neither ended the episode."""
+    if outcome > 0:
+        name, role = individuals[outcome - 1], roles[outcome - 1]
+        if role == "target":
+            return f"{individuals[-1]} reached {name}"
+        return f"{name} reached {'the source' if role == 'searcher' else individuals[-1]}"
+    if outcome == TARGET_OUT:
+        return f"{individuals[-1] if roles[-1] == 'target' else 'a target'} left the arena"
+    return "a pursuer left the arena" if outcome == PURSUER_OUT else ""
 
 
 def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ import numpy as np
 from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import INTERVAL, SPLITS, UNFINISHED
 from animarl_envs.errors import InputError
+from animarl_envs.focus import lone_pursuer
 
 if TYPE_CHECKING:
     from animarl_envs.demos.demonstrations import Demonstrations
@@ -46,8 +47,13 @@ def _check_individuals(demos: Demonstrations) -> None:
     check_names(demos.name, "a recording", map(str, np.unique(demos.recording)))
     check_names(demos.name, "a signal", demos.signals)
     targets = demos.roles.count("target")
-    if targets > 1 or (targets and demos.roles[-1] != "target"):
-        _refuse(demos, f"roles are {demos.roles}: there is one target at most and it comes last")
+    one_target = targets == 1 and demos.roles[-1] == "target"
+    if targets and not one_target and not lone_pursuer(demos.roles):
+        _refuse(
+            demos,
+            f"roles are {demos.roles}: there is one target at most and it comes last, or one "
+            "pursuer of several targets and it comes last",
+        )
 
 
 def _check_shapes(demos: Demonstrations) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TARGET_OUT
+from animarl_envs.demos.summary import ending_in_words
 from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species.bodies import PLAIN_BODY, body_of_each
@@ -192,14 +192,12 @@ class SceneRecorder:
     def _ending(self) -> str:
         """How the episode ended, or nothing if it goes on."""
         species = self.world.scenario.species
-        names, outcome = species.individuals, int(self.world.outcome[self.copy])
         if self.world.truncated[self.copy]:
             return "time limit"
         if not self.world.terminated[self.copy]:
             return ""
-        if outcome > 0:
-            return f"{names[outcome - 1]} reached {species.goal}"
-        return f"{names[-1] if outcome == TARGET_OUT else 'a pursuer'} left the arena"
+        outcome = int(self.world.outcome[self.copy])
+        return ending_in_words(outcome, species.individuals, species.roles)
 
 
 class Afterglow:
@@ -244,7 +242,7 @@ def _lengths(demos: Demonstrations | None) -> dict[str, Any]:
 
 
 def _touched(position: NDArray[np.float64], contact_radius: float) -> NDArray[np.bool_]:
-    """``(K,)``: who is within reach of the target (a searcher: of the source), and that target."""
+    """``(K,)``: who is within reach of the last one (a searcher: of the source), and that one."""
     aim = position[-1] if len(position) > 1 else np.zeros(2)
     touched = np.hypot(*(position - aim).T) < contact_radius
     if len(position) > 1:

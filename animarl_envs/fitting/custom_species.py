@@ -19,10 +19,17 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import HEADING, fit_turning
-from animarl_envs.focus import distances_to_target
+from animarl_envs.focus import distances_to_target, lone_pursuer
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species import CUSTOM, SILKMOTH, SPECIES, get_species
-from animarl_envs.species.base import ChaseSpecies, Recording, Species
+from animarl_envs.species import (
+    CUSTOM,
+    SILKMOTH,
+    SPECIES,
+    ChaseSpecies,
+    Recording,
+    Species,
+    get_species,
+)
 from animarl_envs.species.options import with_options
 from animarl_envs.species.turning import Turning
 
@@ -43,7 +50,8 @@ def species_of(
     Parameters
     ----------
     demos
-        One or more pursuers and a target, or one searcher. Test episodes are not looked at.
+        One or more pursuers and a target, one pursuer and its targets, or one searcher. Test
+        episodes are not looked at.
     fit
         Locomotion of each individual; by default fitted, see :func:`fitted_locomotion`.
     base
@@ -73,7 +81,7 @@ def species_of(
     _check_roles(demos, numbers)
     longest = int(demos.lengths.max()) - 1
     conditions = numbers.conditions or _conditions(demos)
-    own: dict[str, Any] = {}
+    own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
     return with_options(
@@ -201,7 +209,7 @@ def _check_roles(demos: Demonstrations, species: Species) -> None:
     if not searching and ("target" not in demos.roles or demos.num_individuals < 2):
         raise InputError(
             f"{demos.name}: nobody is pursued (its roles are {', '.join(demos.roles)}): import it "
-            "with --target NAME or --target auto, and at least one other individual"
+            "with --target NAME, --target auto or --pursuer NAME, and at least one other individual"
         )
 
 

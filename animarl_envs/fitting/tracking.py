@@ -19,7 +19,7 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
-from animarl_envs.focus import FALLBACK, UPWIND, focus_directions
+from animarl_envs.focus import FALLBACK, UPWIND, foci, focus_directions
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
 
@@ -161,16 +161,13 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
 
     The rules of :func:`animarl_envs.focus.focus_directions`, as the kernel reads them.
     """
-    count, pursuer = len(roles), np.array([role == "pursuer" for role in roles])
-    candidates = np.zeros((count, count), dtype=bool)
-    otherwise = np.tile(FALLBACK, (count, 1))
-    for i, role in enumerate(roles):
-        if role == "searcher":
+    candidates = np.zeros((len(roles), len(roles)), dtype=bool)
+    otherwise = np.tile(FALLBACK, (len(roles), 1))
+    for i, others in enumerate(foci(roles)):
+        if others is None:
             otherwise[i] = UPWIND
-        elif role == "pursuer" and "target" in roles:
-            candidates[i, -1] = True
         else:
-            candidates[i] = pursuer & (np.arange(count) != i)
+            candidates[i, others] = True
     return candidates, otherwise
 
 

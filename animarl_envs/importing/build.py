@@ -17,7 +17,7 @@ from animarl_envs.importing.cleaning import clean, resample, resample_index, run
 from animarl_envs.importing.contacts import found_contact
 from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, Cutting, cut_episodes, in_pieces
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
-from animarl_envs.importing.roles import named, roles_of, with_target
+from animarl_envs.importing.roles import named, roles_of, with_faced
 from animarl_envs.importing.scaling import in_centimetres, scales_of
 from animarl_envs.importing.sessions import TARGET, sessions_of, with_session
 from animarl_envs.importing.tracks import Tracks
@@ -45,10 +45,10 @@ def demonstrations_from_tracks(
         tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
         scale = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         cleaned.append(in_centimetres(tracks, scale))
-    cleaned, target = with_target(cleaned, recipe, sessions, name)
+    cleaned, faced = with_faced(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
     bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
-    individuals, roles, order = roles_of(cleaned, target, recipe, name)
+    individuals, roles, order = roles_of(cleaned, faced, recipe, name)
     bodies = [body[:, order] for body in bodies]
     contact = recipe.cutting.contact
     if all(tracks.outcome is None for tracks in cleaned):

@@ -37,6 +37,8 @@ class ImportRecipe:
     target
         Name of the target (after renaming), ``"auto"``: who is approached, if there are two or
         more; ``None``: none.
+    pursuer
+        Name of the only pursuer (after renaming), of whom all others are targets.
     searcher
         Whether the individuals search a source at the origin instead of chasing.
     frame_rate
@@ -59,6 +61,7 @@ class ImportRecipe:
     rename: Mapping[str, str] = field(default_factory=dict)
     merge_individuals: bool = False
     target: str | None = None
+    pursuer: str | None = None
     searcher: bool = False
     frame_rate: float | None = None
     decision_rate: float | None = None
@@ -88,6 +91,10 @@ class ImportRecipe:
             )
         if self.target is not None and self.searcher:
             raise InputError("a searcher has no target: leave one of them out")
+        if self.pursuer is not None and (self.target is not None or self.searcher):
+            raise InputError(
+                "where a pursuer is named all others are its targets: name no target, and no search"
+            )
         if self.metadata is not None and self.name_pattern is not None:
             raise InputError("metadata and a name pattern say the same: leave one of them out")
         if self.condition not in (None, 0, 1):

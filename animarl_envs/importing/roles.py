@@ -1,17 +1,26 @@
-"""Who is who in the recordings of an import: names, the target, the order of the others."""
+"""Who is who in the recordings of an import: names, the target or the pursuer, the order."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from animarl_envs.errors import InputError
 from animarl_envs.importing.cutting import most_approached
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.sessions import TARGET, Sessions, named_by_role, target_of
+from animarl_envs.importing.sessions import PURSUER, TARGET, Session, Sessions
 from animarl_envs.importing.tracks import Tracks
 
 AUTO = "auto"
+MANY = {TARGET: PURSUER, PURSUER: TARGET}  # the role of the others, where one has this role
+
+
+class Faced(NamedTuple):
+    """Whom all others face: the target, or the pursuer of several targets."""
+
+    name: str
+    role: str
 
 
 def named(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
@@ -29,43 +38,47 @@ def named(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
     return replace(tracks, individuals=names, frame_rate=rate)
 
 
-def with_target(
+def with_faced(
     recordings: list[Tracks], recipe: ImportRecipe, sessions: Sessions, name: str
-) -> tuple[list[Tracks], str | None]:
-    """The target's name, and the recordings, named by role where theirs differ.
+) -> tuple[list[Tracks], Faced | None]:
+    """Whom all others face, and the recordings, named by role where theirs differ.
 
     Raises
     ------
     InputError
-        If a target is named for some recordings only, or the recordings differ in their unit.
+        If a target is named for some recordings only, some have several, or their units differ.
     """
     _check_units(recordings, name)
-    stated = [target_of(sessions.of(tracks.recording)) for tracks in recordings]
-    targets = [who for who in stated if who is not None]
-    if targets:
+    stated = [_faced_in(sessions.of(one.recording), name, one.recording) for one in recordings]
+    told = [faced for faced in stated if faced is not None]
+    if told:
         if None in stated:
             untold = recordings[stated.index(None)].recording
             raise InputError(
                 f"{name}: no target is named for {untold}: name one for every recording"
             )
-        if (
-            len({(tracks.individuals, who) for tracks, who in zip(recordings, stated, strict=True)})
-            > 1
-        ):
-            return named_by_role(recordings, targets), TARGET
-        return recordings, targets[0]
+        if len({faced.role for faced in told}) > 1:
+            raise InputError(
+                f"{name}: some recordings have one target and others several: import them apart"
+            )
+        if len({(one.individuals, faced) for one, faced in zip(recordings, told, strict=True)}) > 1:
+            return _named_by_role(recordings, told), Faced(told[0].role, told[0].role)
+        return recordings, told[0]
+    if recipe.pursuer is not None:
+        return recordings, Faced(recipe.pursuer, PURSUER)
     if recipe.target != AUTO:
-        return recordings, recipe.target
+        return recordings, None if recipe.target is None else Faced(recipe.target, TARGET)
     names = recordings[0].individuals
     if len(names) < 2 or any(tracks.individuals != names for tracks in recordings):
         return recordings, None
-    return recordings, names[most_approached([tracks.bodies for tracks in recordings])]
+    target = names[most_approached([tracks.bodies for tracks in recordings])]
+    return recordings, Faced(target, TARGET)
 
 
 def roles_of(
-    cleaned: Sequence[Tracks], target: str | None, recipe: ImportRecipe, name: str
+    cleaned: Sequence[Tracks], faced: Faced | None, recipe: ImportRecipe, name: str
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
-    """Names and roles, the target last, and the order of the tracks' columns."""
+    """Names and roles, whom all others face last, and the order of the tracks' columns."""
     names = cleaned[0].individuals
     rate = cleaned[0].frame_rate
     for tracks in cleaned:
@@ -81,15 +94,42 @@ def roles_of(
                 f"{cleaned[0].recording} {rate}: give a decision rate"
             )
     order = list(range(len(names)))
-    if target is None:
+    if faced is None:
         role = "searcher" if recipe.searcher else "pursuer"
         return names, (role,) * len(names), order
-    if target not in names:
-        raise InputError(f"{name}: there is no target {target!r}: choose among {', '.join(names)}")
-    last = names.index(target)
+    if faced.name not in names:
+        raise InputError(
+            f"{name}: there is no {faced.role} {faced.name!r}: choose among {', '.join(names)}"
+        )
+    last = names.index(faced.name)
     order = [i for i in order if i != last] + [last]
-    roles = ("pursuer",) * (len(names) - 1) + ("target",)
+    roles = (MANY[faced.role],) * (len(names) - 1) + (faced.role,)
     return tuple(names[i] for i in order), roles, order
+
+
+def _faced_in(session: Session, name: str, recording: str) -> Faced | None:
+    """Who is pursued in a recording, or who pursues several, if it is said."""
+    of = {role: [n for n, r in session.roles.items() if r == role] for role in (TARGET, PURSUER)}
+    if not of[TARGET]:
+        return None if session.target is None else Faced(session.target, TARGET)
+    role = PURSUER if len(of[TARGET]) > 1 else TARGET
+    if not of[role]:
+        raise InputError(f"{name}: several targets but no pursuer in {recording}: name who pursues")
+    return Faced(of[role][0], role)
+
+
+def _named_by_role(recordings: Sequence[Tracks], faced: Sequence[Faced]) -> list[Tracks]:
+    """Recordings of different animals under the same names: ``pursuer_0``, ..., ``target``.
+
+    Of several targets: ``target_0``, ..., ``pursuer``.
+    """
+    renamed = []
+    for tracks, (last, role) in zip(recordings, faced, strict=True):
+        others = [name for name in tracks.individuals if name != last]
+        names = [f"{MANY[role]}_{i}" for i in range(len(others))]
+        ordered = tracks.choose([*others, last])
+        renamed.append(replace(ordered, individuals=(*names, role)))
+    return renamed
 
 
 def _check_units(cleaned: Sequence[Tracks], name: str) -> None:

@@ -183,23 +183,6 @@ def with_session(tracks: Tracks, sessions: Sessions) -> Tracks:
     return tracks if condition is None else replace(tracks, condition=condition)
 
 
-def target_of(session: Session) -> str | None:
-    """Who is pursued in a recording, if it is said."""
-    named = [name for name, role in session.roles.items() if role == TARGET]
-    return named[0] if named else session.target
-
-
-def named_by_role(recordings: Sequence[Tracks], targets: Sequence[str]) -> list[Tracks]:
-    """Recordings of different animals under the same names: ``pursuer_0``, ..., ``target``."""
-    renamed = []
-    for tracks, target in zip(recordings, targets, strict=True):
-        others = [name for name in tracks.individuals if name != target]
-        roles = [f"{PURSUER}_{i}" for i in range(len(others))]
-        ordered = tracks.choose([*others, target])
-        renamed.append(replace(ordered, individuals=(*roles, TARGET)))
-    return renamed
-
-
 def _rows(path: Path) -> tuple[list[tuple[int, dict[str, str]]], set[str]]:
     """Lines with their numbers and cells by column, and the names of the columns."""
     from animarl_envs.importing.readers.encodings import encoding_of  # readers import recipes
@@ -272,8 +255,12 @@ def _united(before: Session, now: Session, place: str) -> Session:
     roles = {**before.roles, **now.roles}
     if twice or not (before.roles and now.roles):
         raise InputError(f"{place}: the recording has two rows: keep one of them")
-    if list(roles.values()).count(TARGET) > 1:
-        raise InputError(f"{place}: a second target: give one individual of a recording that role")
+    several = [role for role in (PURSUER, TARGET) if list(roles.values()).count(role) > 1]
+    if len(several) > 1:
+        raise InputError(
+            f"{place}: several pursuers and several targets: give one individual of a recording "
+            "either role"
+        )
     same: dict[str, Any] = {}
     for key in ("condition", "split", "px_per_cm"):
         a, b = getattr(before, key), getattr(now, key)

@@ -2,9 +2,11 @@
 
 from animarl_envs.errors import InputError
 from animarl_envs.species.agent import AGENT
-from animarl_envs.species.base import ChaseSpecies, Recording, SearchSpecies, Species
+from animarl_envs.species.base import Recording, Species
+from animarl_envs.species.chase import ChaseSpecies
 from animarl_envs.species.fly import FLY
 from animarl_envs.species.newt import NEWT
+from animarl_envs.species.search import SearchSpecies
 from animarl_envs.species.silkmoth import SILKMOTH
 
 SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH)}

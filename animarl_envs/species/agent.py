@@ -2,7 +2,8 @@
 
 from animarl_envs.arena import Arena
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species.base import ChaseSpecies, Recording
+from animarl_envs.species.base import Recording
+from animarl_envs.species.chase import ChaseSpecies
 
 AGENT = ChaseSpecies(
     name="agent",

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species.bodies import PLAIN_BODY, checked_bodies
-from animarl_envs.species.turning import Turning
 
 OBSERVATIONS = ("full", "paper")
 
@@ -34,7 +34,8 @@ class Recording:
 class Species:
     """Numbers that every world needs. Lengths are in arena units, times in seconds or steps.
 
-    ``individuals`` are in order: pursuers first, the target (if any) last. What all species of a
+    ``individuals`` are in order: pursuers first, the target (if any) last; of one pursuer and
+    several targets the targets first. What all species of a
     world have in common are class attributes: ``world`` and ``script`` name the simulator and the
     scripted rule (``animarl_envs.worlds`` has them by name), ``length_unit`` is what an arena unit
     is called, ``condition_is_sensed`` says whether the condition changes what is sensed, and so
@@ -136,6 +137,11 @@ class Species:
         raise NotImplementedError
 
     @property
+    def pursuing(self) -> NDArray[np.bool_]:
+        """``(K,)``: who is no target."""
+        return np.array([role != "target" for role in self.roles])
+
+    @property
     def goal(self) -> str:
         """Whom or what the others head for, in words."""
         return self.individuals[-1]
@@ -157,140 +163,6 @@ class Species:
                 allowed = "zero or positive" if or_zero else "a positive number"
                 raise InputError(f"{name} is {value!r}: it must be {allowed}")
             object.__setattr__(self, name, float(value))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ChaseSpecies(Species):
-    """Pursuers and a target (the last individual) in an arena."""
-
-    world: ClassVar[str] = "chase"
-    script: ClassVar[str] = "evade"
-
-    start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
-    senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
-    shared_reward: bool = False  # in condition 1 a capture pays every pursuer
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.num_individuals < 2:
-            raise InputError("a chase needs at least one pursuer and a target: name them both")
-        self._positive("start_half_side")
-        self._true_or_false("senses_centre", "shared_reward")
-
-    def check_uniform_starts(self) -> None:
-        """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
-        half = self.start_half_side
-        if not self.arena.contains(np.array([half, half])):
-            raise InputError(
-                f"start_half_side is {half}: a corner of that square is out of bounds "
-                f"({self.arena.shape}, boundary {self.arena.boundary:g}), so make it smaller"
-            )
-        if self.contact_radius > half:
-            raise InputError(
-                f"contact_radius is {self.contact_radius} but starts lie in a square of half side "
-                f"{half}, where all would touch: make it smaller, or start_half_side larger"
-            )
-
-    @property
-    def num_pursuers(self) -> int:
-        return self.num_individuals - 1
-
-    @property
-    def roles(self) -> tuple[str, ...]:
-        return ("pursuer",) * self.num_pursuers + ("target",)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchSpecies(Species):
-    """One searcher and an odour source at the origin; upwind is the direction -x.
-
-    What the senses tell is in ``docs/plume.md`` ("What the moth senses").
-    """
-
-    world: ClassVar[str] = "search"
-    script: ClassVar[str] = "programmed moth"
-    length_unit: ClassVar[str] = "metre"
-    condition_is_sensed: ClassVar[bool] = True
-    pretrained_main: ClassVar[bool] = False
-
-    metres_per_unit: float = 1.0  # the plume is in metres
-    start_distance: float = 0.3  # downwind of the source [arena unit]
-    antenna_length: float = 0.013  # ahead of the body centre [arena unit]
-    antenna_angle: float = 19.0  # to either side [deg]
-    antenna_radius: float = 0.0025  # an antenna senses the plume within this radius [arena unit]
-    odour_decay: float = 1.96  # time constant after the last hit [s]
-    odour_baseline: float = 0.07
-    trace_decay: float = 10.0  # time constant of the slow trace of hits [s]
-    flow_threshold: float = 0.1  # yaw rates below it give no visual flow [rad/s]
-    flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
-    turning: Turning | None = None  # of the body; None: it points where it walks
-    rest_speed: float = (
-        1e-4  # a body without turning keeps its heading when slower [arena unit / s]
-    )
-    plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
-    train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
-    test_plumes: tuple[int, ...] = (3, 4)  # ... and held out
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.arena.shape != "open":
-            raise InputError(
-                f"arena is a {self.arena.shape} but a search is in the open: give a size to draw, "
-                "or Arena('open', size)"
-            )
-        self._positive(
-            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "trace_decay",
-            "flow_limit",
-        )  # fmt: skip
-        self._positive(
-            "antenna_radius", "flow_threshold", "rest_speed", "odour_baseline", "antenna_angle",
-            or_zero=True,
-        )  # fmt: skip
-        if not self.odour_baseline < 1:
-            raise InputError(f"odour_baseline is {self.odour_baseline}: it must lie in [0, 1)")
-        if not self.antenna_angle <= 90:
-            raise InputError(
-                f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
-            )
-        if isinstance(self.turning, Mapping):
-            try:
-                object.__setattr__(self, "turning", Turning(**self.turning))
-            except TypeError as error:
-                raise InputError(
-                    f"turning is {dict(self.turning)!r}: name persistence, gain, slip and speed"
-                ) from error
-        elif not isinstance(self.turning, Turning | None):
-            raise InputError(
-                f"turning is {self.turning!r}: give a Turning, its numbers by name, or None"
-            )
-        for name in ("train_plumes", "test_plumes"):
-            chosen = getattr(self, name)
-            listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)
-            if not listed or len(chosen) == 0 or not all(is_whole(p) for p in chosen):
-                raise InputError(
-                    f"{name} is {chosen!r}: name one or more plume patterns, 0 to 4, as a list"
-                )
-            object.__setattr__(self, name, tuple(int(p) for p in chosen))
-        if self.plume != "model":
-            from animarl_envs.worlds.plume.plume import (
-                as_plume,  # the model itself is made when needed
-            )
-
-            as_plume(self.plume)
-
-    @property
-    def roles(self) -> tuple[str, ...]:
-        return ("searcher",) * self.num_individuals
-
-    @property
-    def body_of_each(self) -> tuple[str, ...]:
-        """What each individual looks like in pictures."""
-        last = {"target": self.bodies[-1]}
-        return tuple(last.get(role, self.bodies[0]) for role in self.roles)
-
-    @property
-    def goal(self) -> str:
-        return "the source"
 
 
 def _names(conditions: Any) -> tuple[str, ...]:

@@ -5,7 +5,8 @@ The packaged demonstrations are synthetic, not recorded: see ``docs/data/package
 
 from animarl_envs.arena import Arena
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species.base import ChaseSpecies, Recording
+from animarl_envs.species.base import Recording
+from animarl_envs.species.chase import ChaseSpecies
 
 FLY = ChaseSpecies(
     name="fly",

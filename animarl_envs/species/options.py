@@ -7,9 +7,13 @@ from dataclasses import fields, replace
 from typing import Any
 
 from animarl_envs.arena import Arena
+from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import ChaseSpecies, Species
+
+MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
+"""Options that say how many there are of a role, and of whom there is one then."""
 
 
 def with_options(species: Species, **options: Any) -> Species:
@@ -19,6 +23,8 @@ def with_options(species: Species, **options: Any) -> Species:
     ----------
     num_pursuers
         Number of pursuers of a chase; they are renamed ``<kind>_0, <kind>_1, ...``.
+    num_targets
+        Number of targets of one pursuer, who comes last; they are renamed likewise.
     arena
         An :class:`Arena`, its fields by name, a shape name, or a size, with which the boundary and
         the square of starts grow; ``rebound`` and ``boundary`` apply to it.
@@ -29,17 +35,22 @@ def with_options(species: Species, **options: Any) -> Species:
     others
         Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """
-    count = options.pop("num_pursuers", None)
+    counts = {key: options.pop(key, None) for key in MANY}
+    lone = options.get("lone_pursuer") is True
+    if isinstance(species, ChaseSpecies) and lone and not species.lone_pursuer:
+        species = _with_targets(species, species.num_individuals - 1)
     if "individuals" in options:
         names = tuple(options.pop("individuals"))
-        if count is not None and count != len(names) - 1:
-            raise InputError(
-                f"num_pursuers is {count!r} but individuals names {len(names) - 1} pursuers and a "
-                "target: give one of the two"
-            )
+        for key, count in counts.items():
+            if count is not None and count != len(names) - 1:
+                what = key.removeprefix("num_")
+                raise InputError(
+                    f"{key} is {count!r} but individuals names {len(names) - 1} {what} and "
+                    f"{MANY[key]}: give one of the two"
+                )
         species = _with_individuals(species, names)
-    elif count is not None:
-        species = _with_pursuers(species, count)
+    else:
+        species = _with_counts(species, **counts)
     if isinstance(species, ChaseSpecies) and _is_size(options.get("arena")):
         scaled = species.start_half_side * float(options["arena"]) / species.arena.size
         options.setdefault("start_half_side", scaled)
@@ -48,7 +59,7 @@ def with_options(species: Species, **options: Any) -> Species:
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
     for key in options:
         if key not in known:
-            more = {"num_pursuers", "locomotion", "rebound", "boundary"}
+            more = {*MANY, "locomotion", "rebound", "boundary"}
             raise UnknownOptionError.of(key, species.name, known | more)
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
@@ -65,22 +76,51 @@ def _with_individuals(species: Species, names: tuple[str, ...]) -> Species:
             raise InputError(
                 f"{species.name} has one individual but {len(names)} were given: {names}"
             )
-        resized = _with_pursuers(species, len(names) - 1)
+        resized = _with_many(species, len(names) - 1)
     return replace(resized, individuals=names)
 
 
-def _with_pursuers(species: Species, count: Any) -> ChaseSpecies:
+def _with_counts(species: Species, num_pursuers: Any, num_targets: Any) -> Species:
+    for key, count in (("num_pursuers", num_pursuers), ("num_targets", num_targets)):
+        if count is not None and not isinstance(species, ChaseSpecies):
+            raise InputError(f"{key} does not apply to {species.name}, which has none: drop it")
+        if count is not None and not (is_whole(count) and count >= 1):
+            raise InputError(f"{key} is {count!r}: it must be a whole number, 1 or more")
     if not isinstance(species, ChaseSpecies):
-        raise InputError(f"num_pursuers does not apply to {species.name}, which has none: drop it")
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
-    kind = species.individuals[0].rpartition("_")[0] or "pursuer"
-    pursuers, target = species.locomotion[:-1], species.locomotion[-1]
+        return species
+    flock = species.lone_pursuer if num_targets in (None, 1) else True
+    if flock and num_pursuers not in (None, 1):
+        raise InputError(
+            f"num_pursuers is {num_pursuers} but several targets have one pursuer: leave one of "
+            "num_pursuers and num_targets out"
+        )
+    if flock:
+        return species if num_targets is None else _with_targets(species, int(num_targets))
+    return species if num_pursuers is None else _with_many(species, int(num_pursuers))
+
+
+def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
+    """With so many individuals before the last one."""
+    kind = species.individuals[0].rpartition("_")[0] or species.roles[0]
+    many, last = species.locomotion[:-1], species.locomotion[-1]
     return replace(
         species,
         individuals=(*(f"{kind}_{i}" for i in range(count)), species.individuals[-1]),
-        locomotion=(*(pursuers[i % len(pursuers)] for i in range(count)), target),
+        locomotion=(*(many[i % len(many)] for i in range(count)), last),
     )
+
+
+def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
+    """With so many targets, and one pursuer who comes last: the first of the pursuers."""
+    if not species.lone_pursuer:
+        pursuer, target = species.individuals[0], species.individuals[-1]
+        species = replace(
+            species,
+            individuals=(f"{target}_0", pursuer),
+            locomotion=(species.locomotion[-1], species.locomotion[0]),
+            lone_pursuer=True,
+        )
+    return _with_many(species, count)
 
 
 def _arena(arena: Arena, options: dict[str, Any]) -> Arena:

@@ -12,7 +12,8 @@ The packaged demonstrations are synthetic, not recorded: see ``docs/data/package
 
 from animarl_envs.arena import Arena
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species.base import Recording, SearchSpecies
+from animarl_envs.species.base import Recording
+from animarl_envs.species.search import SearchSpecies
 from animarl_envs.species.turning import Turning
 
 RECORDED_TURNING = Turning(persistence=0.231, gain=0.779, slip=0.308, speed=0.00882)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError, knowing
+from animarl_envs.focus import foremost
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.worlds.base import World
@@ -43,7 +44,7 @@ def focal_scenario(
     with knowing(view.__init__, without=("drivers",)):  # type: ignore[misc]
         scenario = make_scenario(species, **options)
     names = scenario.names
-    focal = names[0] if focal is None else focal
+    focal = names[foremost(scenario.species.roles)] if focal is None else focal
     if focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
     if others is None:

@@ -1,7 +1,8 @@
 """Simple scripted rules, for individuals that no learner drives.
 
-A pursuer accelerates straight at the target. The target looks a few steps ahead along
-each of its actions and takes the one that leaves it farthest from pursuers and walls.
+A pursuer accelerates straight at the target (of several, at the nearest). A target looks a few
+steps ahead along each of its actions and takes the one that leaves it farthest from pursuers and
+walls.
 """
 
 from __future__ import annotations
@@ -36,18 +37,20 @@ def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
 
 @jit
 def decide(  # type: ignore[no-untyped-def]
-    i, position, velocity, towards, damping, thrust, pushes, dt, shape, size, actions
+    i, position, velocity, towards, damping, thrust, pushes, dt, shape, size, lone, actions
 ):
     """Put what the rule of individual ``i`` does in each copy into ``actions[i]``, ``(B,)``.
 
     ``pushes`` ``(K, 2, A)`` are the actions' vectors in multiples of the thrust, ahead and left.
+    ``lone``: the last individual pursues all others, else all others pursue it.
     """
     K, _, B = position.shape
-    target = K - 1
+    last = K - 1
     for b in range(B):
         actions[i, b] = 0
-    if i != target:
+    if (i == last) == lone:
         return
+    first_pursuer, end = (last, K) if lone else (0, last)
     px, py, cost, lowest = np.empty(B), np.empty(B), np.empty(B), np.full(B, math.inf)
     for k in range(pushes.shape[2]):
         ahead = pushes[i, 0, k]
@@ -67,7 +70,7 @@ def decide(  # type: ignore[no-untyped-def]
             px[b] = x
             py[b] = y
             cost[b] = 10.0 * wall_cost(x, y, shape, size)
-        for j in range(target):
+        for j in range(first_pursuer, end):
             for b in range(B):
                 dx = position[j, 0, b] + velocity[j, 0, b] * LOOKAHEAD * dt * 0.5 - px[b]
                 dy = position[j, 1, b] + velocity[j, 1, b] * LOOKAHEAD * dt * 0.5 - py[b]

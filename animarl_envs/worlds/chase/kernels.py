@@ -1,5 +1,5 @@
 """The equations of the chase world, as loops over copies; what is observed follows in
-:mod:`animarl_envs.worlds.chase.senses`.
+:mod:`animarl_envs.worlds.chase.senses`, how it ends in :mod:`animarl_envs.worlds.chase.judging`.
 
 Arrays have the copy last: positions ``(K, 2, B)``, observations ``(K, n, B)``. Each innermost loop
 runs over all copies and has no branch, so that it compiles to vector instructions. Rows are chosen
@@ -12,20 +12,16 @@ from __future__ import annotations
 from numba.core import types
 from numba.experimental import structref
 
-from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
-from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
+from animarl_envs.worlds.chase.judging import judge
 from animarl_envs.worlds.chase.senses import observe
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
 
-SQUARE, DISC, OPEN = SHAPE_CODES["square"], SHAPE_CODES["disc"], SHAPE_CODES["open"]
-TOUCH, ELAPSED, BOUNDARY = 0, 1, 2
-
-
-# -- starting -------------------------------------------------------------------------------------
+#  -- starting -------------------------------------------------------------------------------------
 
 
 @jit
@@ -35,7 +31,7 @@ def start(  # type: ignore[no-untyped-def]
     """First states: recorded, given, or uniform in a square without contact; at rest but for the
     first. No step has led to them, so there is no acceleration."""
     K, _, B = position.shape
-    target = K - 1
+    last = K - 1
     for b in range(B):
         if not mask[b]:
             continue
@@ -63,9 +59,9 @@ def start(  # type: ignore[no-untyped-def]
                 for x in range(2):
                     position[i, x, b] = half_side * (2.0 * next_uniform(random, b) - 1.0)
             touching = False
-            for i in range(target):
-                dx = position[target, 0, b] - position[i, 0, b]
-                dy = position[target, 1, b] - position[i, 1, b]
+            for i in range(last):
+                dx = position[last, 0, b] - position[i, 0, b]
+                dy = position[last, 1, b] - position[i, 1, b]
                 touching |= dx * dx + dy * dy < contact_radius * contact_radius
 
 
@@ -116,7 +112,7 @@ def bundle(  # type: ignore[no-untyped-def]
 @jit
 def advance(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, K)``."""
-    dt, contact_radius, penalty, time_limit, warmup, field, walled = state.numbers
+    dt, contact_radius, penalty, time_limit, warmup, field, walled, lone = state.numbers
     actions, position, velocity = state.actions, state.position, state.velocity
     acceleration = state.acceleration
     step_count, code, towards = state.step_count, state.code, state.towards
@@ -130,7 +126,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     if state.driven:
         drive(
             state.drivers, actions, position, velocity, towards, state.damping, state.thrust,
-            state.pushes, dt, field,
+            state.pushes, dt, field, lone,
         )  # fmt: skip
     let_coast(velocity, state.damping, state.thrust, dt, acceleration)
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
@@ -143,8 +139,8 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         )  # fmt: skip
     accelerate(velocity, state.thrust, dt, acceleration)
     judge(
-        position, state.sharing, field, walled, contact_radius, dt, penalty, state.nearest, code,
-        state.components, state.reward,
+        position, state.sharing, field, walled, lone, contact_radius, dt, penalty, state.nearest,
+        code, state.components, state.reward,
     )  # fmt: skip
     for b in range(B):
         outcome[b] = code[b]
@@ -160,7 +156,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
 
 @part
 def drive(  # type: ignore[no-untyped-def]
-    drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field
+    drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field, lone
 ):
     """Put the actions of those whom the caller does not drive into ``actions`` ``(K, B)``."""
     coast = pushes.shape[2] - 1
@@ -171,7 +167,7 @@ def drive(  # type: ignore[no-untyped-def]
         elif drivers[i] == SCRIPTED:
             decide(
                 i, position, velocity, towards, damping[i], thrust[i], pushes, dt, field[0],
-                field[1], actions,
+                field[1], lone, actions,
             )  # fmt: skip
 
 
@@ -235,66 +231,3 @@ def replay(drivers, warmup, demos, demo, step_count, position, velocity, warming
                     position[i, x, b] = demos.position[frame, i, x]
                     velocity[i, x, b] = demos.velocity[frame, i, x]
         warming[b] = step_count[b] < warmup and left > 1
-
-
-# -- ends and rewards -----------------------------------------------------------------------------
-
-
-@part
-def judge(  # type: ignore[no-untyped-def]
-    position, sharing, field, walled, contact_radius, dt, penalty, nearest, code, components,
-    reward,
-):  # fmt: skip
-    """Contact, then boundary (where there are no walls), then rewards.
-
-    ``code`` ``(B,)`` int64 becomes the outcome; ``nearest`` is scratch, ``(B,)``.
-    """
-    K, _, B = position.shape
-    target = K - 1
-    touching = contact_radius * contact_radius
-    for b in range(B):
-        nearest[b] = touching
-        code[b] = TIME_OUT
-    for i in range(target):  # the nearest of those in contact is the outcome (ties: lower index)
-        for b in range(B):
-            dx = position[target, 0, b] - position[i, 0, b]
-            dy = position[target, 1, b] - position[i, 1, b]
-            squared = dx * dx + dy * dy
-            components[i, TOUCH, b] = 1.0 if squared < touching else 0.0
-            code[b] = i + 1 if squared < nearest[b] else code[b]
-            nearest[b] = min(nearest[b], squared)
-    for i in range(target):
-        for b in range(B):  # shared reward: a capture is everybody's
-            shared = sharing[b] == 1 and code[b] > 0
-            components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
-    if not walled:
-        for i in range(target, -1, -1):  # the target first: its leaving is named before others'
-            _leave(i, position, field, penalty, components)
-            left = TARGET_OUT if i == target else PURSUER_OUT
-            for b in range(B):
-                out = components[i, BOUNDARY, b] != 0.0
-                code[b] = left if out and code[b] == TIME_OUT else code[b]
-    for b in range(B):  # the target is paid for every step that it lasts
-        lost = code[b] > 0 or code[b] == TARGET_OUT
-        components[target, ELAPSED, b] = 0.0 if lost else dt
-    for i in range(K):
-        for b in range(B):
-            reward[i, b] = (
-                components[i, TOUCH, b] + components[i, ELAPSED, b] + components[i, BOUNDARY, b]
-            )
-
-
-@part
-def _leave(i, position, field, penalty, components):  # type: ignore[no-untyped-def]
-    """The penalty for being out of bounds."""
-    shape, _, boundary = field
-    B = position.shape[2]
-    if shape == SQUARE:
-        for b in range(B):
-            farthest = max(abs(position[i, 0, b]), abs(position[i, 1, b]))
-            components[i, BOUNDARY, b] = penalty if farthest > boundary else 0.0
-    elif shape == DISC:
-        for b in range(B):
-            x = position[i, 0, b]
-            y = position[i, 1, b]
-            components[i, BOUNDARY, b] = penalty if x * x + y * y > boundary * boundary else 0.0

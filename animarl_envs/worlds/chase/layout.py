@@ -87,7 +87,8 @@ OTHER = (
     Group(_plane("difference"), ARENA, LENGTH, "offset"),
     Group(_circle("direction"), ARENA, "1", "unit", of_focus=False),
 )
-"""Of each other individual: target first, then pursuers by distance. The first is the focus."""
+"""Of each other individual: the last one first (the target, or a lone pursuer), then the others by
+distance. The first is the focus."""
 
 FIELD = (
     Group((("distance from the centre", 1.0),), ARENA, LENGTH, "radius", (PAPER,)),

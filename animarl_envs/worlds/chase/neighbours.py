@@ -1,8 +1,9 @@
 """What one individual of a chase sees of the others, in order, as loops over copies.
 
-The target comes first (unless it is the one that sees), then the pursuers by distance, ties by
-index. Few are sorted in all copies at once, without branches; many in each copy by itself, from
-their order at the last step, which is nearly right: the cost per neighbour stays the same.
+The last individual comes first (unless it is the one that sees): the target, or the pursuer where
+one pursues several. Then the many others by distance, ties by index. Few are sorted in all copies
+at once, without branches; many in each copy by itself, from their order at the last step, which is
+nearly right: the cost per neighbour stays the same.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from animarl_envs.compiling import jit, part
 
 DX, DY, DVX, DVY, APART = 0, 1, 2, 3, 4
 RELATIVE = 5
-FEW = 4  # pursuers: up to so many are sorted in all copies at once
+FEW = 4  # up to so many are sorted in all copies at once
 LINE = 8  # copies that lie in one cache line
 
 
@@ -25,7 +26,7 @@ class Neighbours(NamedTuple):
     """Scratch of the senses; nothing in it decides anything."""
 
     others: NDArray[np.float64]  # (K - 1, RELATIVE, B), of the individual that is looking
-    order: NDArray[np.int16]  # (K, B, n), pursuers by distance at the last step; n = 0 for few
+    order: NDArray[np.int16]  # (K, B, n), the many by distance at the last step; n = 0 for few
     state: NDArray[np.float64]  # (B, 4, K) for many: x, y and velocity, each copy's in one place
     distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
 
@@ -36,8 +37,8 @@ def neighbours_of(num_individuals: int, num_copies: int) -> Neighbours:
     many = K - 1 if K - 1 > FEW else 0
     order = np.zeros((K, B, many), dtype=np.int16)
     for i in range(K if many else 0):
-        pursuers = [j for j in range(K - 1) if j != i]
-        order[i, :, : len(pursuers)] = pursuers
+        others = [j for j in range(K - 1) if j != i]
+        order[i, :, : len(others)] = others
     state = np.zeros((B if many else 0, 4, K))
     return Neighbours(np.zeros((K - 1, RELATIVE, B)), order, state, np.zeros((LINE, K)))
 
@@ -64,18 +65,18 @@ def _lay_out(position, velocity, state):  # type: ignore[no-untyped-def]
 @part
 def find_focus(i, position, others):  # type: ignore[no-untyped-def]
     """Of ``others``, the first alone and no velocity: what individual ``i`` turns to."""
-    target = position.shape[0] - 1
-    if i != target:
+    last = position.shape[0] - 1
+    if i != last:
         for b in range(position.shape[2]):
-            dx = position[target, 0, b] - position[i, 0, b]
-            dy = position[target, 1, b] - position[i, 1, b]
+            dx = position[last, 0, b] - position[i, 0, b]
+            dy = position[last, 1, b] - position[i, 1, b]
             others[0, DX, b] = dx
             others[0, DY, b] = dy
             others[0, APART, b] = math.sqrt(dx * dx + dy * dy)
         return
     for b in range(position.shape[2]):
         others[0, APART, b] = np.inf
-    for j in range(target):
+    for j in range(last):
         for b in range(position.shape[2]):
             dx = position[j, 0, b] - position[i, 0, b]
             dy = position[j, 1, b] - position[i, 1, b]
@@ -90,22 +91,22 @@ def find_focus(i, position, others):  # type: ignore[no-untyped-def]
 def look(i, position, velocity, neighbours):  # type: ignore[no-untyped-def]
     """Fill ``neighbours.others`` with what individual ``i`` sees; how many these are."""
     others = neighbours.others
-    target = position.shape[0] - 1
+    last = position.shape[0] - 1
     seen = 0
-    if i != target:
-        _relate(i, target, seen, position, velocity, others)
+    if i != last:
+        _relate(i, last, seen, position, velocity, others)
         seen = 1
     if neighbours.order.shape[2] > 0:
-        pursuers = target if i == target else target - 1
-        _in_each_copy(i, seen, pursuers, neighbours)
-        return seen + pursuers
+        count = last if i == last else last - 1
+        _in_each_copy(i, seen, count, neighbours)
+        return seen + count
     sorted_from = seen
-    for j in range(target):
+    for j in range(last):
         if j != i:
             _relate(i, j, seen, position, velocity, others)
             seen += 1
-    for last in range(seen - 1, sorted_from, -1):  # stable bubble sort
-        for rank in range(sorted_from, last):
+    for end in range(seen - 1, sorted_from, -1):  # stable bubble sort
+        for rank in range(sorted_from, end):
             _exchange(rank, others)
     return seen
 
@@ -136,15 +137,15 @@ def _exchange(rank, others):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _in_each_copy(i, first, pursuers, neighbours):  # type: ignore[no-untyped-def]
-    """The pursuers seen by ``i``, from rank ``first``; a cache line of copies at a time."""
+def _in_each_copy(i, first, count, neighbours):  # type: ignore[no-untyped-def]
+    """The many seen by ``i``, from rank ``first``; a cache line of copies at a time."""
     others, state, distance = neighbours.others, neighbours.state, neighbours.distance
     for begin in range(0, others.shape[2], LINE):
         end = min(others.shape[2], begin + LINE)
         for b in range(begin, end):
             _measure(state[b, 0], state[b, 1], i, distance[b - begin])
-            _insert(neighbours.order[i, b], pursuers, distance[b - begin])
-        for rank in range(pursuers):
+            _insert(neighbours.order[i, b], count, distance[b - begin])
+        for rank in range(count):
             for b in range(begin, end):
                 j = neighbours.order[i, b, rank]
                 others[first + rank, DX, b] = state[b, 0, j] - state[b, 0, i]
@@ -163,9 +164,9 @@ def _measure(x, y, i, distance):  # type: ignore[no-untyped-def]
 
 
 @part
-def _insert(order, pursuers, distance):  # type: ignore[no-untyped-def]
+def _insert(order, count, distance):  # type: ignore[no-untyped-def]
     """Sort by distance, ties by index, by insertion into the last order."""
-    for rank in range(1, pursuers):
+    for rank in range(1, count):
         j = order[rank]
         own, at = distance[j], rank
         while at > 0:

@@ -2,7 +2,9 @@
 
 State per copy and individual: position, velocity, the acceleration of the last step, focus, and the
 unit vector towards the focus. The focus of a pursuer is the target; the focus of the target is its
-nearest pursuer, chosen anew at each step (ties: the lower index).
+nearest pursuer, chosen anew at each step (ties: the lower index). Where one pursues several, the
+focus of each target is the pursuer and that of the pursuer its nearest target: positions, senses
+and contact know the last individual and the many others, whoever pursues.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ class ChaseWorld(World):
     Rewards: ``touch`` +1 to a pursuer that touches the target (with shared reward, condition 1, to
     every pursuer); ``elapsed`` dt to the target for every step it lasts; ``boundary`` -10 to each
     individual that leaves the boundary, if there are no walls. Contact is judged before the
-    boundary.
+    boundary. Of several targets the first touch ends the episode, for all.
 
     Further attributes
     ------------------
@@ -76,7 +78,7 @@ class ChaseWorld(World):
         numbers = (
             species.dt, species.contact_radius, species.boundary_penalty, species.time_limit,
             self._warmup, (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
-            arena.rebound,
+            arena.rebound, species.lone_pursuer,
         )  # fmt: skip
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,

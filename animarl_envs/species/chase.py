@@ -1,0 +1,61 @@
+"""The spec of a species that chases: pursuers and a target, or targets and a pursuer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from animarl_envs.errors import InputError
+from animarl_envs.species.base import Species
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChaseSpecies(Species):
+    """Pursuers and a target in an arena; with ``lone_pursuer`` targets and one pursuer.
+
+    The last individual is the one whom all others face, the target or the lone pursuer.
+    """
+
+    world: ClassVar[str] = "chase"
+    script: ClassVar[str] = "evade"
+
+    start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
+    senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
+    shared_reward: bool = False  # in condition 1 a capture pays every pursuer
+    lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.num_individuals < 2:
+            raise InputError("a chase needs at least one pursuer and a target: name them both")
+        self._positive("start_half_side")
+        self._true_or_false("senses_centre", "shared_reward", "lone_pursuer")
+
+    def check_uniform_starts(self) -> None:
+        """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
+        half = self.start_half_side
+        if not self.arena.contains(np.array([half, half])):
+            raise InputError(
+                f"start_half_side is {half}: a corner of that square is out of bounds "
+                f"({self.arena.shape}, boundary {self.arena.boundary:g}), so make it smaller"
+            )
+        if self.contact_radius > half:
+            raise InputError(
+                f"contact_radius is {self.contact_radius} but starts lie in a square of half side "
+                f"{half}, where all would touch: make it smaller, or start_half_side larger"
+            )
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        many, one = ("target", "pursuer") if self.lone_pursuer else ("pursuer", "target")
+        return (many,) * (self.num_individuals - 1) + (one,)
+
+    @property
+    def num_pursuers(self) -> int:
+        return self.roles.count("pursuer")
+
+    @property
+    def goal(self) -> str:
+        return "a target" if self.lone_pursuer else super().goal

@@ -1,0 +1,326 @@
+"""One pursuer and several targets: a dog and its flock, from tracks to a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import parallel_api_test
+from recordings import CHASER, PREY, dogs, flock
+from typer.testing import CliRunner
+
+import animarl_envs
+from animarl_algos.cli.main import app
+from animarl_algos.data.species_data import demonstration_rewards
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
+from animarl_envs.demos.summary import ending_in_words, outcome_name
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.fitting.tracking import track
+from animarl_envs.focus import focus_directions
+from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import AGENT
+from animarl_envs.species.options import with_options
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.base import World
+from animarl_envs.wrappers import DTWRewardParallel
+
+ID = "AnimaRL/Custom-v0"
+COAST = NUM_ACTIONS - 1
+
+
+def stepped(place: Any) -> World:
+    """An agents' world of one predator, put there, after a step in which nobody moves."""
+    world = make_world(make_scenario("agent", demos=None, num_targets=len(place) - 1))
+    world.reset()
+    state = world.get_state()
+    state["position"][0] = place
+    world.set_state(state)
+    world.step(np.full((1, len(place)), COAST))
+    return world
+
+
+# -- the world ------------------------------------------------------------------------------------
+
+
+def test_roles_and_names_come_from_the_number_of_targets() -> None:
+    species = with_options(AGENT, num_targets=3)
+    assert species.individuals == ("prey_0", "prey_1", "prey_2", "predator_0")
+    assert species.roles == ("target", "target", "target", "pursuer")
+    assert species.locomotion == (AGENT.locomotion[-1],) * 3 + (AGENT.locomotion[0],)
+    assert with_options(species, num_targets=2).individuals == ("prey_0", "prey_1", "predator_0")
+    assert with_options(AGENT, num_targets=1) == AGENT
+    named = with_options(AGENT, individuals=("ewe", "lamb", "dog"), lone_pursuer=True)
+    assert dict(zip(named.individuals, named.roles, strict=True))["dog"] == "pursuer"
+
+
+@pytest.mark.parametrize("count", [1, 3, 6])
+def test_bodies_and_senses_are_those_of_pursuers_and_a_target(count: int) -> None:
+    """Who pursues changes rewards and nothing else: bit for bit the same paths and views."""
+    worlds = []
+    for option in ("num_pursuers", "num_targets"):
+        worlds.append(
+            make_world(
+                make_scenario(
+                    with_options(AGENT, **{option: count}, lone_pursuer=option == "num_targets"),
+                    demos=None, locomotion=CHASER, time_limit=60,
+                ),
+                20,
+            )
+        )  # fmt: skip
+        worlds[-1].seed(np.arange(20))
+        worlds[-1].reset()
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        actions = rng.integers(NUM_ACTIONS, size=(20, count + 1))
+        for world in worlds:
+            world.step(actions)
+        one, two = worlds
+        assert np.array_equal(one.position, two.position)
+        assert np.array_equal(one.observation, two.observation)
+        assert np.array_equal(one.outcome > TIME_OUT, two.outcome > TIME_OUT)
+
+
+def test_the_pursuer_faces_its_nearest_target_and_targets_face_it() -> None:
+    world = stepped([[0.5, 0.0], [0.0, -0.3], [0.0, 0.0]])
+    np.testing.assert_allclose(world.towards[0], [[-1, 0], [0, 1], [0, -1]], atol=1e-12)
+    roles = world.scenario.species.roles
+    np.testing.assert_allclose(focus_directions(world.position, roles), world.towards)
+
+
+@pytest.mark.parametrize(
+    ("start", "outcome", "reward"),
+    [
+        ([[0.5, 0.0], [0.0, 0.5], [0.0, 0.0]], TIME_OUT, [0.1, 0.1, 0.0]),
+        ([[0.5, 0.0], [0.0, 0.09], [0.0, 0.0]], 2, [0.1, 0.0, 1.0]),
+        ([[0.08, 0.0], [0.0, 0.09], [0.0, 0.0]], 1, [0.0, 0.0, 1.0]),
+    ],
+)
+def test_the_first_touch_ends_the_episode_and_pays_once(
+    start: list[list[float]], outcome: int, reward: list[float]
+) -> None:
+    world = stepped(start)
+    assert world.outcome[0] == outcome
+    assert world.terminated[0] == (outcome != TIME_OUT)
+    np.testing.assert_allclose(world.reward[0], reward)
+
+
+@pytest.mark.parametrize(
+    ("out", "outcome", "reward"),
+    [
+        ([1], TARGET_OUT, [0.1, -10.0, 0.0]),
+        ([2], PURSUER_OUT, [0.1, 0.1, -10.0]),
+        ([0, 2], TARGET_OUT, [-10.0, 0.1, -10.0]),  # a target's leaving is named first
+    ],
+)
+def test_who_leaves_ends_the_episode(out: list[int], outcome: int, reward: list[float]) -> None:
+    place = np.array([[0.5, 0.0], [0.0, 0.5], [-0.5, -0.5]])
+    place[out] = [[1.5, 0.3 * i] for i in out]
+    world = stepped(place)
+    assert world.outcome[0] == outcome
+    np.testing.assert_allclose(world.reward[0], reward)
+
+
+def test_a_dog_that_follows_its_script_comes_nearer_than_one_that_stands_still() -> None:
+    least = {}
+    for rule in ("scripted", "coast"):
+        drivers = {"prey_0": "coast", "prey_1": "coast", "predator_0": rule}
+        world = make_world(make_scenario("agent", demos=None, num_targets=2, drivers=drivers), 30)
+        world.seed(np.arange(30))
+        world.reset()
+        for _ in range(20):
+            world.step(np.zeros((30, 3), dtype=int))
+            world.reset(world.terminated & False)
+        apart = np.linalg.norm(world.position[:, :2] - world.position[:, 2:], axis=2)
+        least[rule] = apart.min(axis=1)
+    assert (least["scripted"] < least["coast"]).mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"demos": None, "num_targets": 0}, "num_targets is 0: it must be a whole number"),
+        ({"demos": None, "num_targets": 2, "num_pursuers": 2}, "leave one of"),
+        ({"demos": None, "individuals": ["a", "b"], "num_targets": 2}, "give one of the two"),
+        ({"demos": None, "lone_pursuer": 1}, "choose True or False"),
+        ({"num_targets": 2}, "holds 1 target: choose at most 1, or start='uniform'"),
+    ],
+)
+def test_what_contradicts_is_refused(options: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        make_scenario("agent", **options)
+
+
+# -- demonstrations -------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore:reset has no option .options.:UserWarning")  # PettingZoo's
+def test_a_flock_works_in_every_view() -> None:
+    demos = flock(3)
+    env = gym.make(ID, demos=demos)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert env.unwrapped.scenario.names[env.unwrapped.focal_index] == "dog"
+    everyone = animarl_envs.parallel_env("custom", demos=demos)
+    assert everyone.possible_agents == ["sheep_0", "sheep_1", "sheep_2", "dog"]
+    parallel_api_test(everyone, num_cycles=80)
+    vector = gym.make_vec(ID, num_envs=2, demos=demos)
+    rows, _ = vector.reset(seed=5)
+    assert np.array_equal(everyone.reset(seed=5)[0]["dog"], rows[0])
+    drawn = gym.make(ID, demos=demos, render_mode="rgb_array")
+    drawn.reset(seed=0)
+    assert drawn.render().ndim == 3
+    less = gym.make(ID, demos=demos, num_targets=1).unwrapped.scenario
+    assert less.names == ("sheep_0", "dog")
+    assert less.species.roles == ("target", "pursuer")
+    more = gym.make(ID, demos=demos, num_targets=5, start="uniform").unwrapped.scenario
+    assert more.species.roles == ("target",) * 5 + ("pursuer",)
+
+
+def test_a_flock_that_replays_its_recording_has_no_distance_from_it() -> None:
+    demos = flock(2)
+    for rule, near in (("replay", True), ("action", False)):
+        drivers = dict.fromkeys(demos.individuals, rule)
+        env = DTWRewardParallel(animarl_envs.parallel_env("custom", demos=demos, drivers=drivers))
+        env.reset(seed=0)
+        for _ in range(10):
+            infos = env.step(dict.fromkeys(demos.individuals, 3))[-1]
+        distances = [infos[name]["dtw_distance"] for name in demos.individuals]
+        assert (max(distances) < 1e-6) if near else (min(distances) > 1e-3)
+
+
+def test_locomotion_of_a_flock_is_found_again() -> None:
+    fitted = species_of(flock(2)).locomotion
+    for own, truth in zip(fitted, (PREY, PREY, CHASER), strict=True):
+        assert own.damping == pytest.approx(truth.damping, abs=0.02)
+        assert own.thrust == pytest.approx(truth.thrust, rel=0.05)
+
+
+def test_a_flock_is_tracked_as_closely_as_dogs_and_a_sheep() -> None:
+    apart = {}
+    for demos, locomotion in (
+        (flock(2), (PREY, PREY, CHASER)), (dogs(2), (CHASER, CHASER, PREY)),
+    ):  # fmt: skip
+        followed = track(demos, locomotion)
+        apart[demos.name] = np.abs(followed.positions - demos.positions).max()
+    assert apart["flock.npz"] < 1e-6
+    assert apart["dogs.npz"] < 1e-6
+
+
+def ended(outcome: int, last: list[list[float]]) -> Demonstrations:
+    """A flock of two and a dog that stand for three frames, the last as given."""
+    first = [[0.5, 0.0], [0.0, 0.5], [-0.5, -0.5]]
+    species = with_options(AGENT, num_targets=2)
+    path = np.array([first, first, last], dtype=float)
+    return Demonstrations.of_species(
+        species, [path], {}, condition=np.zeros(1), outcome=np.array([outcome]),
+        split=np.array(["train"]), recording=np.array(["r"]),
+        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("outcome", "last", "reward"),
+    [
+        (2, [[0.5, 0.0], [-0.45, -0.5], [-0.5, -0.5]], [0.1, 0.0, 1.0]),
+        (TARGET_OUT, [[1.15, 0.0], [0.0, 0.5], [-0.5, -0.5]], [-10.0, 0.1, 0.0]),
+        (PURSUER_OUT, [[0.5, 0.0], [0.0, 0.5], [-1.15, -0.5]], [0.1, 0.1, -10.0]),
+        (TIME_OUT, [[0.5, 0.0], [0.0, 0.5], [-0.5, -0.5]], [0.1, 0.1, 0.0]),
+    ],
+)
+def test_demonstrated_rewards_are_those_of_the_world(
+    outcome: int, last: list[list[float]], reward: list[float]
+) -> None:
+    demos = ended(outcome, last)
+    found = demonstration_rewards(with_options(AGENT, num_targets=2), demos)
+    np.testing.assert_allclose(found, [[0.1, 0.1, 0.0], reward, [0.0, 0.0, 0.0]], atol=1e-7)
+    world = stepped(last)
+    assert world.outcome[0] == outcome
+    np.testing.assert_allclose(world.reward[0], reward)
+
+
+def test_endings_are_told_in_words() -> None:
+    demos = flock(2)
+    told = [
+        ending_in_words(code, demos.individuals, demos.roles)
+        for code in (2, TARGET_OUT, PURSUER_OUT, TIME_OUT)
+    ]
+    assert told == [
+        "dog reached sheep_1", "a target left the arena", "a pursuer left the arena", "",
+    ]  # fmt: skip
+    assert outcome_name(2, demos) == "contact with sheep_1"
+    assert outcome_name(TARGET_OUT, demos) == "a target left"
+
+
+# -- from a table to a report ---------------------------------------------------------------------
+
+
+def written(folder: Path, demos: Demonstrations, names: dict[str, str]) -> list[Path]:
+    """A table of every episode, as a tracker would write it, under other names."""
+    files = []
+    for one in demos:
+        rows = ["frame,individual,x,y"]
+        for frame, points in enumerate(one.positions):
+            rows += [
+                f"{frame},{names[name]},{x:.6f},{y:.6f}"
+                for name, (x, y) in zip(demos.individuals, points, strict=True)
+            ]
+        files.append(folder / f"field_{one.index}.csv")
+        files[-1].write_text("\n".join([*rows, ""]))
+    return files
+
+
+def said(*words: object) -> str:
+    ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    assert ran.exit_code == 0, ran.output
+    return ran.output
+
+
+def test_tables_of_a_sheepdog_become_a_run_with_a_report(tmp_path: Path) -> None:
+    names = {"dog": "bella", "sheep_0": "ewe", "sheep_1": "lamb"}
+    files = written(tmp_path, flock(2), names)
+    imported = tmp_path / "flock.npz"
+    shown = said("import", *files, "--fps", 10, "--pursuer", "bella", "--arena", "disc",
+                 "--arena-width", 4, "--centre", "0,0", "--contact", 0.2,
+                 "--out", imported)  # fmt: skip
+    assert "bella" in shown
+    demos = Demonstrations.load(imported)
+    assert demos.individuals == ("ewe", "lamb", "bella")
+    assert demos.roles == ("target", "target", "pursuer")
+    run = tmp_path / "run"
+    said("run", imported, "--out", run, "--steps", 60, "--copies", 2, "--repetitions", 2,
+         "--set", "offline_epochs=1")  # fmt: skip
+    assert (run / "report.html").exists()
+
+
+def test_a_table_of_roles_names_the_dog_of_every_field(tmp_path: Path) -> None:
+    demos = flock(2)
+    files = written(tmp_path, demos, {"dog": "bella", "sheep_0": "ewe", "sheep_1": "lamb"})
+    rows = ["recording,individual,role"]
+    for i in range(len(files)):
+        rows += [f"field_{i},{name},target" for name in ("ewe", "lamb")]
+        rows.append(f"field_{i},bella,pursuer")
+    table = tmp_path / "sessions.csv"
+    table.write_text("\n".join([*rows, ""]))
+    said("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "a.npz")
+    assert Demonstrations.load(tmp_path / "a.npz").roles == ("target", "target", "pursuer")
+    for more, why in (
+        ("field_0,rex,pursuer", "several pursuers and several targets"),
+        ("field_0,rex,target", "there is no individual 'rex'"),
+    ):
+        table.write_text("\n".join([*rows, more, ""]))
+        with pytest.raises(InputError, match=why):
+            said("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
+    lone = [row for row in rows if row != "field_0,lamb,target"]
+    for kept, why in (
+        (lone, "some recordings have one target and others several"),
+        ([row for row in rows if "bella" not in row], "several targets but no pursuer in field_0"),
+    ):
+        table.write_text("\n".join([*kept, ""]))
+        with pytest.raises(InputError, match=why):
+            said("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
