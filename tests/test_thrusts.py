@@ -149,7 +149,7 @@ def test_the_scripted_target_looks_ahead_with_the_same_transition() -> None:
     pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * 3)
     decide(
         target, position, velocity, np.ascontiguousarray(towards.transpose(1, 2, 0)), own.damping,
-        own.thrust, pushes, DT, 2, 1.0, actions,
+        own.thrust, pushes, DT, 2, 1.0, False, actions,
     )  # fmt: skip
     # In the open (shape 2) only the distance from pursuers counts; see animarl_envs.worlds.rules.
     costs = np.empty((37, copies))
