@@ -64,7 +64,8 @@ CLIENTS = (
         ("minari[hdf5,create]>=0.5", "pillow"),  # Minari 0.5.4 imports Pillow unasked
     ),
     Client(
-        "rllib_ppo", ("ray", "gymnasium", "pettingzoo"), "`parallel_env`", ("ray[rllib]>=2.40",),
+        "rllib_ppo", ("ray", "gymnasium", "pettingzoo"), "`parallel_env`",
+        ("ray[rllib]>=2.40", "torch"),  # which RLlib asks for, but does not bring
     ),
 )  # fmt: skip
 
