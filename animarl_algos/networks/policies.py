@@ -164,7 +164,8 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         self._actor = CompiledActor(self.q_net)
         self._first_rate = lr_schedule(1)
         self._optimizer: torch.optim.Optimizer | None = None
-        if self.optimizer_class is not torch.optim.Adam or self.optimizer_kwargs.keys() - {"fused"}:
+        usual = self.optimizer_class is torch.optim.Adam and self._first_rate >= 0
+        if not usual or self.optimizer_kwargs.keys() - {"fused"}:
             _ = self.optimizer  # what does not fit is refused now
 
     @property

@@ -36,7 +36,7 @@ from animarl_algos.report.provenance import (
 )
 from animarl_algos.report.scenes import RECORDED as BY_RECORDING
 from animarl_algos.report.scenes import Field, Player, Scene, track, view
-from animarl_algos.report.sentences import NOTHING, number
+from animarl_algos.report.sentences import NOTHING, listed, number
 from animarl_algos.report.style import method_label, to_image
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
@@ -228,15 +228,14 @@ def _provenance(inputs: InspectionInputs) -> Iterator[Block]:
 
 def _methods(inputs: InspectionInputs) -> str:
     """What was done, in the past tense, with the numbers of this episode."""
-    names = list(map(method_label, inputs.rollouts))
-    several = f" and {names[-1]}" if len(names) > 1 else ""
+    names = listed([method_label(name) for name in inputs.rollouts])
     rollouts = sum(map(len, inputs.rollouts.values()))
     return (
         f"{made_with(inputs.demos, inputs.versions, inputs.machine)}; licence of the data: "
         f"{licence(inputs.demos)}). From the first frame of one {inputs.recorded} test episode "
         f"(number {inputs.episode}, {inputs.demos.recording[inputs.episode]}), {rollouts} "
-        f"rollouts of {', '.join(names[:-1] if several else names)}{several} were simulated. Along "
-        f"the {inputs.recorded} path, {method_label(inputs.learner)} was asked at every time step "
+        f"rollouts of {names} were simulated. Along the "
+        f"{inputs.recorded} path, {method_label(inputs.learner)} was asked at every time step "
         f"for the values of all actions of {inputs.decisions.individual}. One episode was chosen "
         "to be shown; nothing was inferred from it."
     )

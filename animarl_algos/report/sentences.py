@@ -180,7 +180,7 @@ def _closeness(
         f"{with_interval(words.interval(mine, 'mean', DTW))} {words.unit_of(DTW)}"
     )
     parts = [
-        f"{place} {_listed(names)}"
+        f"{place} {listed(names)}"
         for place, names in (
             ("closer than", closer),
             ("farther than", farther),
@@ -214,5 +214,6 @@ def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[st
     return sentences
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
+    """Names in a sentence: ``a``, ``a and b``, ``a, b and c``."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -21,7 +21,7 @@ from animarl_envs.worlds.chase.senses import observe
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
 
-#  -- starting -------------------------------------------------------------------------------------
+# -- starting --------------------------------------------------------------------------------------
 
 
 @jit
