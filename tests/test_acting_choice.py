@@ -29,6 +29,7 @@ from animarl_algos.runs.acting import acting_of
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import demonstrated_actions
@@ -76,6 +77,16 @@ def test_standing_still_and_dying_at_once_are_far_from_the_recordings() -> None:
     index = np.concatenate([[start, start + 1] for start in recorded.offsets[:-1]])
     dead = replace(recorded, positions=recorded.positions[index], lengths=np.full(len(recorded), 2))
     assert compared("dead", dead, recorded).mismatch > 1.5
+
+
+def test_a_recording_that_was_cut_ends_as_a_rollout_that_time_ends() -> None:
+    simulated = Rollouts.from_demonstrations(load_packaged("newt"))
+    went_on = simulated.outcome == TIME_OUT
+    assert 0 < went_on.mean() < 1
+    cut = replace(simulated, outcome=np.where(went_on, UNFINISHED, simulated.outcome))
+    assert compared("itself", simulated, cut).outcome == 0
+    touched = replace(simulated, outcome=np.where(went_on, 1, simulated.outcome))
+    assert compared("another end", simulated, touched).outcome == pytest.approx(went_on.mean())
 
 
 def test_no_test_episode_is_chosen_by() -> None:

@@ -21,6 +21,7 @@ from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.networks.acting_rule import Acting
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.base import World
 
@@ -148,8 +149,10 @@ def choose_acting(
 
 def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     """How far rollouts are from recordings, by what an acting rule is chosen for."""
-    outcomes = np.union1d(simulated.outcome, recorded.outcome)
-    shares = [np.array([(r.outcome == o).mean() for o in outcomes]) for r in (simulated, recorded)]
+    # A recording that was cut went on, as a rollout does that time ends.
+    ends = [np.where(r.outcome == UNFINISHED, TIME_OUT, r.outcome) for r in (simulated, recorded)]
+    known = np.union1d(*ends)
+    shares = [np.array([(each == outcome).mean() for outcome in known]) for each in ends]
     duration = [(r.lengths - 1) * r.dt for r in (simulated, recorded)]
     path = [path_lengths(r)[:, r.movers].mean(axis=1) for r in (simulated, recorded)]
     levels = (np.arange(SPEEDS) + 0.5) / SPEEDS
