@@ -9,7 +9,12 @@ import torch
 from sequences import LENGTHS, A, B, H, K, N, T, batch, torch_gru, valid_steps
 from torch import nn
 
-from animarl_algos.losses.losses import clip_grad_norm_per_individual, masked_mean, squared_l2
+from animarl_algos.losses.losses import (
+    clip_grad_norm_per_individual,
+    masked_mean,
+    share_gradients,
+    squared_l2,
+)
 from animarl_algos.losses.values import take_action
 from animarl_algos.networks.dropout import DropoutDraws, DropoutMasks
 from animarl_algos.networks.gru import Packing
@@ -244,6 +249,44 @@ def test_training_together_equals_one_by_one() -> None:
         alone = train((name,), [k])
         for (label, stacked), single in zip(together.named_parameters(), alone.parameters()):
             torch.testing.assert_close(stacked[k], single[0], rtol=0, atol=1e-6, msg=label)
+
+
+def test_a_shared_network_learns_from_all_and_keeps_its_biases() -> None:
+    """As one network that is told whom it moves would: the mean gradient, own biases."""
+    together, alone = make(shared=True), [make(NAMES[:1]) for _ in NAMES]
+    for step in range(3):
+        observations, previous = batch(seed=step)
+        for network in (together, *alone):
+            network.zero_grad()
+        sequence_loss(together(observations, previous), valid_steps()).sum().backward()
+        share_gradients(together.shared_parameters)
+        torch.optim.SGD(together.parameters(), lr=0.1).step()
+        for k, network in enumerate(alone):
+            rows = slice(k, k + 1)
+            output = network(observations[rows], previous[rows])
+            sequence_loss(output, valid_steps(LENGTHS[rows])).sum().backward()
+        for label, _ in alone[0].named_parameters():
+            each = [dict(network.named_parameters())[label] for network in alone]
+            if "bias" not in label:
+                mean = torch.stack([p.grad for p in each]).mean(0)
+                for parameter in each:
+                    parameter.grad.copy_(mean)
+        for network in alone:
+            torch.optim.SGD(network.parameters(), lr=0.1).step()
+    for label, stacked in together.named_parameters():
+        for k, network in enumerate(alone):
+            single = dict(network.named_parameters())[label][0]
+            torch.testing.assert_close(stacked[k], single, rtol=0, atol=1e-6, msg=label)
+        assert torch.equal(stacked[0], stacked[1]) == ("bias" not in label), label
+
+
+def test_a_shared_network_standardises_by_all_individuals() -> None:
+    shared, seen = make(shared=True), torch.randn(K, 200, N) + torch.arange(K)[:, None, None]
+    shared.standardise_inputs(seen.mean(1), seen.std(1, correction=0))
+    together = seen.flatten(0, 1)
+    for k in range(K):
+        torch.testing.assert_close(shared.input_mean[k, 0], together.mean(0))
+        torch.testing.assert_close(shared.input_sd[k, 0], together.std(0, correction=0))
 
 
 @pytest.mark.parametrize("make_options", [{}, {"num_quantiles": 3}, {"recurrent": False}])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,12 @@ from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.learner.offline import OfflineProgress, _decay, train_epoch
+from animarl_algos.learner.offline import (
+    OfflineProgress,
+    _decay,
+    train_epoch,
+    updates_per_epoch,
+)
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.recipes.soft_bc import SoftBC
 from animarl_envs.errors import InputError
@@ -134,6 +140,30 @@ def test_a_stopped_phase_goes_on_exactly(policy: str, tmp_path: Path) -> None:
     assert resumed.offline_progress.history == straight.offline_progress.history
 
 
+@kinds
+def test_individuals_that_share_a_network_learn_from_each_other(policy: str) -> None:
+    """Each was seen in one half of the world, and is asked about both."""
+    split = []
+    for seed in (0, 1):
+        observations = np.random.default_rng(seed).normal(size=(48 * 5, 2, 4))
+        if seed == 0:
+            observations[..., 0] = np.abs(observations[..., 0]) * [1, -1]
+        actions, names = observations[..., :3].argmax(-1), toys.Pair.individuals
+        split.append(OfflineDataset(observations, actions, np.full(48, 5), 3, names=names))
+    figure = {}
+    for shared in (False, True):
+        kwargs = {"hidden": 16, "shared": shared} | (
+            {"skip": True} if policy == "GruPolicy" else {}
+        )
+        model = cloning(policy, demonstrations=Split(*split), policy_kwargs=kwargs)
+        progress = model.pretrain()
+        figure[shared] = float(np.mean(progress.best_figures))
+    assert figure[True] < figure[False] - 0.05
+    assert len(set(progress.best_epochs)) == 1
+    for weight in model.policy.q_net.shared_parameters:
+        torch.testing.assert_close(weight[0], weight[1], rtol=0, atol=1e-6)
+
+
 def test_what_standardises_makes_units_irrelevant() -> None:
     """Observations in other units, from another origin: the same learning."""
 
@@ -182,6 +212,21 @@ def test_the_average_follows_the_weights() -> None:
             torch.testing.assert_close(a, b)
 
 
+def test_few_recordings_are_gone_over_so_often_and_no_more() -> None:
+    steps = demonstrations().train.num_steps
+    batch = 64
+    for asked, most, expected in (
+        (20, None, 20),  # as asked
+        (None, None, round(steps / batch)),  # one pass
+        (20, 5, math.ceil(5 * steps / batch / 10)),
+        (20, 1000, 20),
+    ):
+        kwargs = STEPS | {"updates_per_epoch": asked, "most_passes": most}
+        model = cloning(offline_kwargs=kwargs)
+        assert updates_per_epoch(model, demonstrations().train) == expected
+    assert 5 * steps / batch / 10 < 19
+
+
 def test_the_rate_warms_up_and_anneals() -> None:
     settings = OfflineSettings(sequence_length=1, warm_up=4, anneal=True)
     assert [settings.rate_factor(u, 10**9) for u in range(5)] == pytest.approx(
@@ -215,6 +260,7 @@ def test_progress_of_before_had_one_best_epoch() -> None:
         ({"sequence_length": 0}, "offline_kwargs: sequence_length is 0"),
         ({"burn_in": 3}, "are for windows"),
         ({"updates_per_epoch": 3}, "are for windows"),
+        ({"most_passes": 3}, "are for windows"),
         ({"average": 1.0}, "offline_kwargs: average is 1.0"),
         ({"anneal": 1}, "anneal is 1: give true or false"),
         ({"weight_decay": -1}, "weight_decay is -1"),

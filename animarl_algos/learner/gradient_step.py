@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from animarl_algos.losses.losses import clip_grad_norm_per_individual
+from animarl_algos.losses.losses import clip_grad_norm_per_individual, share_gradients
 from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.terms import LossTerm, MinibatchValues, WeightDecay
 from animarl_algos.losses.values import ValueDistribution
@@ -95,6 +95,7 @@ def minibatch_values(
         target=target_output,
         treatment_logits=None if logits is None else logits[:, : batch.num_steps],
         parameters=online.all_parameters,
+        shared=online.shared_parameters,
     )
 
 
@@ -108,6 +109,7 @@ def update(
     """Step along the gradient of the terms' weighted sum, clipped for each individual by itself.
 
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
+    That of weights which are kept the same for all becomes their mean.
 
     Raises
     ------
@@ -130,6 +132,7 @@ def update(
         parameter.grad = None
     total.backward()  # type: ignore[no-untyped-call]
     decay = sum(term.weight(phase) for term in active if isinstance(term, WeightDecay))
+    share_gradients(minibatch.shared)
     if decay:
         _add_decay_gradient(minibatch.parameters, decay)
     if phase.max_grad_norm is not None:

@@ -5,12 +5,14 @@ action supervision (DQAAS), or temporal difference on all actions as scored by t
 (DQDIL, :class:`animarl_algos.losses.terms.ScoredActionsTemporalDifference`). After each epoch the
 recipe's validation figure of each individual is taken; each keeps the weights of its own best epoch
 and stops when it is out of patience, so that individuals trained together end as each would alone.
+Those that share a network keep and stop by the mean of their figures.
 
 How minibatches are drawn and steps are taken is in :mod:`animarl_algos.learner.offline_settings`.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from collections.abc import Iterator
@@ -186,8 +188,11 @@ def updates_per_epoch(model: OfflineLearner, dataset: OfflineDataset) -> int:
     settings, batch_size = model.offline_settings, model.offline_batch_size
     if settings.sequence_length is None:
         return sum(1 for _ in range(0, dataset.num_episodes, batch_size))
-    steps = batch_size * settings.sequence_length
-    return settings.updates_per_epoch or max(1, round(dataset.num_steps / steps))
+    pass_ = dataset.num_steps / (batch_size * settings.sequence_length)
+    updates = settings.updates_per_epoch or max(1, round(pass_))
+    if settings.most_passes is not None:
+        updates = min(updates, math.ceil(settings.most_passes * pass_ / model.offline_epochs))
+    return updates
 
 
 def _minibatches(
@@ -227,6 +232,8 @@ def _keep_best(model: OfflineLearner, row: Figures) -> None:
     """
     progress, individuals = model.offline_progress, model.layout.individuals
     figures = own_figures(row, model.offline_recipe.selection, individuals)
+    if model.policy.q_net.shared:
+        figures = [float(np.mean(figures))] * len(individuals)
     if len(progress.best_epochs) != len(individuals):  # at the start, or of an older checkpoint
         progress.best_epochs = (progress.best_epochs or [0]) * len(individuals)
         progress.best_figures = (progress.best_figures or [float("inf")]) * len(individuals)

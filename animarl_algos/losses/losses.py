@@ -158,6 +158,21 @@ def squared_l2(parameters: Iterable[torch.Tensor]) -> torch.Tensor:
 
 
 @torch.no_grad()
+def share_gradients(parameters: Iterable[torch.Tensor]) -> None:
+    """Give every individual the mean of all individuals' gradients.
+
+    Weights that are the same for all then stay so under any optimiser.
+
+    Parameters
+    ----------
+    parameters : tensors (K, ...)
+        Those without a gradient are left out.
+    """
+    for parameter in parameters:
+        if parameter.grad is not None:
+            parameter.grad.copy_(parameter.grad.mean(0, keepdim=True).expand_as(parameter))
+
+
 def clip_grad_norm_per_individual(
     parameters: Iterable[torch.Tensor], max_norm: float
 ) -> torch.Tensor:

@@ -65,6 +65,8 @@ class MinibatchValues:
         ``(K, T, B)``, or ``None`` without a treatment head.
     parameters
         The online network's, each ``(K, ...)``.
+    shared
+        Those that are the same for all individuals.
     errors
         ``(K, T, B)``, set by the temporal-difference terms: absolute errors, for priorities.
     demonstrated
@@ -79,6 +81,7 @@ class MinibatchValues:
     target: ActionValues | None
     treatment_logits: torch.Tensor | None
     parameters: Sequence[torch.Tensor]
+    shared: Sequence[torch.Tensor] = ()
     errors: torch.Tensor | None = field(default=None)
     demonstrated: MinibatchValues | None = field(default=None)
 

@@ -14,7 +14,9 @@ The number of layers of x, their width and what the heads see ([x, h] with a ski
 the paper's are the defaults.
 
 Every parameter has a leading axis of individuals; nothing is shared, so that training K individuals
-together is training each alone. Axes: (individual, time, batch, feature).
+together is training each alone. With ``shared`` the weights of all individuals begin alike and are
+kept so: one network that learns from all of them, in which an individual has but its biases.
+Axes: (individual, time, batch, feature).
 """
 
 from __future__ import annotations
@@ -85,6 +87,11 @@ class StackedQNetwork(nn.Module):
         Whether to predict the treatment through gradient reversal (DQCIL).
     reversal
         Strength of the gradient reversal.
+    shared
+        Whether all individuals have the same weights and statistics of inputs (parameter sharing:
+        Gupta, Egorov & Kochenderfer 2017). Biases stay their own, in the first layer what telling
+        the network whom it moves would be. Who trains it averages the gradients of
+        :attr:`shared_parameters`, :func:`animarl_algos.losses.losses.share_gradients`.
     seed
         Of the initial weights.
 
@@ -116,6 +123,7 @@ class StackedQNetwork(nn.Module):
         condition_flag: bool = False,
         treatment_head: bool = False,
         reversal: float = 1.0,
+        shared: bool = False,
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -143,7 +151,9 @@ class StackedQNetwork(nn.Module):
         self.condition_flag = condition_flag
         self.reversal = reversal
         self.sensed = observation_size - condition_flag
-        generators = individual_generators(individuals, seed)
+        self.shared = shared
+        named = [individuals[0]] * len(individuals) if shared else individuals
+        generators = individual_generators(named, seed)
         encoder_inputs = self.sensed + (num_actions if previous_action else 0)
         for layer in range(depth):
             inputs = units if layer else encoder_inputs
@@ -187,10 +197,14 @@ class StackedQNetwork(nn.Module):
         ----------
         mean, sd : Tensor (K, n)
             Of each individual's observation components, the flag's own included (and not used).
-            A component that does not vary (sd 0) keeps its scale.
+            A component that does not vary (sd 0) keeps its scale. A shared network takes mean and
+            sd over all individuals.
         limit
             Clips what lies farther from the mean [sd].
         """
+        if self.shared:
+            sd = (sd.square() + (mean - mean.mean(0)).square()).mean(0).sqrt().expand_as(sd)
+            mean = mean.mean(0).expand_as(mean)
         sd = torch.where(sd > 1e-6, sd, 1.0)
         if self.condition_flag:
             mean, sd = mean.clone(), sd.clone()
@@ -330,6 +344,12 @@ class StackedQNetwork(nn.Module):
         """Every parameter, found once: ``parameters()`` walks all modules anew."""
         return list(self.parameters())
 
+    @cached_property
+    def shared_parameters(self) -> list[nn.Parameter]:
+        """Those that are the same for all individuals."""
+        named = self.named_parameters() if self.shared else ()
+        return [parameter for name, parameter in named if "bias" not in name]
+
     def statistics_of_inputs(self) -> tuple[NDArray[np.float32], ...]:
         """Mean (K, n), standard deviation (K, n) and limit (K, 1) of the inputs, not copied."""
         buffers = (self.input_mean, self.input_sd, self.input_limit)
@@ -373,5 +393,5 @@ def _take_raw_inputs(
 
 def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:
     """After ``load_state_dict(assign=True)`` the parameters are other ones."""
-    for name in ("weights", "gru_weights", "all_parameters"):
+    for name in ("weights", "gru_weights", "all_parameters", "shared_parameters"):
         network.__dict__.pop(name, None)

@@ -58,6 +58,9 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         Hidden layers of the head's two streams, 1 (the paper) or 0.
     dropout
         Share of hidden units left out of an offline update, below 1.
+    shared
+        Whether the individuals' networks differ in their biases alone, so that each learns from
+        what all did; otherwise they have nothing in common.
     skip
         Whether the head sees the encoded observation beside the memory (policies with one).
     previous_action
@@ -101,6 +104,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         head_layers: int = 1,
         dropout: float = 0.0,
         skip: bool = False,
+        shared: bool = False,
         previous_action: bool | None = None,
         epsilon: float = 0.0,
         temperature: ArrayLike | None = None,
@@ -148,6 +152,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             "head_layers": head_layers,
             "dropout": dropout,
             "skip": skip,
+            "shared": shared,
             "previous_action": self.recurrent if previous_action is None else previous_action,
             "seed": seed,
         }
