@@ -23,7 +23,7 @@ from animarl_algos.learner.offline import (
     train_epoch,
     updates_per_epoch,
 )
-from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.learner.offline_settings import FEWEST_UPDATES, OfflineSettings
 from animarl_algos.recipes.soft_bc import SoftBC
 from animarl_envs.errors import InputError
 
@@ -213,18 +213,19 @@ def test_the_average_follows_the_weights() -> None:
 
 
 def test_few_recordings_are_gone_over_so_often_and_no_more() -> None:
-    steps = demonstrations().train.num_steps
-    batch = 64
-    for asked, most, expected in (
-        (20, None, 20),  # as asked
-        (None, None, round(steps / batch)),  # one pass
-        (20, 5, math.ceil(5 * steps / batch / 10)),
-        (20, 1000, 20),
+    train = demonstrations().train
+    pass_ = train.num_steps / 4  # updates
+    assert 2 * pass_ / 5 > FEWEST_UPDATES
+    for asked, most, epochs, expected in (
+        (1000, None, 5, 1000),  # as asked
+        (None, None, 5, round(pass_)),  # one pass
+        (1000, 2, 5, math.ceil(2 * pass_ / 5)),
+        (10, 2, 5, 10),
+        (1000, 1, 50, FEWEST_UPDATES),
     ):
         kwargs = STEPS | {"updates_per_epoch": asked, "most_passes": most}
-        model = cloning(offline_kwargs=kwargs)
-        assert updates_per_epoch(model, demonstrations().train) == expected
-    assert 5 * steps / batch / 10 < 19
+        model = cloning(offline_kwargs=kwargs, offline_epochs=epochs, offline_batch_size=4)
+        assert updates_per_epoch(model, train) == expected
 
 
 def test_the_rate_warms_up_and_anneals() -> None:

@@ -26,6 +26,7 @@ from tqdm.auto import tqdm
 from animarl_algos.learner.demonstrations import DemonstrationData, OfflineDataset, refuse_foreign
 from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.learner.offline_learner import OfflineLearner
+from animarl_algos.learner.offline_settings import FEWEST_UPDATES
 from animarl_algos.learner.validation import (
     Figures,
     judged_network,
@@ -191,7 +192,8 @@ def updates_per_epoch(model: OfflineLearner, dataset: OfflineDataset) -> int:
     pass_ = dataset.num_steps / (batch_size * settings.sequence_length)
     updates = settings.updates_per_epoch or max(1, round(pass_))
     if settings.most_passes is not None:
-        updates = min(updates, math.ceil(settings.most_passes * pass_ / model.offline_epochs))
+        few = math.ceil(settings.most_passes * pass_ / model.offline_epochs)
+        updates = min(updates, max(few, FEWEST_UPDATES))
     return updates
 
 

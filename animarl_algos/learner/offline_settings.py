@@ -16,6 +16,8 @@ from animarl_algos.ranges import (
 )
 from animarl_envs.errors import InputError
 
+FEWEST_UPDATES = 20
+
 
 @dataclass(frozen=True, kw_only=True)
 class OfflineSettings:
@@ -33,7 +35,8 @@ class OfflineSettings:
         The offline phase is ``offline_epochs`` times as long.
     most_passes
         Where so many updates would go over the training steps more often than this, all epochs
-        together, an epoch has fewer: a few recordings are learned by heart before the rate falls.
+        together, an epoch has fewer, but at least ``FEWEST_UPDATES``: a few recordings are learned
+        by heart before the rate falls.
     warm_up
         Updates over which the learning rate rises linearly to ``offline_learning_rate``.
     anneal
