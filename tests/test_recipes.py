@@ -44,6 +44,22 @@ def test_every_recipe_trains_repeats_saves_and_loads(name: str, tmp_path: Path) 
     loaded.learn(30)
 
 
+@pytest.mark.parametrize("name", ["dqn", "dqdil-pt", "dqcil-pt", "qr-dqdil", "iq-learn"])
+def test_individuals_that_share_a_network_do_so_to_the_end(name: str, tmp_path: Path) -> None:
+    kwargs = SETTINGS["policy_kwargs"] | {"shared": True}
+    model = make_pair_learner(name, policy_kwargs=kwargs)
+    before = weights(model)
+    model.learn(60)
+    model.save(tmp_path / "model")
+    loaded = type(model).load(tmp_path / "model", env=model.get_env(), device="cpu")
+    loaded.demonstrations = model.demonstrations
+    loaded.learn(30)
+    assert not torch.equal(before, weights(model)) and model.q_net.shared_parameters
+    for learner in (model, loaded):
+        for weight in learner.q_net.shared_parameters:
+            torch.testing.assert_close(weight[0], weight[1], rtol=0, atol=1e-6)
+
+
 @pytest.mark.cuda
 @pytest.mark.parametrize("name", ["dqaas", "dqcil-pt", "qr-dqdil-pt"])
 def test_a_cuda_device_learns_the_same(name: str) -> None:

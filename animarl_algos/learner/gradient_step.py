@@ -132,11 +132,11 @@ def update(
         parameter.grad = None
     total.backward()  # type: ignore[no-untyped-call]
     decay = sum(term.weight(phase) for term in active if isinstance(term, WeightDecay))
-    share_gradients(minibatch.shared)
     if decay:
         _add_decay_gradient(minibatch.parameters, decay)
     if phase.max_grad_norm is not None:
         clip_grad_norm_per_individual(minibatch.parameters, phase.max_grad_norm)
+    share_gradients(minibatch.shared)  # clipped ones: what is clipped by own norms differs
     optimizer.step()
     return UpdateResult(
         losses={name: loss.detach() for name, loss in losses.items()},

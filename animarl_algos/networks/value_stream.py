@@ -26,8 +26,11 @@ def into_logits(policy: GruPolicy) -> None:
     """Divide the action values by the temperatures of ``policy``, which are 1 from then on.
 
     It acts as before: ``softmax Q``, for learners to whom action values are the policy's logits.
+    Individuals that share a network are divided by the mean of their temperatures.
     """
     fitted = torch.tensor(policy.acting.temperature).view(-1, 1, 1)
+    if policy.q_net.shared:
+        fitted = fitted.mean(0, keepdim=True)
     for network in (policy.q_net, policy.q_net_target):
         for layer in (network.dueling.value, network.dueling.advantage):
             for parameter in (layer.weight, layer.bias):
