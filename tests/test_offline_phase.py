@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,8 @@ from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.learner.offline import (
-    OfflineProgress,
-    _decay,
-    train_epoch,
-    updates_per_epoch,
-)
-from animarl_algos.learner.offline_settings import FEWEST_UPDATES, OfflineSettings
+from animarl_algos.learner.offline import OfflineProgress, _decay, train_epoch
+from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.recipes.soft_bc import SoftBC
 from animarl_envs.errors import InputError
 
@@ -212,22 +206,6 @@ def test_the_average_follows_the_weights() -> None:
             torch.testing.assert_close(a, b)
 
 
-def test_few_recordings_are_gone_over_so_often_and_no_more() -> None:
-    train = demonstrations().train
-    pass_ = train.num_steps / 4  # updates
-    assert 2 * pass_ / 5 > FEWEST_UPDATES
-    for asked, most, epochs, expected in (
-        (1000, None, 5, 1000),  # as asked
-        (None, None, 5, round(pass_)),  # one pass
-        (1000, 2, 5, math.ceil(2 * pass_ / 5)),
-        (10, 2, 5, 10),
-        (1000, 1, 50, FEWEST_UPDATES),
-    ):
-        kwargs = STEPS | {"updates_per_epoch": asked, "most_passes": most}
-        model = cloning(offline_kwargs=kwargs, offline_epochs=epochs, offline_batch_size=4)
-        assert updates_per_epoch(model, train) == expected
-
-
 def test_the_rate_warms_up_and_anneals() -> None:
     settings = OfflineSettings(sequence_length=1, warm_up=4, anneal=True)
     assert [settings.rate_factor(u, 10**9) for u in range(5)] == pytest.approx(
@@ -261,7 +239,6 @@ def test_progress_of_before_had_one_best_epoch() -> None:
         ({"sequence_length": 0}, "offline_kwargs: sequence_length is 0"),
         ({"burn_in": 3}, "are for windows"),
         ({"updates_per_epoch": 3}, "are for windows"),
-        ({"most_passes": 3}, "are for windows"),
         ({"average": 1.0}, "offline_kwargs: average is 1.0"),
         ({"anneal": 1}, "anneal is 1: give true or false"),
         ({"weight_decay": -1}, "weight_decay is -1"),

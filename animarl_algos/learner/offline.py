@@ -12,7 +12,6 @@ How minibatches are drawn and steps are taken is in :mod:`animarl_algos.learner.
 
 from __future__ import annotations
 
-import math
 import sys
 import warnings
 from collections.abc import Iterator
@@ -26,7 +25,6 @@ from tqdm.auto import tqdm
 from animarl_algos.learner.demonstrations import DemonstrationData, OfflineDataset, refuse_foreign
 from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.learner.offline_learner import OfflineLearner
-from animarl_algos.learner.offline_settings import FEWEST_UPDATES
 from animarl_algos.learner.validation import (
     Figures,
     judged_network,
@@ -189,12 +187,8 @@ def updates_per_epoch(model: OfflineLearner, dataset: OfflineDataset) -> int:
     settings, batch_size = model.offline_settings, model.offline_batch_size
     if settings.sequence_length is None:
         return sum(1 for _ in range(0, dataset.num_episodes, batch_size))
-    pass_ = dataset.num_steps / (batch_size * settings.sequence_length)
-    updates = settings.updates_per_epoch or max(1, round(pass_))
-    if settings.most_passes is not None:
-        few = math.ceil(settings.most_passes * pass_ / model.offline_epochs)
-        updates = min(updates, max(few, FEWEST_UPDATES))
-    return updates
+    steps = batch_size * settings.sequence_length
+    return settings.updates_per_epoch or max(1, round(dataset.num_steps / steps))
 
 
 def _minibatches(

@@ -16,8 +16,6 @@ from animarl_algos.ranges import (
 )
 from animarl_envs.errors import InputError
 
-FEWEST_UPDATES = 20
-
 
 @dataclass(frozen=True, kw_only=True)
 class OfflineSettings:
@@ -33,10 +31,6 @@ class OfflineSettings:
     updates_per_epoch
         Updates between two looks at the validation split; by default one pass over the steps.
         The offline phase is ``offline_epochs`` times as long.
-    most_passes
-        Where so many updates would go over the training steps more often than this, all epochs
-        together, an epoch has fewer, but at least ``FEWEST_UPDATES``: a few recordings are learned
-        by heart before the rate falls.
     warm_up
         Updates over which the learning rate rises linearly to ``offline_learning_rate``.
     anneal
@@ -61,7 +55,6 @@ class OfflineSettings:
     sequence_length: int | None = None
     burn_in: int = 0
     updates_per_epoch: int | None = None
-    most_passes: int | None = None
     warm_up: int = 0
     anneal: bool = False
     weight_decay: float = 0.0
@@ -73,7 +66,6 @@ class OfflineSettings:
             "sequence_length": COUNT_OR_NONE,
             "burn_in": WHOLE,
             "updates_per_epoch": COUNT_OR_NONE,
-            "most_passes": COUNT_OR_NONE,
             "warm_up": WHOLE,
             "weight_decay": NOT_NEGATIVE,
             "average": Range(most=1.0 - 1e-9),
@@ -86,10 +78,9 @@ class OfflineSettings:
                 raise InputError(
                     f"offline_kwargs: {name} is {getattr(self, name)!r}: give true or false"
                 )
-        of_windows = (self.burn_in, self.updates_per_epoch, self.most_passes)
-        if self.sequence_length is None and any(of_windows):
+        if self.sequence_length is None and (self.burn_in or self.updates_per_epoch):
             raise InputError(
-                "offline_kwargs: burn_in, updates_per_epoch and most_passes are for windows: give "
+                "offline_kwargs: burn_in and updates_per_epoch are for windows: give "
                 "sequence_length, or leave them out for whole episodes"
             )
 
