@@ -1,8 +1,8 @@
 """The loss terms that recipes are made of (paper, "Offline and online policy learning").
 
-A term looks at an :class:`MinibatchValues`, the networks' view of one minibatch of sequences, and
-returns one number per individual, averaged over that individual's valid steps. A recipe's loss is
-the sum of its terms, each with its weight of the phase (offline or online).
+A term looks at :class:`MinibatchValues`, the networks' view of a minibatch of sequences, and gives
+one number per individual, averaged over its valid steps. A recipe's loss is the sum of its terms,
+each with its weight of the phase (offline or online).
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ from animarl_envs.errors import InputError
 
 
 class ActionValues(Protocol):
-    """What a network says about the T + 1 states of T steps; see
-    :class:`animarl_algos.networks.output.QOutput`."""
+    """What :class:`animarl_algos.networks.output.QOutput` says of the T + 1 states of T steps."""
 
     @property
     def values(self) -> torch.Tensor:
@@ -59,14 +58,12 @@ class MinibatchValues:
     valid
         ``(K, T, B)`` bool, the steps that enter a loss.
     online, target
-        The two networks at all states, the last ones included; no ``target`` if no term asks for
-        it, and then the last states may be left out too.
+        Both networks at all states, the last included; no ``target`` if no term asks for it, and
+        then the last states may be left out too.
     treatment_logits
         ``(K, T, B)``, or ``None`` without a treatment head.
-    parameters
-        The online network's, each ``(K, ...)``.
-    shared
-        Those that are the same for all individuals.
+    parameters, shared
+        The online network's, each ``(K, ...)``; those of them that all individuals have in common.
     errors
         ``(K, T, B)``, set by the temporal-difference terms: absolute errors, for priorities.
     demonstrated
