@@ -317,7 +317,9 @@ def main(
 def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
     """Beside the rows of an earlier table of other sets and seeds, in the order of the sets."""
     if file.exists():
-        earlier, cell = pd.read_csv(file), ["set", "seed"]
+        # A commit may look like a number, and numbers are to stay the same to the last digit.
+        earlier = pd.read_csv(file, dtype={"commit": str}, float_precision="round_trip")
+        cell = ["set", "seed"]
         anew = pd.MultiIndex.from_frame(table[cell])
         kept = earlier[~pd.MultiIndex.from_frame(earlier[cell]).isin(anew)]
         table = pd.concat([kept, table], ignore_index=True)
