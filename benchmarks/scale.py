@@ -29,6 +29,7 @@ from animarl_algos.benchmark.cells import Cell
 from animarl_algos.benchmark.matrix import read_matrix
 from animarl_algos.benchmark.pieces import write_json
 from animarl_algos.benchmark.plan import Plan, plan
+from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.rolling_out import told
@@ -127,7 +128,7 @@ def rates(cells: Mapping[str, Cell], say: Callable[[str], None]) -> dict[str, di
 def few_steps(settings: RunSettings) -> tuple[int, int]:
     """Two sizes of a training, in whole rounds where it goes by rounds."""
     learner = settings.learner()
-    every, unit = learner.arguments["train_freq"]
+    every, unit = constructed(learner.arguments)["train_freq"]
     one = 1 if unit == "episode" else every * learner.n_envs
     least = -(-STEPS // one) * one
     return least, 3 * least
