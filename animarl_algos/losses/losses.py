@@ -173,6 +173,7 @@ def share_gradients(parameters: Iterable[torch.Tensor]) -> None:
             parameter.grad.copy_(parameter.grad.mean(0, keepdim=True).expand_as(parameter))
 
 
+@torch.no_grad()
 def clip_grad_norm_per_individual(
     parameters: Iterable[torch.Tensor], max_norm: float
 ) -> torch.Tensor:
