@@ -101,6 +101,11 @@ class Locomotion:
         """``(12 M + 1, 2)``, egocentric frame, in multiples of the thrust; read-only."""
         return _action_vectors(self.magnitudes)
 
+    @property
+    def smallest_thrust(self) -> float:
+        """What the weakest push accelerates by [arena unit / s^2]."""
+        return self.thrust * self.magnitudes[-1]
+
     def terminal_speed(self, dt: float) -> float:
         """Speed reached under the largest thrust, ``u m dt / d`` [arena unit / s]."""
         largest = self.thrust * self.magnitudes[0]

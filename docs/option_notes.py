@@ -94,6 +94,14 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "`True`, `False`",
         "`'paper'` has the distance from the centre too",
     ),
+    "senses_past": (
+        "`True`, `False`",
+        "own velocity averaged over the last steps too; your own animals do",
+    ),
+    "senses_time": (
+        "`True`, `False`",
+        "time since the start too; your own animals do if each episode begins with a separation",
+    ),
     "shared_reward": ("`True`, `False`", "in condition 1 a capture pays every pursuer"),
 }
 

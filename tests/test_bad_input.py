@@ -70,6 +70,8 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("agent", {"arena": [1, 2]}, "arena is [1, 2]"),
     ("agent", {"rebound": "yes"}, "rebound is 'yes'"),
     ("fly", {"senses_centre": 1}, "senses_centre is 1"),
+    ("fly", {"senses_past": 1}, "senses_past is 1"),
+    ("fly", {"senses_time": "yes"}, "senses_time is 'yes'"),
     # locomotion
     ("agent", {"locomotion": {"wolf": 1.2}}, "locomotion names 'wolf'"),
     ("agent", {"locomotion": {"prey": -1.0}}, "thrust is -3.0"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import Any
 
 import numpy as np
@@ -26,6 +28,7 @@ CHASES: list[tuple[str, dict[str, Any]]] = [
     ("agent", {"demos": None, "num_pursuers": 4}),
     ("agent", {"demos": None, "arena": "open"}),
     ("custom", {"demos": dogs(2)}),
+    ("fly", {"senses_past": True, "senses_time": True}),
 ]
 chases = pytest.mark.parametrize(("name", "options"), CHASES)
 
@@ -130,7 +133,7 @@ def test_a_mirrored_world_is_seen_mirrored(name: str, options: Any, kind: str) -
     for world in (one, two):
         world.reset()
     state = one.get_state()
-    for key in ("position", "velocity", "acceleration", "towards"):
+    for key in ("position", "velocity", "acceleration", "past", "towards"):
         state[key] = state[key] * [1.0, -1.0]
     two.set_state(state)
     rng = np.random.default_rng(0)
@@ -149,12 +152,16 @@ def test_mirror_images_of_actions_are_mirrored_vectors_and_their_own_inverse() -
     assert np.array_equal(image.order[image.order], np.arange(len(image.order)))
 
 
-@pytest.mark.parametrize("kind", ["full", "paper"])
-@pytest.mark.parametrize("name", ["agent", "fly", "newt"])
-def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "seen"),
+    [*itertools.product(["agent", "fly", "newt"],
+                        [{"observation": "full"}, {"observation": "paper"}]),
+     ("fly", {"senses_past": True, "senses_time": True, "time_limit": 20})],
+)  # fmt: skip
+def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, seen: dict[str, Any]) -> None:
     demos = load_packaged(name).select(split="test")
     drivers = dict.fromkeys(demos.individuals, "replay")
-    options = {"demos": demos, "split": None, "drivers": drivers, "observation": kind}
+    options = {"demos": demos, "split": None, "drivers": drivers, **seen}
     scenario = make_scenario(name, contact_radius=1e-9, **options)
     world = make_world(scenario, len(demos))
     world.reset(demo=np.arange(len(demos)))
@@ -164,6 +171,66 @@ def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, kind: str) -
         frames = demos.offsets[:-1][lasting] + t
         assert world.observation[lasting] == pytest.approx(recorded[frames], abs=1e-6)
         world.step(np.zeros((len(demos), world.num_individuals), dtype=int))
+
+
+def test_time_is_seen_from_the_start_by_each_copy_of_a_species_that_senses_it() -> None:
+    names = [c.name for c in make_world(make_scenario("fly")).observation_components]
+    assert not [name for name in names if "since the start" in name]
+    world = make_world(make_scenario("fly", demos=None, senses_time=True, time_limit=8), 2)
+    at = [k for k, c in enumerate(world.observation_components) if "since the start" in c.name]
+    world.reset()
+    for _ in range(3):
+        world.step(np.zeros((2, 3), dtype=int))
+    world.reset(np.array([True, False]))
+    since = world.observation[:, :, at]
+    assert not since[0].any()
+    assert since[1] == pytest.approx(np.full((3, 1), math.log(4.0)), abs=1e-6)
+
+
+def test_past_velocities_are_exponential_means_that_begin_anew_with_each_copy() -> None:
+    world = make_world(make_scenario("newt", senses_past=True, warmup=0), 2)
+    world.reset()
+    start = world.velocity.copy()
+    names = [c.name for c in world.observation_components]
+    now, past = (
+        [names.index(f"tanh of {what} / (3 u dt) {side}") for side in ("ahead", "left")]
+        for what in ("own velocity", "mean velocity over 6 steps")
+    )
+    assert np.array_equal(world.observation[..., past], world.observation[..., now])
+    held = [start]
+    action = np.random.default_rng(1).integers(12, size=(5, 2, world.num_individuals))
+    for t in range(5):
+        world.step(action[t])
+        held.append(world.velocity.copy())
+    mean = start
+    for velocity in held[:-1]:
+        mean = mean + (velocity - mean) / 6
+    x, y = np.moveaxis(world.towards, -1, 0)  # type: ignore[attr-defined]
+    ahead = np.stack([mean[..., 0] * x + mean[..., 1] * y, mean[..., 1] * x - mean[..., 0] * y], -1)
+    stride = (
+        np.array([m.thrust for m in world.scenario.species.locomotion])
+        * 3
+        * world.scenario.species.dt
+    )
+    assert world.observation[..., past] == pytest.approx(np.tanh(ahead / stride[:, None]), abs=1e-5)
+    world.reset(np.array([True, False]))
+    assert np.array_equal(world.observation[0][:, past], world.observation[0][:, now])
+    assert world.observation[1][:, past] == pytest.approx(
+        np.tanh(ahead / stride[:, None])[1], abs=1e-5
+    )
+
+
+def test_own_speed_is_seen_at_the_scale_of_the_smallest_thrust() -> None:
+    many = {"damping": 0.1, "thrust": 0.5, "magnitudes": (2.0, 1.0, 0.25)}
+    locomotion = dict.fromkeys(SPECIES["fly"].individuals, many)
+    world = make_world(make_scenario("fly", demos=None, locomotion=locomotion), 1)
+    world.reset()
+    smallest = world.num_actions - 2  # the last direction of the last magnitude
+    world.step(np.full((1, 3), smallest))
+    names = [c.name for c in world.observation_components]
+    at = [names.index(f"tanh of own velocity / (u dt) {side}") for side in ("ahead", "left")]
+    seen = np.linalg.norm(np.arctanh(world.observation[..., at]), axis=-1)
+    assert seen == pytest.approx(1.0, abs=1e-3)
 
 
 def accelerations(world: World) -> Array:

@@ -116,7 +116,6 @@ class SpeciesDemonstrations:
         reflection = None
         if self.mirror is not None:
             reflection = Reflection.of(self.mirror, flag=self.condition_flag)
-        since_start = np.arange(len(demos.positions)) - np.repeat(demos.offsets[:-1], demos.lengths)
         return OfflineDataset(
             np.ascontiguousarray(observations[:, chosen]),
             actions[:, chosen],
@@ -128,7 +127,7 @@ class SpeciesDemonstrations:
             reflection=reflection,
             terminated=(demos.outcome != TIME_OUT) & (demos.outcome != UNFINISHED),
             condition=demos.condition,
-            warmup=since_start < species.warmup,
+            warmup=demos.steps() < species.warmup,
             names=self.learners,
             source=f"{demos.name} ({split})",
         )

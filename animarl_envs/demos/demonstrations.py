@@ -206,6 +206,10 @@ class Demonstrations:
             return self.signals[INTERVAL][frames].astype(np.float64)
         return np.full(len(self.positions[frames]), self.dt)
 
+    def steps(self) -> NDArray[np.int64]:
+        """Steps from the start of its episode to each frame, ``(frames,)``."""
+        return np.arange(len(self.positions)) - np.repeat(self.offsets[:-1], self.lengths)
+
     def velocities(self) -> NDArray[np.float64]:
         """Velocities of all frames, ``(frames, individuals, 2)`` [arena unit / s]."""
         out = velocities(self.positions, self.initial_velocity[0], self.dt)

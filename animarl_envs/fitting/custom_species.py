@@ -65,6 +65,9 @@ def species_of(
           contact, none should that is simulated, however near bodies without extent may come;
         - conditions: those that occur, as names only: no reward differs between them;
         - the edge of a disc or a square is a wall (``rebound``);
+        - own velocity averaged over the last steps is seen (``senses_past``);
+        - the time since the start is seen where the import began every episode at a separation
+          (``senses_time``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
         - a searcher has the silkmoth's senses, plume and conditions.
 
@@ -182,8 +185,17 @@ def _plain_species(demos: Demonstrations) -> Species:
         arena=replace(demos.arena, rebound=True),
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
+        senses_past=True,
+        senses_time=_begin_alike(demos),
         **common,
     )
+
+
+def _begin_alike(demos: Demonstrations) -> bool:
+    """Whether all episodes begin at the same event, so that the time since then tells something."""
+    cutting = _cutting(demos)
+    kept = _seconds(cutting.get("keep_last")) < math.inf
+    return cutting.get("mode") == "approach" and cutting.get("start") == "separation" and not kept
 
 
 def _arena(demos: Demonstrations, species: Species) -> Arena:

@@ -23,6 +23,8 @@ class ChaseSpecies(Species):
 
     start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
     senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
+    senses_time: bool = False  # adds the time since the start, where it tells how one moves
+    senses_past: bool = False  # adds own velocity averaged over the last steps
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
 
@@ -31,7 +33,9 @@ class ChaseSpecies(Species):
         if self.num_individuals < 2:
             raise InputError("a chase needs at least one pursuer and a target: name them both")
         self._positive("start_half_side")
-        self._true_or_false("senses_centre", "shared_reward", "lone_pursuer")
+        self._true_or_false(
+            "senses_centre", "senses_past", "senses_time", "shared_reward", "lone_pursuer"
+        )
 
     def check_uniform_starts(self) -> None:
         """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""

@@ -17,6 +17,7 @@ from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.judging import judge
+from animarl_envs.worlds.chase.past import remember
 from animarl_envs.worlds.chase.senses import observe
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
@@ -88,9 +89,9 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     _ChaseStateType,
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "acceleration", "towards", "neighbours", "nearest",
-        "code", "components", "reward", "outcome", "terminated", "truncated", "step_count",
-        "warming", "observation", "senses",
+        "numbers", "position", "velocity", "acceleration", "past", "towards", "neighbours",
+        "nearest", "code", "components", "reward", "outcome", "terminated", "truncated",
+        "step_count", "warming", "observation", "senses",
     ],
 )  # fmt: skip
 
@@ -98,14 +99,14 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @jit
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, acceleration, towards, neighbours, nearest, code, components, reward, outcome,
-    terminated, truncated, step_count, warming, observation, senses,
+    velocity, acceleration, past, towards, neighbours, nearest, code, components, reward,
+    outcome, terminated, truncated, step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, acceleration, towards, neighbours, nearest, code, components, reward, outcome,
-        terminated, truncated, step_count, warming, observation, senses,
+        velocity, acceleration, past, towards, neighbours, nearest, code, components, reward,
+        outcome, terminated, truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
 
@@ -128,6 +129,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.drivers, actions, position, velocity, towards, state.damping, state.thrust,
             state.pushes, dt, field, lone,
         )  # fmt: skip
+    remember(velocity, state.past)
     let_coast(velocity, state.damping, state.thrust, dt, acceleration)
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
     if walled:
@@ -147,8 +149,9 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
     observe(
-        position, velocity, acceleration, towards, state.neighbours, state.senses, state.observation
-    )
+        position, velocity, acceleration, state.past, step_count, towards, state.neighbours,
+        state.senses, state.observation,
+    )  # fmt: skip
 
 
 # -- moving ---------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ FULL, PAPER = "full", "paper"
 REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
+PAST = (2, 6)  # velocities before the present one are averaged over so many steps, exponentially
 BODY, REACH = 0.03, 0.1  # who walks along a wall keeps so far from it [arena size]
 
 
@@ -34,8 +35,9 @@ class Group(NamedTuple):
 
     ``entries`` are names and their signs in a mirrored world. ``range`` names an entry of
     :func:`ranges`. ``seen`` lists the observations that hold the group; ``of_focus`` says whether
-    the full one holds it for the focus too, which lies straight ahead by definition, and
-    ``of_walls`` whether only a field with walls has it.
+    the full one holds it for the focus too, which lies straight ahead by definition,
+    ``of_walls`` whether only a field with walls has it, and ``sense`` the field of a species
+    that must be true.
     """
 
     entries: tuple[tuple[str, float], ...]
@@ -45,6 +47,7 @@ class Group(NamedTuple):
     seen: tuple[str, ...] = (FULL,)
     of_focus: bool = True
     of_walls: bool = False
+    sense: str = ""
 
 
 def _plane(name: str) -> tuple[tuple[str, float], ...]:
@@ -72,8 +75,25 @@ OWN = (
     Group((("log of (own speed / (u dt) + 0.3)", 1.0),), "any", "1", "log speed"),
     Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration"),
     Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL)),
+    Group(
+        (("log of (1 + steps since the start)", 1.0),), "any", "1", "log steps", sense="senses_time"
+    ),
+    *(
+        Group(entries, frame, "1", span, sense="senses_past")
+        for over in PAST
+        for entries, frame, span in (
+            (_ahead_left(f"tanh of mean velocity over {over} steps / (u dt)"), EGO, "fine"),
+            (_ahead_left(f"tanh of mean velocity over {over} steps / (3 u dt)"), EGO, "coarse"),
+            (
+                ((f"log of (mean velocity over {over} steps / (u dt) + 0.3)", 1.0),),
+                "any",
+                "log speed",
+            ),
+        )
+    ),
 )
-"""Of the individual itself."""
+"""Of the individual itself. Where velocities are measured by it, u is the smallest of its thrusts:
+how an animal rests shows among velocities that no larger one could bring to a stop."""
 
 OTHER = (
     Group(_ahead_left("relative position"), EGO, LENGTH, "offset", (PAPER, FULL), of_focus=False),
@@ -109,7 +129,8 @@ where it stands if that is a wall. The wall's frame is that of its nearest point
 
 (
     POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, ACCELERATION,
-    FOCUS, PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
+    FOCUS, TIME, FINE_PAST, COARSE_PAST, LOG_PAST, _, _, _,
+    PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
     OTHER_VELOCITY, OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE, AT_WALL, BY_WALL,
     WALL_CIRCLE, FINE_WALL, COARSE_WALL,
 ) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip
@@ -122,7 +143,8 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
     """The groups of an observation in order: whose (0 itself, 1 the focus, ...), column, group."""
     kind = species.observation
     for column, group in enumerate(OWN):
-        if kind in group.seen:
+        sensed = not group.sense or getattr(species, group.sense)
+        if kind in group.seen and sensed:
             yield 0, column, group
     for rank in range(1, species.num_individuals):
         for column, group in enumerate(OTHER, start=len(OWN)):
@@ -133,6 +155,11 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
         here = species.arena.rebound or not group.of_walls
         if senses_field and kind in group.seen and here:
             yield 0, column, group
+
+
+def past_scales(species: ChaseSpecies) -> int:
+    """How many averages of past velocities are seen."""
+    return len(PAST) if species.senses_past and species.observation == FULL else 0
 
 
 def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
@@ -181,7 +208,7 @@ def ranges(
     round_field = arena.shape == "disc" and species.observation == FULL  # saved spaces keep theirs
     radius = reach if round_field else math.sqrt(2.0) * reach
     apart = 2.0 * radius
-    strides = [m.thrust * species.dt for m in species.locomotion]
+    strides = [m.smallest_thrust * species.dt for m in species.locomotion]
     relative = top / min(strides)
     fine, coarse = math.tanh(relative), math.tanh(relative / 3.0)
     near = NEAR * arena.size
@@ -194,6 +221,7 @@ def ranges(
         "log speed": (math.log(REST), math.log(relative + REST)),
         "acceleration": (-push, push),
         "unit": (-1.0, 1.0),
+        "log steps": (0.0, math.log(1.0 + species.time_limit)),
         "offset": (-apart, apart),
         "difference": (-2.0 * top, 2.0 * top),
         "distance": (0.0, apart),

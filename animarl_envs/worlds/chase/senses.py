@@ -41,11 +41,12 @@ class Senses(NamedTuple):
 
     first: NDArray[np.int64]  # of layout.first_rows
     observers: NDArray[np.bool_]  # whose observations are made
-    stride: NDArray[np.float64]  # u dt of each individual [arena unit / s]
+    stride: NDArray[np.float64]  # what its smallest thrust changes in a step [arena unit / s]
     near: float  # added to distances before they are inverted [arena unit]
     scales: tuple[float, float]  # of the distance to a wall [arena unit]
     shape: int
     edge: float  # half side or radius [arena unit]
+    limit: int  # of an episode [steps]
 
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
@@ -54,22 +55,27 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
     return Senses(
         layout.first_rows(species),
         observers,
-        np.array([m.thrust * species.dt for m in species.locomotion]),
+        np.array([m.smallest_thrust * species.dt for m in species.locomotion]),
         layout.NEAR * arena.size,
         (layout.BODY * arena.size, layout.REACH * arena.size),
         SHAPE_CODES[arena.shape],
         arena.edge,
+        species.time_limit,
     )
 
 
 @jit
-def observe(position, velocity, acceleration, towards, neighbours, senses, observation):  # type: ignore[no-untyped-def]
+def observe(  # type: ignore[no-untyped-def]
+    position, velocity, acceleration, past, steps, towards, neighbours, senses, observation
+):
     """Focus directions of all and the observers' observations; ``neighbours`` is scratch.
 
-    ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust. The first
-    of the others is the focus; see :data:`animarl_envs.focus.FALLBACK` for distance zero.
+    ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust, ``past``
+    ``(scales, K, 2, B)`` are mean velocities (module ``past``), none where they are not seen, and
+    ``steps`` ``(B,)`` count from the start. The first of the others is the focus; see
+    :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    first, observers, stride, near, scales, shape, edge = senses
+    first, observers, stride, near, scales, shape, edge, limit = senses
     others = neighbours.others
     lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
@@ -80,6 +86,15 @@ def observe(position, velocity, acceleration, towards, neighbours, senses, obser
         seen = look(i, position, velocity, neighbours)
         _face(i, others, towards)
         _observe_own(i, position, velocity, acceleration, towards, first, stride[i], observation)
+        if first[0, layout.TIME] != ABSENT:
+            _observe_time(i, steps, first, limit, observation)
+        for scale in range(past.shape[0]):
+            at = 3 * scale
+            _observe_scales(
+                i, past[scale], towards, first[0, layout.FINE_PAST + at],
+                first[0, layout.COARSE_PAST + at], first[0, layout.LOG_PAST + at], stride[i],
+                observation,
+            )  # fmt: skip
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
         if first[0, layout.AT_WALL] != ABSENT:
@@ -125,14 +140,15 @@ def _observe_own(  # type: ignore[no-untyped-def]
             observation[i, at, b] = min(HARDEST, max(-HARDEST, ahead))
             observation[i, at + 1, b] = min(HARDEST, max(-HARDEST, left))
     if first[0, layout.FINE] != ABSENT:
-        _observe_scales(i, velocity, towards, first, stride, observation)
+        _observe_scales(
+            i, velocity, towards, first[0, layout.FINE], first[0, layout.COARSE],
+            first[0, layout.LOG_SPEED], stride, observation,
+        )  # fmt: skip
 
 
 @part
-def _observe_scales(i, velocity, towards, first, stride, observation):  # type: ignore[no-untyped-def]
+def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation):  # type: ignore[no-untyped-def]
     """Own velocity where small differences show: recorded animals are slow most of the time."""
-    fine, coarse = first[0, layout.FINE], first[0, layout.COARSE]
-    at = first[0, layout.LOG_SPEED]
     per_stride = 1.0 / stride
     for b in range(velocity.shape[2]):
         vx = velocity[i, 0, b] * per_stride
@@ -148,7 +164,15 @@ def _observe_scales(i, velocity, towards, first, stride, observation):  # type: 
     for b in range(velocity.shape[2]):
         vx = velocity[i, 0, b] * per_stride
         vy = velocity[i, 1, b] * per_stride
-        observation[i, at, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
+        observation[i, log, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
+
+
+@part
+def _observe_time(i, steps, first, limit, observation):  # type: ignore[no-untyped-def]
+    """How long the episode has lasted; recordings may go on beyond the limit."""
+    at = first[0, layout.TIME]
+    for b in range(len(steps)):
+        observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
 
 
 @part

@@ -24,7 +24,9 @@ from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
+from animarl_envs.worlds.chase.layout import past_scales
 from animarl_envs.worlds.chase.neighbours import neighbours_of
+from animarl_envs.worlds.chase.past import remembered
 from animarl_envs.worlds.flat_demos import recorded_reach, recorded_speed
 
 
@@ -41,12 +43,15 @@ class ChaseWorld(World):
     acceleration
         ``(B, K, 2)``: ``(v_t - (1 - d) v_{t-1}) / (u dt)`` of the last step, the push of walls and
         recordings included, arena frame, in multiples of the thrust u; zero at the start.
+    past
+        ``(B, scales, K, 2)``: velocities before the present one, exponential means over the steps
+        of ``layout.PAST`` [arena unit / s]; no scales where the species does not sense them.
     towards
         ``(B, K, 2)``, unit vectors towards the focus.
     """
 
     reward_components = ("touch", "elapsed", "boundary")
-    _state_names = (*World._state_names, "acceleration", "towards")
+    _state_names = (*World._state_names, "acceleration", "past", "towards")
 
     def __init__(
         self, scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
@@ -60,6 +65,8 @@ class ChaseWorld(World):
         B, K = num_copies, species.num_individuals
         self._acceleration = np.zeros((K, 2, B))
         self.acceleration = self._acceleration.transpose(2, 0, 1)
+        self._past = np.zeros((past_scales(species), K, 2, B))
+        self.past = self._past.transpose(3, 0, 1, 2)
         self._towards = np.zeros((K, 2, B))
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
@@ -83,7 +90,7 @@ class ChaseWorld(World):
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
             sharing, damping, thrust, pushes, numbers, self._position, self._velocity,
-            self._acceleration, self._towards, self._neighbours, np.zeros(B),
+            self._acceleration, self._past, self._towards, self._neighbours, np.zeros(B),
             np.zeros(B, dtype=np.int64), self._components, self._reward, self.outcome,
             self.terminated, self.truncated, self.step_count, self.warming, self._sensed,
             self._senses,
@@ -100,6 +107,8 @@ class ChaseWorld(World):
             species.contact_radius, self.random_state, self._position, self._velocity,
             self._acceleration,
         )  # fmt: skip
+        if len(self._past):
+            self._past[..., mask] = self._velocity[..., mask]
         self._observe()
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
@@ -107,8 +116,8 @@ class ChaseWorld(World):
 
     def _observe(self) -> None:
         senses.observe(
-            self._position, self._velocity, self._acceleration, self._towards, self._neighbours,
-            self._senses, self._sensed,
+            self._position, self._velocity, self._acceleration, self._past, self.step_count,
+            self._towards, self._neighbours, self._senses, self._sensed,
         )  # fmt: skip
 
 
@@ -117,23 +126,32 @@ def observe(
     position: NDArray[np.float64],
     velocity: NDArray[np.float64],
     acceleration: NDArray[np.float64] | None = None,
+    steps: NDArray[np.int64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of given states.
 
     The same kernel as in simulation, for recorded states ``(frames, K, 2)``; ``acceleration`` in
-    multiples of the thrust, by default none.
+    multiples of the thrust, by default none, ``steps`` ``(frames,)`` since the start, by default 0
+    of all, so that each is a start.
     """
     frames, K, _ = position.shape
     acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
+    steps = np.zeros(frames, dtype=np.int64) if steps is None else steps
     observation = np.zeros((K, len(observation_components(species)), frames), dtype=np.float32)
     towards = np.zeros((K, 2, frames))
     towards[:, 0] = 1.0
-    copy_last = (
+    position, velocity, acceleration = (
         np.ascontiguousarray(each.transpose(1, 2, 0), dtype=np.float64)
         for each in (position, velocity, acceleration)
     )
+    past = np.zeros((past_scales(species), K, 2, frames))
+    remembered(velocity, steps, past)
     senses.observe(
-        *copy_last,
+        position,
+        velocity,
+        acceleration,
+        past,
+        steps,
         towards,
         neighbours_of(K, frames),
         senses.senses_of(species, np.ones(K, dtype=bool)),
@@ -148,7 +166,8 @@ def observe(
 def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
     velocity = demos.velocities()
-    return observe(species, demos.positions, velocity, _accelerations(species, demos, velocity))[0]
+    pushes = _accelerations(species, demos, velocity)
+    return observe(species, demos.positions, velocity, pushes, demos.steps())[0]
 
 
 def _accelerations(
