@@ -96,7 +96,7 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
     ),
     "senses_past": (
         "`True`, `False`",
-        "own velocity averaged over the last steps too; your own animals do",
+        "own velocity averaged over the last steps too; your own animals with several thrusts do",
     ),
     "senses_time": (
         "`True`, `False`",

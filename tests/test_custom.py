@@ -134,6 +134,27 @@ def test_numbers_are_those_of_the_file() -> None:
     assert species_of(_told(demos, **kept)).time_limit == 90
 
 
+def test_animals_of_several_thrusts_see_their_past_and_others_do_not() -> None:
+    demos = dogs(1)
+    one, three = Locomotion(0.5, 1.0), Locomotion(0.5, 1.0, magnitudes=(2.0, 1.0, 0.5))
+    for own, base, past in ((one, None, False), (three, None, True), (three, "fly", False)):
+        species = species_of(demos, fit=(own, own), base=base)
+        assert isinstance(species, ChaseSpecies)
+        assert species.senses_past is past
+
+
+def test_time_is_seen_where_every_episode_began_with_a_separation() -> None:
+    def senses_time(**cutting: Any) -> bool:
+        species = species_of(_told(dogs(1), recipe={"cutting": cutting}))
+        assert isinstance(species, ChaseSpecies)
+        return species.senses_time
+
+    assert senses_time(mode="approach", start="separation", keep_last="inf")
+    assert not senses_time(mode="approach", start="separation", keep_last=9.0)
+    assert not senses_time(mode="approach", start="approach")
+    assert not senses_time(mode="whole", start="separation")
+
+
 def test_a_named_species_gives_its_numbers() -> None:
     demos = replace(dogs(2), species="newt")
     species = species_of(demos)

@@ -65,7 +65,8 @@ def species_of(
           contact, none should that is simulated, however near bodies without extent may come;
         - conditions: those that occur, as names only: no reward differs between them;
         - the edge of a disc or a square is a wall (``rebound``);
-        - own velocity averaged over the last steps is seen (``senses_past``);
+        - own velocity averaged over the last steps is seen (``senses_past``) by those with several
+          thrusts: who has one is an artificial agent, mostly, that goes by the present;
         - the time since the start is seen where the import began every episode at a separation
           (``senses_time``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
@@ -83,16 +84,19 @@ def species_of(
     numbers = get_species(name) if name in SPECIES else _plain_species(demos)
     _check_roles(demos, numbers)
     longest = int(demos.lengths.max()) - 1
+    locomotion = fitted_locomotion(demos) if fit is None else tuple(fit)
     conditions = numbers.conditions or _conditions(demos)
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
+    if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
+        own["senses_past"] = locomotion[0].thrusts > 1
     return with_options(
         numbers,
         individuals=demos.individuals,
         dt=demos.dt,
         arena=_arena(demos, numbers),
-        locomotion=fitted_locomotion(demos) if fit is None else tuple(fit),
+        locomotion=locomotion,
         time_limit=max(numbers.time_limit, longest, numbers.warmup + 1),
         conditions=conditions,
         **own,
@@ -185,7 +189,6 @@ def _plain_species(demos: Demonstrations) -> Species:
         arena=replace(demos.arena, rebound=True),
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
-        senses_past=True,
         senses_time=_begin_alike(demos),
         **common,
     )
