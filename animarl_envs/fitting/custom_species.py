@@ -91,6 +91,7 @@ def species_of(
         own["turning"] = fitted_turning(demos)
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
         own["senses_past"] = locomotion[0].thrusts > 1
+        own["senses_time"] = _begin_alike(demos)
     return with_options(
         numbers,
         individuals=demos.individuals,
@@ -189,7 +190,6 @@ def _plain_species(demos: Demonstrations) -> Species:
         arena=replace(demos.arena, rebound=True),
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
-        senses_time=_begin_alike(demos),
         **common,
     )
 

@@ -66,30 +66,29 @@ def _circle(name: str) -> tuple[tuple[str, float], ...]:
     return (f"{name} cosine", 1.0), (f"{name} sine", -1.0)
 
 
+def _scales(velocity: str, speed: str, sense: str = "") -> tuple[Group, Group, Group]:
+    """A velocity where small differences show, as ``senses._observe_scales`` writes it."""
+    return (
+        Group(_ahead_left(f"tanh of {velocity} / (u dt)"), EGO, "1", "fine", sense=sense),
+        Group(_ahead_left(f"tanh of {velocity} / (3 u dt)"), EGO, "1", "coarse", sense=sense),
+        Group(((f"log of ({speed} / (u dt) + 0.3)", 1.0),), "any", "1", "log speed", sense=sense),
+    )
+
+
 OWN = (
     Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL)),
     Group(_ahead_left("own velocity"), EGO, SPEED, "speed", (PAPER, FULL)),
     Group(_plane("own velocity"), ARENA, SPEED, "speed"),
-    Group(_ahead_left("tanh of own velocity / (u dt)"), EGO, "1", "fine"),
-    Group(_ahead_left("tanh of own velocity / (3 u dt)"), EGO, "1", "coarse"),
-    Group((("log of (own speed / (u dt) + 0.3)", 1.0),), "any", "1", "log speed"),
+    *_scales("own velocity", "own speed"),
     Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration"),
     Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL)),
     Group(
         (("log of (1 + steps since the start)", 1.0),), "any", "1", "log steps", sense="senses_time"
     ),
     *(
-        Group(entries, frame, "1", span, sense="senses_past")
-        for over in PAST
-        for entries, frame, span in (
-            (_ahead_left(f"tanh of mean velocity over {over} steps / (u dt)"), EGO, "fine"),
-            (_ahead_left(f"tanh of mean velocity over {over} steps / (3 u dt)"), EGO, "coarse"),
-            (
-                ((f"log of (mean velocity over {over} steps / (u dt) + 0.3)", 1.0),),
-                "any",
-                "log speed",
-            ),
-        )
+        group
+        for mean in (f"mean velocity over {over} steps" for over in PAST)
+        for group in _scales(mean, mean, sense="senses_past")
     ),
 )
 """Of the individual itself. Where velocities are measured by it, u is the smallest of its thrusts:
