@@ -52,6 +52,7 @@ from animarl_envs.worlds import make_world
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
 FOLDS = 6  # of the cross-validation over recordings, where there are few
+CROSSED = "-folds"  # ends the name of a packaged set that is cross-validated
 ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
 
 
@@ -120,8 +121,8 @@ class DataSet:
     """A set of demonstrations: how it is imported, how it is split, and what must hold.
 
     ``importing`` are the arguments of ``animarl import``, paths below the data folder; without them
-    the set is the packaged one of that name. ``folds``: cross-validated over recordings, or over
-    episodes where there are fewer than three recordings.
+    the set is the packaged one whose name its own begins with. ``folds``: cross-validated over
+    recordings, or over episodes where there are fewer than three recordings.
     """
 
     name: str
@@ -136,7 +137,7 @@ class DataSet:
 
     def load(self, folder: Path) -> Demonstrations:
         if self.importing is None:
-            return load_packaged(self.name)
+            return load_packaged(self.name.removesuffix(CROSSED))
         out = folder / f"{self.name}.npz"
         if not out.exists():
             options = shlex.split(self.importing)[1:]
@@ -147,6 +148,8 @@ class DataSet:
 
 SETS = (
     *(DataSet(name, PACKAGED) for name in packaged_names()),
+    # Ten, twenty and twelve test episodes are few: here every episode is tested once.
+    *(DataSet(name + CROSSED, PACKAGED, folds=FOLDS) for name in ("fly", "newt", "silkmoth")),
     DataSet("agents-indiv", AGENTS, "agents_collab_hunting/episodes_c2ae_indiv_slow2.4.npz"),
     DataSet("agents-share", AGENTS, "agents_collab_hunting/episodes_c2ae_share_slow2.4.npz"),
     DataSet("moths", MOTHS, "silkmoth_mothvr/raw/*.csv --source mothvr", FOLDS),
@@ -290,7 +293,7 @@ def main(
     (out / "imported").mkdir(parents=True, exist_ok=True)
     lines: list[dict[str, Any]] = []
     for one in SETS:
-        if (only and one.name not in only) or (quick and one.importing):
+        if (only and one.name not in only) or (quick and (one.importing or one.folds > 1)):
             continue
         if one.importing and not one.files():
             console.print(f"{one.name}: its recordings are not in {DATA}: left out")

@@ -117,6 +117,15 @@ def test_the_temperature_is_recovered() -> None:
     assert boltzmann_nll(values, actions, fitted) <= boltzmann_nll(values, actions, 0.3)
 
 
+def test_a_few_actions_that_are_all_the_same_make_no_greedy_animal() -> None:
+    """Those of a validation animal at rest: the likelihood alone is highest at temperature 0."""
+    values = np.array([4.0, 0.0, 0.0]) + np.random.default_rng(0).normal(0, 0.1, size=(25, 3))
+    actions = np.zeros(25, dtype=int)
+    fitted = fit_boltzmann_temperature(values, actions)
+    assert 0.5 < fitted < 1.0
+    assert boltzmann_nll(values, actions, 0.01) < boltzmann_nll(values, actions, fitted)
+
+
 def test_epsilon_decays_linearly_then_stays() -> None:
     decay = LinearDecay(0.5, 0.3, 100)
     assert [decay(n) for n in (0, 50, 100, 1000)] == pytest.approx([0.5, 0.4, 0.3, 0.3])

@@ -15,6 +15,9 @@ from scipy.optimize import minimize_scalar
 from animarl_algos.ranges import PROBABILITY, WHOLE
 from animarl_envs.errors import InputError
 
+LOG_TEMPERATURE_SD = 0.5
+"""How far the logarithm of a temperature lies from 0 before any action was looked at."""
+
 
 class Exploration(StrEnum):
     """How online collection acts."""
@@ -60,7 +63,11 @@ def boltzmann_nll(
 
 
 def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.integer]) -> float:
-    """Temperature of maximum likelihood, searched over ten decades around the values' own spread.
+    """Likeliest temperature, searched over ten decades around the values' own spread.
+
+    A priori its logarithm is normal around 0, the temperature of a clone's logits, with standard
+    deviation ``LOG_TEMPERATURE_SD``. Some hundred actions outweigh that; but of a few that are all
+    the same, as of animals at rest, the likelihood alone would have them never move again.
 
     The likelihood is unimodal in the inverse temperature (the log-likelihood of a one-parameter
     exponential family is concave), so a bounded scalar search finds it.
@@ -79,7 +86,10 @@ def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.
             "the action values are all equal or not finite: train before fitting a temperature"
         )
     result = minimize_scalar(
-        lambda log_t: boltzmann_nll(values, actions, spread * np.exp(log_t)),
+        lambda log_t: (
+            len(actions) * boltzmann_nll(values, actions, spread * np.exp(log_t))
+            + ((log_t + np.log(spread)) / LOG_TEMPERATURE_SD) ** 2 / 2
+        ),
         bounds=(np.log(1e-5), np.log(1e5)),
         method="bounded",
         options={"xatol": 1e-4},
