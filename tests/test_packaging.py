@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import venv
 from pathlib import Path
 
@@ -139,12 +140,16 @@ def test_a_wheel_is_built_and_used_in_an_empty_environment(tmp_path: Path) -> No
     source = tmp_path / "source"
     ignored = shutil.ignore_patterns(".*", "__pycache__", "out", "build", "dist", "*.egg-info")
     shutil.copytree(ROOT, source, ignore=ignored)
+    files = {str(path.relative_to(source)) for path in source.rglob("*") if path.is_file()}
     dist = tmp_path / "dist"
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(dist), cwd=source)
     made = sorted(dist.iterdir())
     assert [path.suffix for path in made] == [".whl", ".gz"]
     checked = run(sys.executable, "-m", "twine", "check", "--strict", *map(str, made), cwd=tmp_path)
     assert checked.count("PASSED") == 2
+    with tarfile.open(made[1]) as archive:  # whole, so that its tests run as they do here
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    assert files <= held, sorted(files - held)
 
     empty = tmp_path / "empty"
     venv.create(empty, with_pip=True)
