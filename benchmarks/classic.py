@@ -9,8 +9,10 @@ observations and rewards that they ask for.
 
 After every tenth of the steps the learner acts greedily in 20 episodes, whose starts are the same
 for all. Tabled are the mean return of these episodes at the end, and of the mean of the last five
-looks (a policy that wanders has a lower one); the processor seconds of training, the looks left
-out; and the return at the end per processor second. Intervals are Student's t over seeds, 95 %.
+looks (a policy that wanders has a lower one); that of the network of the best look, which is kept
+as stable-baselines3's EvalCallback keeps it, in 20 episodes from other starts; the processor
+seconds of training, the looks left out; and the latter return per processor second. Intervals are
+Student's t over seeds, 95 %.
 
 A learner and a seed make a file in ``--out``, and are not trained again where it exists.
 """
@@ -18,6 +20,7 @@ A learner and a seed make a file in ``--out``, and are not trained again where i
 from __future__ import annotations
 
 import argparse
+import copy
 import json
 import os
 import time
@@ -48,8 +51,8 @@ from animarl_algos.recipes.dqn import DQN
 from animarl_envs.files import write_then_rename
 
 LOOKS, LAST_LOOKS = 10, 5
-EPISODES, STARTS = 20, 10_000
-"""Episodes of a look, and the seed of their starts."""
+EPISODES, STARTS, FRESH_STARTS = 20, 10_000, 20_000
+"""Episodes of a look, the seed of their starts, and that of those for the best network."""
 
 TUNED_DQN: dict[str, dict[str, Any]] = {
     "CartPole-v1": {
@@ -121,9 +124,9 @@ def learners(task: str) -> tuple[Learner, Learner]:
     return Learner(f"DQN, {policy}", ours), Learner("stable-baselines3 DQN", sb3)
 
 
-def returns(model: BaseAlgorithm, task: str) -> NDArray[np.float64]:
+def returns(model: BaseAlgorithm, task: str, starts: int = STARTS) -> NDArray[np.float64]:
     """Of one greedy episode from each start."""
-    env: VecEnv = make_vec_env(task, n_envs=EPISODES, seed=STARTS)
+    env: VecEnv = make_vec_env(task, n_envs=EPISODES, seed=starts)
     statistics = unwrap_vec_normalize(model.get_env())
     total, running = np.zeros(EPISODES), np.ones(EPISODES, dtype=bool)
     observation, state, begun = env.reset(), None, np.ones(EPISODES, dtype=bool)
@@ -139,7 +142,10 @@ def returns(model: BaseAlgorithm, task: str) -> NDArray[np.float64]:
 
 
 class Looks(BaseCallback):
-    """Looks at the policy after every tenth of the steps, and leaves that out of the time."""
+    """Looks at the policy after every tenth of the steps, and leaves that out of the time.
+
+    The networks of the best look are kept, with what scales their observations.
+    """
 
     def __init__(self, task: str, steps: int) -> None:
         super().__init__()
@@ -147,6 +153,7 @@ class Looks(BaseCallback):
         self.means: list[float] = []
         self.seconds: list[float] = []
         self.looking, self.begun = 0.0, time.process_time()
+        self.best: tuple[dict[str, Any], Any] = ({}, None)
 
     def _on_step(self) -> bool:
         if self.num_timesteps >= self.every * (len(self.means) + 1) and len(self.means) < LOOKS - 1:
@@ -158,7 +165,21 @@ class Looks(BaseCallback):
         before = time.process_time()
         self.seconds.append(before - self.begun - self.looking)
         self.means.append(float(returns(self.model, self.task).mean()))
+        if self.means[-1] == max(self.means):
+            scaling = unwrap_vec_normalize(self.model.get_env())
+            self.best = copy.deepcopy(
+                (self.model.policy.state_dict(), None if scaling is None else scaling.obs_rms)
+            )
         self.looking += time.process_time() - before
+
+    def best_again(self) -> float:
+        """Mean return of the best look's networks, from starts that were not looked at."""
+        weights, scales = self.best
+        self.model.policy.load_state_dict(weights)
+        scaling = unwrap_vec_normalize(self.model.get_env())
+        if scaling is not None:
+            scaling.obs_rms = scales
+        return float(returns(self.model, self.task, FRESH_STARTS).mean())
 
 
 def train(task: str, learner: Learner, seed: int, steps: int) -> dict[str, Any]:
@@ -167,7 +188,8 @@ def train(task: str, learner: Learner, seed: int, steps: int) -> dict[str, Any]:
     model, looks = learner.make(task, seed), Looks(task, steps)
     model.learn(steps, callback=looks, log_interval=None)
     looks.look()  # the last one, after the last update
-    return {"returns": looks.means, "seconds": looks.seconds, "steps": steps}
+    found = {"returns": looks.means, "seconds": looks.seconds, "steps": steps}
+    return found | {"best": looks.best_again()}
 
 
 def cell(folder: Path, task: str, learner: Learner, seed: int, steps: int | None) -> dict[str, Any]:
@@ -201,10 +223,11 @@ def row(task: str, name: str, cells: Sequence[dict[str, Any]]) -> list[str]:
     end = [each["returns"][-1] for each in cells]
     late = [float(np.mean(each["returns"][-LAST_LOOKS:])) for each in cells]
     seconds = [each["seconds"][-1] for each in cells]
-    paid = [r / s for r, s in zip(end, seconds, strict=True)]
-    shown = ", ".join(f"{r:.0f}" for r in end)
-    return [task, name, f"{cells[0]['steps']:,}", interval(end), shown, interval(late),
-            f"{np.mean(seconds):.0f}", interval(paid)]  # fmt: skip
+    best = [each["best"] for each in cells]
+    paid = [r / s for r, s in zip(best, seconds, strict=True)]
+    ends, bests = (", ".join(f"{r:.0f}" for r in values) for values in (end, best))
+    return [task, name, f"{cells[0]['steps']:,}", interval(end), ends, interval(late),
+            interval(best), bests, f"{np.mean(seconds):.0f}", interval(paid)]  # fmt: skip
 
 
 def lacking(task: str) -> str | None:
@@ -230,10 +253,11 @@ def main() -> None:
     table.add_column("task")
     table.add_column("learner")
     for heading in ("steps", "return at the end", "per seed", "mean of the last looks",
-                    "processor s", "return per processor s"):  # fmt: skip
+                    "best look, other starts", "per seed", "processor s",
+                    "its return per processor s"):  # fmt: skip
         table.add_column(heading, justify="right")
     console = Console()
-    console.width = max(console.width, 140)
+    console.width = max(console.width, 180)
     for task in arguments.task or TASKS:
         if reason := lacking(task):
             console.print(reason, markup=False)
