@@ -2,7 +2,7 @@
 
 The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
 minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
-recorded step, on the recorded velocities. (A fit to single steps foretells the next turn a little
+recorded step, on the recorded velocities; over half of the median episode where that is shorter. (A fit to single steps foretells the next turn a little
 better and drifts away sooner.) The error is a chord, ``2 sin(difference / 2)``, so that headings
 that are lost altogether do not decide. The fourth number, ``speed``, is the median recorded speed.
 
@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError
 from animarl_envs.species.turning import Turning
 
-HEADING = "heading"  # the signal that holds it [rad, arena frame]
 HORIZON = 2.0  # of the free running in the fit [s]
 START = (0.2, 0.8, 0.0)  # persistence, gain, slip
 LOWEST, HIGHEST = np.array([0.0, 1e-3, -3.1]), np.array([0.95, 3.1, 3.1])
@@ -44,8 +44,8 @@ class HeadingErrors:
     sectors: float
 
 
-def fit_turning(demos: Demonstrations) -> Turning | None:
-    """Turning of the one recorded individual by least squares.
+def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
+    """Turning of one recorded individual by least squares.
 
     ``None`` where no headings are recorded, where it never moves, or where the body points where it
     walks: there the direction of travel foretells the next heading better.
@@ -53,27 +53,28 @@ def fit_turning(demos: Demonstrations) -> Turning | None:
     Raises
     ------
     InputError
-        If the headings are not one number per frame.
+        If the headings are not one number per frame and individual.
     """
     if HEADING not in demos.signals:
         return None
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     speeds = np.hypot(velocity[:, 0], velocity[:, 1])
     if not (speeds > 0).any():
         return None
     first = Turning(*START, speed=float(np.median(speeds[speeds > 0])))
-    data = _starts(demos, heading, velocity, max(1, round(HORIZON / demos.dt)))
+    horizon = min(round(HORIZON / demos.dt), (int(np.median(demos.lengths)) - 1) // 2)
+    data = _starts(demos, heading, velocity, max(1, horizon))
     if len(data[0]) <= len(START):
         return None
     found = _least_squares(first, data)
-    travel = along_travel(demos)
-    better = heading_errors(demos, found).one_step < heading_errors(demos, travel).one_step
-    return found if better else None
+    own = heading_errors(demos, found, individual).one_step
+    travel = heading_errors(demos, along_travel(demos, individual), individual).one_step
+    return found if own < travel else None
 
 
-def along_travel(demos: Demonstrations) -> NDArray[np.float64]:
+def along_travel(demos: Demonstrations, individual: int = 0) -> NDArray[np.float64]:
     """Heading of a body that points where it walks ``(frames,)`` [rad]; at rest it is kept."""
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     out = np.arctan2(velocity[:, 1], velocity[:, 0])
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > 0
     for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
@@ -83,9 +84,11 @@ def along_travel(demos: Demonstrations) -> NDArray[np.float64]:
     return out
 
 
-def free_running(demos: Demonstrations, turning: Turning) -> NDArray[np.float64]:
+def free_running(
+    demos: Demonstrations, turning: Turning, individual: int = 0
+) -> NDArray[np.float64]:
     """Headings ``(frames,)`` [rad] by the recorded velocities and each episode's first heading."""
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     out = heading.copy()
     for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
         turn = np.zeros(())
@@ -95,12 +98,14 @@ def free_running(demos: Demonstrations, turning: Turning) -> NDArray[np.float64]
     return out
 
 
-def heading_errors(demos: Demonstrations, rule: Turning | NDArray[np.float64]) -> HeadingErrors:
+def heading_errors(
+    demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int = 0
+) -> HeadingErrors:
     """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     steps = _steps(demos)
     if isinstance(rule, Turning):
-        free = free_running(demos, rule)
+        free = free_running(demos, rule, individual)
         turn = np.zeros(len(heading))
         turn[steps] = _between(heading[steps], heading[steps - 1])
         told = heading[steps - 1] + rule.next_turn(
@@ -120,15 +125,18 @@ def heading_errors(demos: Demonstrations, rule: Turning | NDArray[np.float64]) -
 _Data = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def _recorded(demos: Demonstrations) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _recorded(
+    demos: Demonstrations, individual: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Headings ``(frames,)`` and velocities ``(frames, 2)``."""
-    heading = np.asarray(demos.signals[HEADING], dtype=np.float64).reshape(len(demos.positions), -1)
-    if demos.num_individuals != 1 or heading.shape[1] != 1:
+    heading = demos.headings()
+    if heading is None:
+        columns = demos.signals[HEADING][:1].size
         raise InputError(
-            f"{demos.name}: signal {HEADING!r} has {heading.shape[1]} columns for "
+            f"{demos.name}: signal {HEADING!r} has {columns} columns for "
             f"{demos.num_individuals} individuals: turning is fitted to one of each"
         )
-    return heading[:, 0], demos.velocities()[:, 0]
+    return heading[:, individual], demos.velocities()[:, individual]
 
 
 def _steps(demos: Demonstrations) -> NDArray[np.int64]:
