@@ -2,11 +2,14 @@
 
 The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
 minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
-recorded step, on the recorded velocities; over half of the median episode where that is shorter. (A fit to single steps foretells the next turn a little
-better and drifts away sooner.) The error is a chord, ``2 sin(difference / 2)``, so that headings
-that are lost altogether do not decide. The fourth number, ``speed``, is the median recorded speed.
+recorded step, on the recorded velocities; over half of the median episode where that is shorter.
+(A fit to single steps foretells the next turn a little better and drifts away sooner.) The error is
+a chord, ``2 sin(difference / 2)``, so that headings that are lost altogether do not decide. The
+fourth number, ``speed``, is the median recorded speed.
 
-The optimum is found by damped Gauss-Newton steps (Levenberg 1944) from one start.
+The optimum is found by damped Gauss-Newton steps (Levenberg 1944): first over at most
+``FIRST_STEPS`` steps from one start, then from there over twice as many, and so on, since the error
+over many has other minima.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.species.turning import Turning
 
 HORIZON = 2.0  # of the free running in the fit [s]
+FIRST_STEPS = 4  # of the free running, to begin with
 START = (0.2, 0.8, 0.0)  # persistence, gain, slip
 LOWEST, HIGHEST = np.array([0.0, 1e-3, -3.1]), np.array([0.95, 3.1, 3.1])
 NUDGE = 1e-5  # of a number, for its difference quotient
@@ -61,12 +65,13 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
     speeds = np.hypot(velocity[:, 0], velocity[:, 1])
     if not (speeds > 0).any():
         return None
-    first = Turning(*START, speed=float(np.median(speeds[speeds > 0])))
-    horizon = min(round(HORIZON / demos.dt), (int(np.median(demos.lengths)) - 1) // 2)
-    data = _starts(demos, heading, velocity, max(1, horizon))
-    if len(data[0]) <= len(START):
-        return None
-    found = _least_squares(first, data)
+    found = Turning(*START, speed=float(np.median(speeds[speeds > 0])))
+    longest = max(1, min(round(HORIZON / demos.dt), (int(np.median(demos.lengths)) - 1) // 2))
+    for horizon in _horizons(longest):
+        data = _starts(demos, heading, velocity, horizon)
+        if len(data[0]) <= len(START):
+            return None
+        found = _least_squares(found, data)
     own = heading_errors(demos, found, individual).one_step
     travel = heading_errors(demos, along_travel(demos, individual), individual).one_step
     return found if own < travel else None
@@ -144,6 +149,14 @@ def _steps(demos: Demonstrations) -> NDArray[np.int64]:
     later = np.ones(len(demos.positions), dtype=bool)
     later[demos.offsets[:-1]] = False
     return np.flatnonzero(later)
+
+
+def _horizons(longest: int) -> list[int]:
+    """Steps of free running, twice as many each time, the longest last."""
+    found = [longest]
+    while found[0] > FIRST_STEPS:
+        found.insert(0, (found[0] + 1) // 2)
+    return found
 
 
 def _starts(

@@ -91,8 +91,8 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
         "numbers", "position", "velocity", "acceleration", "past", "towards", "bodies",
-        "neighbours", "nearest", "code", "components", "reward", "outcome", "terminated", "truncated",
-        "step_count", "warming", "observation", "senses",
+        "neighbours", "nearest", "code", "components", "reward", "outcome", "terminated",
+        "truncated", "step_count", "warming", "observation", "senses",
     ],
 )  # fmt: skip
 
@@ -100,14 +100,14 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @jit
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components, reward,
-    outcome, terminated, truncated, step_count, warming, observation, senses,
+    velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components,
+    reward, outcome, terminated, truncated, step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components, reward,
-        outcome, terminated, truncated, step_count, warming, observation, senses,
+        velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components,
+        reward, outcome, terminated, truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
 
