@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from recordings import dogs
+from small_runs import made
 from turned_bodies import SIDEWAYS, SLOW, recorded, species, turned, wanderers
 
+from animarl_algos import load_run
+from animarl_algos.evaluation.decisions import decide_along
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.pursuers import first_of_role
@@ -22,6 +26,9 @@ from animarl_envs.fitting.turning import along_travel, fit_turning, heading_erro
 from animarl_envs.scenario import with_options
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.views.scenario_data import plain
+from animarl_envs.worlds.chase.world import demonstration_headings
+
+DOCS = Path(__file__).parents[1] / "docs"
 
 
 @pytest.mark.parametrize(("noise", "within"), [(0.0, 1e-3), (0.05, 0.05)])
@@ -135,3 +142,43 @@ def test_headings_that_are_no_numbers_are_refused() -> None:
     heading[70, 1] = np.nan
     with pytest.raises(InputError, match="episode 1, frame 9, dog_b: signal 'heading' is not a"):
         replace(demos, signals={"heading": heading})
+
+
+def test_a_run_learns_simulates_and_is_loaded_with_its_turning(tmp_path: Path) -> None:
+    run = made(tmp_path, "soft-bc", demos=recorded(), species="custom", rolled_out=False)
+    loaded = load_run(run.path)
+    spec = loaded.scenario.species
+    assert isinstance(spec, ChaseSpecies) and spec.senses_heading
+    training = recorded().select(split="train")
+    assert spec.turning == tuple(fit_turning(training, i) for i in range(3))
+    rolled = loaded.simulate(split="test", repetitions=2)
+    assert np.isfinite(rolled.positions).all()
+    with pytest.raises(InputError, match="senses_heading changes what the policy is shown"):
+        loaded.simulate(senses_heading=False)
+
+
+class Seen:
+    """A policy that values nothing and keeps what it was shown."""
+
+    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
+        self.last = np.asarray(observation)
+        memory = np.zeros((len(observation), 1)) if state is None else state[0]
+        return np.zeros((len(observation), 13)), memory, False
+
+
+def test_maps_of_values_are_made_with_the_headings_of_the_moment() -> None:
+    policy = Seen()
+    decisions = decide_along(policy, species(), recorded(), focal="dog_a", demo=0)
+    heading = demonstration_headings(species(), recorded())[decisions.moment, 0]
+    towards = np.arctan2(decisions.focus[..., 1], decisions.focus[..., 0]).ravel()
+    env = gym.make("AnimaRL/Custom-v0", demos=recorded())
+    names = [c.name for c in env.unwrapped.world.observation_components]  # type: ignore[attr-defined]
+    at = names.index("own heading cosine")
+    assert policy.last[:, at] == pytest.approx(np.cos(heading - towards), abs=1e-5)
+
+
+def test_the_program_of_the_page_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (program,) = re.findall(r"```python\n(.*?)```", (DOCS / "faithful.md").read_text(), re.S)
+    exec(compile(program, "faithful.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "(4, 3)" in said and "other 2 heading sine" in said

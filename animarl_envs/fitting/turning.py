@@ -107,22 +107,39 @@ def heading_errors(
     demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int = 0
 ) -> HeadingErrors:
     """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
-    heading, velocity = _recorded(demos, individual)
+    heading, _ = _recorded(demos, individual)
     steps = _steps(demos)
-    if isinstance(rule, Turning):
-        free = free_running(demos, rule, individual)
-        turn = np.zeros(len(heading))
-        turn[steps] = _between(heading[steps], heading[steps - 1])
-        told = heading[steps - 1] + rule.next_turn(
-            turn[steps - 1], heading[steps - 1], velocity[steps]
-        )
-    else:
-        free, told = rule, rule[steps]
+    told, free = _foretold(demos, rule, individual)
     return HeadingErrors(
         one_step=float(np.median(np.abs(_between(told, heading[steps])))),
-        free_running=float(np.median(np.abs(_between(free[steps], heading[steps])))),
-        sectors=float(np.mean(_sector(free[steps]) == _sector(heading[steps]))),
+        free_running=float(np.median(np.abs(_between(free, heading[steps])))),
+        sectors=float(np.mean(_sector(free) == _sector(heading[steps]))),
     )
+
+
+def heading_misses(
+    demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int = 0
+) -> NDArray[np.float64]:
+    """Absolute differences from the recorded headings ``(2, steps)`` [rad], at all but first
+    frames: after one step from the recorded state, and running free from the first one."""
+    heading = _recorded(demos, individual)[0][_steps(demos)]
+    return np.stack(
+        [np.abs(_between(each, heading)) for each in _foretold(demos, rule, individual)]
+    )
+
+
+def _foretold(
+    demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Headings ``(steps,)`` after one step from the recorded state, and running free."""
+    heading, velocity = _recorded(demos, individual)
+    steps = _steps(demos)
+    if not isinstance(rule, Turning):
+        return rule[steps], rule[steps]
+    turn = np.zeros(len(heading))
+    turn[steps] = _between(heading[steps], heading[steps - 1])
+    told = heading[steps - 1] + rule.next_turn(turn[steps - 1], heading[steps - 1], velocity[steps])
+    return told, free_running(demos, rule, individual)[steps]
 
 
 # -- the data and the optimum -----------------------------------------------------------------
