@@ -18,6 +18,7 @@ from turned_bodies import SIDEWAYS, SLOW, recorded, species, turned, wanderers
 from animarl_algos import load_run
 from animarl_algos.evaluation.decisions import decide_along
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.pursuers import first_of_role
 from animarl_envs.errors import InputError
@@ -91,16 +92,17 @@ def test_turning_goes_through_json_options_and_other_numbers_of_individuals() ->
 def test_headings_stay_with_their_individuals_episodes_and_files(tmp_path: Path) -> None:
     demos = recorded()
     heading = demos.signals["heading"]
-    assert np.array_equal(Demonstrations.load(demos.save(tmp_path / "d.npz")).headings(), heading)
+    again = Demonstrations.load(demos.save(tmp_path / "d.npz"))
+    assert np.array_equal(recorded_headings(again), heading)  # type: ignore[arg-type]
     fewer = first_of_role(demos, "num_pursuers", 1)
-    assert np.array_equal(fewer.headings(), heading[:, [0, 2]])  # type: ignore[arg-type]
+    assert np.array_equal(recorded_headings(fewer), heading[:, [0, 2]])  # type: ignore[arg-type]
     assert np.array_equal(
-        demos.select(episodes=[1]).headings(),  # type: ignore[arg-type]
+        recorded_headings(demos.select(episodes=[1])),  # type: ignore[arg-type]
         heading[demos.offsets[1] : demos.offsets[2]],
     )
     held_out = replace(demos.select(split="test"), name="more.npz")
     both = join([demos.select(split="train"), held_out])
-    assert len(both.headings()) == len(both.positions)  # type: ignore[arg-type]
+    assert len(recorded_headings(both)) == len(both.positions)  # type: ignore[arg-type]
     other = replace(demos, name="flat", signals={"heading": heading[:, 0]})
     with pytest.raises(InputError, match=r"flat and .* in dogs.npz: give both as many columns"):
         join([demos, other])

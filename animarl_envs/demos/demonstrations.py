@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos import storage
 from animarl_envs.demos.episode import (
-    HEADING,
     INTERVAL,
     PURSUER_OUT,
     SPLITS,
@@ -66,8 +65,8 @@ class Demonstrations:
         ``(episodes,)``, the recording each episode was cut from.
     signals
         Further channels by name, each ``(frames,)`` or ``(frames, individuals, ...)``, such as
-        ``actions`` (int8; the action taken at a frame, -1 at the last one), ``odour``, or
-        ``heading`` (``(frames, individuals)``: where bodies point, counter-clockwise [rad]).
+        ``actions`` (int8; the action taken at a frame, -1 at the last one), ``odour`` or
+        ``heading`` (:mod:`animarl_envs.demos.headings`).
     provenance
         JSON-like: ``source``, ``licence``, ``synthetic`` (bool) at least; further what was done.
 
@@ -219,13 +218,6 @@ class Demonstrations:
             out *= (self.dt / self.intervals())[:, None, None]
         out[self.offsets[:-1]] = self.initial_velocity
         return out
-
-    def headings(self) -> NDArray[np.float64] | None:
-        """Recorded headings of all ``(frames, individuals)`` [rad, arena frame], or ``None``."""
-        heading = self.signals.get(HEADING)
-        if heading is None or heading[:1].size != self.num_individuals:
-            return None
-        return heading.astype(np.float64).reshape(len(heading), -1)
 
     def focus(self) -> NDArray[np.float64]:
         """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""

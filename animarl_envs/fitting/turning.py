@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
+from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.errors import InputError
 from animarl_envs.species.turning import Turning
 
@@ -151,7 +152,7 @@ def _recorded(
     demos: Demonstrations, individual: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Headings ``(frames,)`` and velocities ``(frames, 2)``."""
-    heading = demos.headings()
+    heading = recorded_headings(demos)
     if heading is None:
         columns = demos.signals[HEADING][:1].size
         raise InputError(

@@ -198,11 +198,6 @@ class World(ABC):
     def _advance(self, actions: NDArray[np.integer]) -> None:
         """One step of all copies: move, decide the episode's end, reward, sense."""
 
-    def scene_details(self, copy: int) -> dict[str, Any]:
-        """What a :class:`animarl_envs.drawing.scene.Scene` shows of a copy beside all that worlds
-        have in common, by the names of its fields."""
-        return {}
-
     def _disturb(self, mask: NDArray[np.bool_]) -> None:
         """From what is sensed now to what is handed out: late and noisy."""
         seen = self.sensed

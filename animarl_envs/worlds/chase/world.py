@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
@@ -76,7 +77,7 @@ class ChaseWorld(World):
         self.towards = self._towards.transpose(2, 0, 1)
         self._senses = senses.senses_of(species, self.observers)
         self._neighbours = neighbours_of(K, B)
-        recorded = None if scenario.demos is None else scenario.demos.headings()
+        recorded = None if scenario.demos is None else recorded_headings(scenario.demos)
         self._bodies = bodies_of(species, B, recorded)
         self.heading, self.turn = self._bodies.heading.T, self._bodies.turn.T
         if species.has_headings:  # not in what was saved of a world without
@@ -198,7 +199,8 @@ def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> 
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
     velocity = demos.velocities()
     pushes = _accelerations(species, demos, velocity)
-    return observe(species, demos.positions, velocity, pushes, demos.steps(), demos.headings())[0]
+    heading = recorded_headings(demos)
+    return observe(species, demos.positions, velocity, pushes, demos.steps(), heading)[0]
 
 
 def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float64]:
@@ -207,7 +209,7 @@ def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDAr
     ``(frames, 0)`` where the species has none.
     """
     return recorded_bodies(
-        species, demos.positions, demos.velocities(), demos.steps(), demos.headings()
+        species, demos.positions, demos.velocities(), demos.steps(), recorded_headings(demos)
     ).heading.T
 
 
