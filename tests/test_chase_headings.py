@@ -156,6 +156,24 @@ def test_headings_of_all_are_seen_from_each_in_the_order_of_the_others(many: int
                 assert seen == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-5)
 
 
+def test_headings_that_are_seen_change_and_are_no_copies() -> None:
+    world, rng, rows = world_of(50), np.random.default_rng(0), []
+    world.reset()
+    for _ in range(60):
+        world.step(rng.integers(13, size=(50, 3)))
+        rows.append(world.observation.copy())
+        world.reset(world.terminated | world.truncated)
+    seen = np.stack(rows).astype(np.float64)
+    names = [c.name for c in world.observation_components]
+    at = [k for k, name in enumerate(names) if "heading" in name]
+    assert len(at) == 6 and np.abs(seen[..., at]).max() <= 1.0
+    for i in range(3):
+        own = seen[:, :, i].reshape(-1, len(names))
+        assert (own[:, at].std(axis=0) > 0.1).all()
+        alike = np.abs(np.corrcoef(own.T)) - np.eye(len(names))
+        assert alike[at].max() < 0.99
+
+
 def moved(world: ChaseWorld, turn: Array, heading: Array) -> ChaseWorld:
     """A copy of the world in which all is turned or mirrored by a matrix."""
     state = world.get_state()

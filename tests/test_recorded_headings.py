@@ -47,6 +47,15 @@ def test_planted_turnings_of_each_are_found_again(noise: float, within: float) -
         assert own.free_running < travel.free_running
 
 
+def test_long_recordings_are_fitted_from_some_of_their_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    demos = turned(wanderers(), SIDEWAYS, SLOW)
+    monkeypatch.setattr("animarl_envs.fitting.turning.MOST_STARTS", 150)
+    found = fit_turning(demos)
+    assert found is not None and found.slip == pytest.approx(SIDEWAYS.slip, abs=1e-3)
+
+
 def test_a_species_of_recorded_headings_turns_and_sees_them() -> None:
     demos = recorded()
     spec = species_of(demos)

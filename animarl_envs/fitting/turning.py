@@ -2,7 +2,8 @@
 
 The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
 minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
-recorded step, on the recorded velocities; over half of the median episode where that is shorter.
+recorded step (of long recordings from ``MOST_STARTS`` of them, evenly chosen), on the recorded
+velocities; over half of the median episode where that is shorter.
 (A fit to single steps foretells the next turn a little better and drifts away sooner.) The error is
 a chord, ``2 sin(difference / 2)``, so that headings that are lost altogether do not decide. The
 fourth number, ``speed``, is the median recorded speed.
@@ -14,6 +15,7 @@ over many has other minima.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +28,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.species.turning import Turning
 
 HORIZON = 2.0  # of the free running in the fit [s]
+MOST_STARTS = 10_000  # of the free running
 FIRST_STEPS = 4  # of the free running, to begin with
 START = (0.2, 0.8, 0.0)  # persistence, gain, slip
 LOWEST, HIGHEST = np.array([0.0, 1e-3, -3.1]), np.array([0.95, 3.1, 3.1])
@@ -183,11 +186,12 @@ def _starts(
     velocity: NDArray[np.float64],
     horizon: int,
 ) -> _Data:
-    """Heading and last turn ``(n,)`` at all steps that ``horizon`` steps of an episode follow;
+    """Heading and last turn ``(n,)`` at steps that ``horizon`` steps of an episode follow;
     velocities ``(horizon, n, 2)`` and headings ``(horizon, n)`` of those."""
     last = np.repeat(demos.offsets[1:], demos.lengths) - 1
     at = _steps(demos)
     at = at[at + horizon <= last[at]]
+    at = at[:: max(1, math.ceil(len(at) / MOST_STARTS))]
     ahead = at + np.arange(1, horizon + 1)[:, None]
     return heading[at], _between(heading[at], heading[at - 1]), velocity[ahead], heading[ahead]
 
