@@ -3,10 +3,10 @@
 The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
 minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
 recorded step (of long recordings from ``MOST_STARTS`` of them, evenly chosen), on the recorded
-velocities; over half of the median episode where that is shorter.
-(A fit to single steps foretells the next turn a little better and drifts away sooner.) The error is
-a chord, ``2 sin(difference / 2)``, so that headings that are lost altogether do not decide. The
-fourth number, ``speed``, is the median recorded speed.
+velocities; over half of the median episode where that is shorter. (A fit to single steps foretells
+the next turn a little better and drifts away sooner.) The error is a chord, ``2 sin(difference /
+2)``, so that headings that are lost altogether do not decide. The fourth number, ``speed``, is the
+median recorded speed.
 
 The optimum is found by damped Gauss-Newton steps (Levenberg 1944): first over at most
 ``FIRST_STEPS`` steps from one start, then from there over twice as many, and so on, since the error

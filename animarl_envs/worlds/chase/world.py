@@ -1,10 +1,11 @@
 """The chase world: pursuers and a target in an arena (agents, flies, newts and your own).
 
-State per copy and individual: position, velocity, the acceleration of the last step, focus, and the
-unit vector towards the focus. The focus of a pursuer is the target; the focus of the target is its
-nearest pursuer, chosen anew at each step (ties: the lower index). Where one pursues several, the
-focus of each target is the pursuer and that of the pursuer its nearest target: positions, senses
-and contact know the last individual and the many others, whoever pursues.
+State per copy and individual: position, velocity, the acceleration of the last step, focus, the
+unit vector towards the focus, and where the species has it the heading and its last turn. The focus
+of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at each step
+(ties: the lower index). Where one pursues several, the focus of each target is the pursuer and that
+of the pursuer its nearest target: positions, senses and contact know the last individual and the
+many others, whoever pursues.
 """
 
 from __future__ import annotations
