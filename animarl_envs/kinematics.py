@@ -1,4 +1,4 @@
-"""How bodies move, as kernels call it: the transition of the velocity, and walls.
+"""How bodies move, as kernels call it: the transition of the velocity, turning, and walls.
 
 Fits and worlds use them alike. They stand apart from :mod:`animarl_envs.locomotion` so that
 importing the package, which needs the parameters alone, leaves numba out.
@@ -16,9 +16,46 @@ from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import part
 
 SQUARE, DISC = SHAPE_CODES["square"], SHAPE_CODES["disc"]
+HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
 
 next_velocity: Any = nb.njit(inline="always")(locomotion.next_velocity)
 """One component of ``v' = (1 - d) v + u a dt``."""
+
+
+@nb.njit(inline="always")
+def next_turn(  # type: ignore[no-untyped-def]
+    turn, cosine, sine, velocity_x, velocity_y, persistence, gain, slip_cosine, slip_sine, fast
+):
+    """The turn of a step [rad], by the equation of :mod:`animarl_envs.species.turning`.
+
+    ``cosine`` and ``sine`` are those of the heading before the step, ``fast`` is the speed about
+    which walking turns the body in full.
+    """
+    speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
+    turned = persistence * turn
+    if speed > 0.0:
+        x = velocity_x * slip_cosine - velocity_y * slip_sine
+        y = velocity_x * slip_sine + velocity_y * slip_cosine
+        off = (cosine * y - sine * x) / speed  # a sine
+        turned += gain * math.tanh(speed / fast) * off
+    return turned
+
+
+@nb.njit(inline="always")
+def wrapped(angle):  # type: ignore[no-untyped-def]
+    """The same direction in [-pi, pi)."""
+    return angle - 2.0 * math.pi * math.floor(0.5 + angle / (2.0 * math.pi))
+
+
+@nb.njit(inline="always")
+def turn_between(before, after):  # type: ignore[no-untyped-def]
+    """The shorter way from one direction to another, both in [-pi, pi] [rad]."""
+    turned = after - before
+    if turned > math.pi:
+        turned -= 2.0 * math.pi
+    elif turned < -math.pi:
+        turned += 2.0 * math.pi
+    return 0.0 if abs(turned) > HALF_TURN else turned
 
 
 @part

@@ -28,6 +28,12 @@ CUSTOM_NUMBERS = [
         "you say `shared_reward=True`",
     ),
     ("`rebound`", "walls, if the arena is a disc or a square"),
+    (
+        "`turning`, `senses_heading`",
+        "where headings are recorded (`animarl import --heading thorax,head`): a fit to those of "
+        "each individual, unless the direction of travel foretells the next heading better; they "
+        "are seen if one individual has such a fit",
+    ),
     ("`start_half_side`, `warmup`", "half the arena's size; 0 steps"),
 ]
 CUSTOM = (

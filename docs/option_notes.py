@@ -94,6 +94,17 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "`True`, `False`",
         "`'paper'` has the distance from the centre too",
     ),
+    "senses_heading": (
+        "`True`, `False`",
+        "where its body and those of the others point too; your own animals do if one of them does "
+        "not point where it walks",
+    ),
+    "turning": (
+        "by name or one for each: a `Turning`, `{'persistence': p, 'gain': g, 'slip': s, 'speed': "
+        "v}`, `None`",
+        "how bodies turn; `None`: it points where it walks; your own animals as their recorded "
+        "headings do",
+    ),
     "senses_past": (
         "`True`, `False`",
         "own velocity averaged over the last steps too; your own animals with several thrusts do",

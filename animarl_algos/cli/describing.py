@@ -95,6 +95,8 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
     """What an import is going to do, line by line."""
     clean, scale, cut, split = recipe.cleaning, recipe.scaling, recipe.cutting, recipe.splitting
     cleaning = [f"keypoint {clean.keypoint}"]
+    if clean.heading is not None:
+        cleaning.append(f"heading from {clean.heading[0]} to {clean.heading[1]}")
     if clean.min_confidence is None:
         cleaning.append(f"likelihoods below {LIKELY:g} not used")
     elif clean.min_confidence:

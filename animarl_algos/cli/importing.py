@@ -68,6 +68,10 @@ def import_command(
         ),
     ] = None,
     keypoint: Annotated[str | None, typer.Option(help="Body part, or centroid.")] = None,
+    heading: Annotated[
+        str | None,
+        typer.Option(help="Bodies point from one keypoint to another: thorax,head."),
+    ] = None,
     drop_jumps: Annotated[
         bool | None,
         typer.Option("--drop-jumps/--keep-jumps", help="Make gaps of jumps, or only flag them."),
@@ -171,8 +175,8 @@ def import_command(
         "condition": condition, "licence": licence, "synthetic": synthetic,
         "options": _options(option) or None,
         "cleaning": {
-            "keypoint": keypoint, "min_confidence": min_confidence, "max_gap": max_gap,
-            "smoothing_cutoff": smoothing, "drop_jumps": drop_jumps,
+            "keypoint": keypoint, "heading": _heading(heading), "min_confidence": min_confidence,
+            "max_gap": max_gap, "smoothing_cutoff": smoothing, "drop_jumps": drop_jumps,
         },
         "scaling": {"shape": arena, "width": arena_width, "units_per_arena_unit": units,
             "boundary": boundary, "centre": _centre(centre), "px_per_cm": px_per_cm,
@@ -218,6 +222,10 @@ def import_command(
         console.print(f"hint: {hint}", highlight=False, soft_wrap=True)
     if dry_run:
         console.print("Dry run: nothing was written.")
+
+
+def _heading(given: str | None) -> list[str] | None:
+    return None if given is None else [part.strip() for part in given.split(",")]
 
 
 def _centre(given: str | None) -> list[float] | None:

@@ -18,7 +18,7 @@ from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import foremost
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.worlds import demonstration_observations
-from animarl_envs.worlds.chase.world import observe
+from animarl_envs.worlds.chase.world import demonstration_headings, observe
 
 Floats = NDArray[np.float64]
 
@@ -179,7 +179,8 @@ def _map(
     position = np.repeat(one.positions[moment][None], len(places), axis=0)
     velocity = np.repeat(one.velocities()[moment][None], len(places), axis=0)
     position[:, who], velocity[:, who] = places, 0.0
-    observations, focus = observe(species, position, velocity)
+    heading = demonstration_headings(species, one)[[moment]].repeat(len(places), axis=0)
+    observations, focus = observe(species, position, velocity, heading=heading)
     rows = len(places) * len(slots)
     flat = _flagged(observations[:, slots], one, condition_flag).reshape(rows, -1)
     state = None if memory is None else tuple(np.tile(m.T, len(places)).T for m in memory)

@@ -19,7 +19,9 @@ from animarl_envs.scenario import Condition, Scenario, make_scenario
 from animarl_envs.species.options import with_options
 from animarl_envs.worlds import make_world
 
-SEEN_OTHERWISE = ("num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation")
+SEEN_OTHERWISE = (
+    "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
+)  # fmt: skip
 """Options under which a policy would be shown something else than it learned from."""
 
 

@@ -65,7 +65,8 @@ class Demonstrations:
         ``(episodes,)``, the recording each episode was cut from.
     signals
         Further channels by name, each ``(frames,)`` or ``(frames, individuals, ...)``, such as
-        ``actions`` (int8; the action taken at a frame, -1 at the last one) or ``odour``.
+        ``actions`` (int8; the action taken at a frame, -1 at the last one), ``odour`` or
+        ``heading`` (:mod:`animarl_envs.demos.headings`).
     provenance
         JSON-like: ``source``, ``licence``, ``synthetic`` (bool) at least; further what was done.
 

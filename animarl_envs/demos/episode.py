@@ -14,6 +14,10 @@ SPLITS = ("train", "val", "test")
 FILLED = "filled"
 """Signal ``(frames, individuals)``: the position was not tracked but filled in."""
 
+HEADING = "heading"
+"""Signal ``(frames, individuals)``: where the bodies point, counter-clockwise from x in the arena
+frame [rad]; of a lone individual ``(frames,)`` as well."""
+
 INTERVAL = "interval"
 """Signal ``(frames,)``: the time that led to a frame [s], where a last step may be shorter."""
 

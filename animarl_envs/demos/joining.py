@@ -87,6 +87,12 @@ def _refuse_unlike(first: Demonstrations, part: Demonstrations) -> None:
         raise InputError(
             f"{part.name} and {first.name} hold different signals: join sets with the same"
         )
+    for key, value in part.signals.items():
+        if value.shape[1:] != first.signals[key].shape[1:]:
+            raise InputError(
+                f"signal {key!r} has shape {value.shape} in {part.name} and "
+                f"{first.signals[key].shape} in {first.name}: give both as many columns"
+            )
 
 
 def _recording_names(parts: Sequence[Demonstrations]) -> list[Mapping[str, str]]:

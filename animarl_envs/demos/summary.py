@@ -16,6 +16,7 @@ OUTCOME_NAMES = {TIME_OUT: "time-out", TARGET_OUT: "target left", PURSUER_OUT: "
 TRACKING = (
     "untracked",
     "filled",
+    "heading unknown",
     "below confidence",
     "jumps",
     "identity swaps",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 
 from animarl_envs.checks import check_names
-from animarl_envs.demos.episode import INTERVAL, SPLITS, UNFINISHED
+from animarl_envs.demos.episode import HEADING, INTERVAL, SPLITS, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.focus import lone_pursuer
 
@@ -146,6 +146,16 @@ def _check_codes(demos: Demonstrations) -> None:
                 demos,
                 f"signal {key!r} has {len(value)} frames, positions have "
                 f"{len(demos.positions)}: give one value per frame",
+            )
+    heading = demos.signals.get(HEADING)
+    if heading is not None and heading.shape == (len(demos.positions), num):
+        numbers = heading.dtype.kind in "iuf"
+        bad = np.argwhere(~np.isfinite(heading)) if numbers else np.zeros((1, 2), dtype=int)
+        if len(bad):
+            _refuse(
+                demos,
+                f"{_place(demos, *bad[0])}: signal {HEADING!r} is not a number: fill the gap or "
+                "cut it out",
             )
     interval = demos.signals.get(INTERVAL)
     if interval is not None and not (

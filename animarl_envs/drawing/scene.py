@@ -165,9 +165,9 @@ class SceneRecorder:
             recorded = world.demos.episode(int(world.demo[b])).positions
         step = int(world.step_count[b])
         plain: dict[str, Any] = {"headings": self._headings.copy()}
-        senses = {}
+        details = world.scene_details(b)
         if self._glow is not None:
-            senses = world.scene_details(b) | {"plume": self._glow.plume()}
+            details["plume"] = self._glow.plume()
         if self._lengths is None:
             self._lengths = _lengths(world.demos)
         return Scene(
@@ -186,7 +186,7 @@ class SceneRecorder:
             step=step,
             time=step * species.dt,
             demonstration=recorded,
-            **(plain | self._lengths | senses),
+            **(plain | self._lengths | details),
         )
 
     def _ending(self) -> str:

@@ -16,9 +16,11 @@ import numpy as np
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import HEADING
+from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.turning import HEADING, fit_turning
+from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, lone_pursuer
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import (
@@ -37,7 +39,7 @@ SMALLEST_CONTACT = 0.001  # share of the arena's size
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 
 _FITS: dict[str, tuple[Locomotion, ...]] = {}
-_TURNINGS: dict[str, Turning | None] = {}
+_TURNINGS: dict[tuple[str, int], Turning | None] = {}
 
 
 def species_of(
@@ -72,7 +74,9 @@ def species_of(
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
         - a searcher has the silkmoth's senses, plume and conditions.
 
-        A searcher whose headings are recorded turns as they do, see :func:`fitted_turning`.
+        Individuals whose headings are recorded turn as they do, see :func:`fitted_turning`; those
+        of a chase then see where everybody points (``senses_heading``), if one of them does not
+        point where it walks.
 
     Raises
     ------
@@ -89,6 +93,9 @@ def species_of(
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
+    elif recorded_headings(demos) is not None:
+        turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
+        own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
         own["senses_past"] = locomotion[0].thrusts > 1
         own["senses_time"] = _begin_alike(demos)
@@ -123,14 +130,14 @@ def fitted_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
     return _FITS[key]
 
 
-def fitted_turning(demos: Demonstrations) -> Turning | None:
-    """Turning of a lone individual, fitted as :func:`fitted_locomotion` is.
+def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
+    """Turning of one individual, fitted as :func:`fitted_locomotion` is.
 
     ``None`` where its body points where it walks, or no headings are recorded.
     """
-    key = demos.fingerprint()
+    key = demos.fingerprint(), individual
     if key not in _TURNINGS:
-        _TURNINGS[key] = fit_turning(_training(demos))
+        _TURNINGS[key] = fit_turning(_training(demos), individual)
     return _TURNINGS[key]
 
 

@@ -2,26 +2,34 @@
 
 The three numbers persistence, gain and slip of :class:`animarl_envs.species.turning.Turning`
 minimise the squared error of the heading over ``HORIZON`` seconds of free running from every
-recorded step, on the recorded velocities. (A fit to single steps foretells the next turn a little
-better and drifts away sooner.) The error is a chord, ``2 sin(difference / 2)``, so that headings
-that are lost altogether do not decide. The fourth number, ``speed``, is the median recorded speed.
+recorded step (of long recordings from ``MOST_STARTS`` of them, evenly chosen), on the recorded
+velocities; over half of the median episode where that is shorter. (A fit to single steps foretells
+the next turn a little better and drifts away sooner.) The error is a chord, ``2 sin(difference /
+2)``, so that headings that are lost altogether do not decide. The fourth number, ``speed``, is the
+median recorded speed.
 
-The optimum is found by damped Gauss-Newton steps (Levenberg 1944) from one start.
+The optimum is found by damped Gauss-Newton steps (Levenberg 1944): first over at most
+``FIRST_STEPS`` steps from one start, then from there over twice as many, and so on, since the error
+over many has other minima.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import HEADING
+from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.errors import InputError
 from animarl_envs.species.turning import Turning
 
-HEADING = "heading"  # the signal that holds it [rad, arena frame]
 HORIZON = 2.0  # of the free running in the fit [s]
+MOST_STARTS = 10_000  # of the free running
+FIRST_STEPS = 4  # of the free running, to begin with
 START = (0.2, 0.8, 0.0)  # persistence, gain, slip
 LOWEST, HIGHEST = np.array([0.0, 1e-3, -3.1]), np.array([0.95, 3.1, 3.1])
 NUDGE = 1e-5  # of a number, for its difference quotient
@@ -44,8 +52,8 @@ class HeadingErrors:
     sectors: float
 
 
-def fit_turning(demos: Demonstrations) -> Turning | None:
-    """Turning of the one recorded individual by least squares.
+def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
+    """Turning of one recorded individual by least squares.
 
     ``None`` where no headings are recorded, where it never moves, or where the body points where it
     walks: there the direction of travel foretells the next heading better.
@@ -53,27 +61,29 @@ def fit_turning(demos: Demonstrations) -> Turning | None:
     Raises
     ------
     InputError
-        If the headings are not one number per frame.
+        If the headings are not one number per frame and individual.
     """
     if HEADING not in demos.signals:
         return None
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     speeds = np.hypot(velocity[:, 0], velocity[:, 1])
     if not (speeds > 0).any():
         return None
-    first = Turning(*START, speed=float(np.median(speeds[speeds > 0])))
-    data = _starts(demos, heading, velocity, max(1, round(HORIZON / demos.dt)))
-    if len(data[0]) <= len(START):
-        return None
-    found = _least_squares(first, data)
-    travel = along_travel(demos)
-    better = heading_errors(demos, found).one_step < heading_errors(demos, travel).one_step
-    return found if better else None
+    found = Turning(*START, speed=float(np.median(speeds[speeds > 0])))
+    longest = max(1, min(round(HORIZON / demos.dt), (int(np.median(demos.lengths)) - 1) // 2))
+    for horizon in _horizons(longest):
+        data = _starts(demos, heading, velocity, horizon)
+        if len(data[0]) <= len(START):
+            return None
+        found = _least_squares(found, data)
+    own = heading_errors(demos, found, individual).one_step
+    travel = heading_errors(demos, along_travel(demos, individual), individual).one_step
+    return found if own < travel else None
 
 
-def along_travel(demos: Demonstrations) -> NDArray[np.float64]:
+def along_travel(demos: Demonstrations, individual: int = 0) -> NDArray[np.float64]:
     """Heading of a body that points where it walks ``(frames,)`` [rad]; at rest it is kept."""
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     out = np.arctan2(velocity[:, 1], velocity[:, 0])
     moving = np.hypot(velocity[:, 0], velocity[:, 1]) > 0
     for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
@@ -83,9 +93,11 @@ def along_travel(demos: Demonstrations) -> NDArray[np.float64]:
     return out
 
 
-def free_running(demos: Demonstrations, turning: Turning) -> NDArray[np.float64]:
+def free_running(
+    demos: Demonstrations, turning: Turning, individual: int = 0
+) -> NDArray[np.float64]:
     """Headings ``(frames,)`` [rad] by the recorded velocities and each episode's first heading."""
-    heading, velocity = _recorded(demos)
+    heading, velocity = _recorded(demos, individual)
     out = heading.copy()
     for start, stop in zip(demos.offsets[:-1], demos.offsets[1:], strict=True):
         turn = np.zeros(())
@@ -95,24 +107,43 @@ def free_running(demos: Demonstrations, turning: Turning) -> NDArray[np.float64]
     return out
 
 
-def heading_errors(demos: Demonstrations, rule: Turning | NDArray[np.float64]) -> HeadingErrors:
+def heading_errors(
+    demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int = 0
+) -> HeadingErrors:
     """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
-    heading, velocity = _recorded(demos)
+    heading, _ = _recorded(demos, individual)
     steps = _steps(demos)
-    if isinstance(rule, Turning):
-        free = free_running(demos, rule)
-        turn = np.zeros(len(heading))
-        turn[steps] = _between(heading[steps], heading[steps - 1])
-        told = heading[steps - 1] + rule.next_turn(
-            turn[steps - 1], heading[steps - 1], velocity[steps]
-        )
-    else:
-        free, told = rule, rule[steps]
+    told, free = _foretold(demos, rule, individual)
     return HeadingErrors(
         one_step=float(np.median(np.abs(_between(told, heading[steps])))),
-        free_running=float(np.median(np.abs(_between(free[steps], heading[steps])))),
-        sectors=float(np.mean(_sector(free[steps]) == _sector(heading[steps]))),
+        free_running=float(np.median(np.abs(_between(free, heading[steps])))),
+        sectors=float(np.mean(_sector(free) == _sector(heading[steps]))),
     )
+
+
+def heading_misses(
+    demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int = 0
+) -> NDArray[np.float64]:
+    """Absolute differences from the recorded headings ``(2, steps)`` [rad], at all but first
+    frames: after one step from the recorded state, and running free from the first one."""
+    heading = _recorded(demos, individual)[0][_steps(demos)]
+    return np.stack(
+        [np.abs(_between(each, heading)) for each in _foretold(demos, rule, individual)]
+    )
+
+
+def _foretold(
+    demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Headings ``(steps,)`` after one step from the recorded state, and running free."""
+    heading, velocity = _recorded(demos, individual)
+    steps = _steps(demos)
+    if not isinstance(rule, Turning):
+        return rule[steps], rule[steps]
+    turn = np.zeros(len(heading))
+    turn[steps] = _between(heading[steps], heading[steps - 1])
+    told = heading[steps - 1] + rule.next_turn(turn[steps - 1], heading[steps - 1], velocity[steps])
+    return told, free_running(demos, rule, individual)[steps]
 
 
 # -- the data and the optimum -----------------------------------------------------------------
@@ -120,15 +151,18 @@ def heading_errors(demos: Demonstrations, rule: Turning | NDArray[np.float64]) -
 _Data = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def _recorded(demos: Demonstrations) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _recorded(
+    demos: Demonstrations, individual: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Headings ``(frames,)`` and velocities ``(frames, 2)``."""
-    heading = np.asarray(demos.signals[HEADING], dtype=np.float64).reshape(len(demos.positions), -1)
-    if demos.num_individuals != 1 or heading.shape[1] != 1:
+    heading = recorded_headings(demos)
+    if heading is None:
+        columns = demos.signals[HEADING][:1].size
         raise InputError(
-            f"{demos.name}: signal {HEADING!r} has {heading.shape[1]} columns for "
+            f"{demos.name}: signal {HEADING!r} has {columns} columns for "
             f"{demos.num_individuals} individuals: turning is fitted to one of each"
         )
-    return heading[:, 0], demos.velocities()[:, 0]
+    return heading[:, individual], demos.velocities()[:, individual]
 
 
 def _steps(demos: Demonstrations) -> NDArray[np.int64]:
@@ -138,17 +172,26 @@ def _steps(demos: Demonstrations) -> NDArray[np.int64]:
     return np.flatnonzero(later)
 
 
+def _horizons(longest: int) -> list[int]:
+    """Steps of free running, twice as many each time, the longest last."""
+    found = [longest]
+    while found[0] > FIRST_STEPS:
+        found.insert(0, (found[0] + 1) // 2)
+    return found
+
+
 def _starts(
     demos: Demonstrations,
     heading: NDArray[np.float64],
     velocity: NDArray[np.float64],
     horizon: int,
 ) -> _Data:
-    """Heading and last turn ``(n,)`` at all steps that ``horizon`` steps of an episode follow;
+    """Heading and last turn ``(n,)`` at steps that ``horizon`` steps of an episode follow;
     velocities ``(horizon, n, 2)`` and headings ``(horizon, n)`` of those."""
     last = np.repeat(demos.offsets[1:], demos.lengths) - 1
     at = _steps(demos)
     at = at[at + horizon <= last[at]]
+    at = at[:: max(1, math.ceil(len(at) / MOST_STARTS))]
     ahead = at + np.arange(1, horizon + 1)[:, None]
     return heading[at], _between(heading[at], heading[at - 1]), velocity[ahead], heading[ahead]
 

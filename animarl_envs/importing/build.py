@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import INTERVAL
+from animarl_envs.demos.episode import HEADING, INTERVAL
 from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import clean, resample, resample_index, runs
 from animarl_envs.importing.contacts import found_contact
 from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, Cutting, cut_episodes, in_pieces
+from animarl_envs.importing.headings import in_arena_frame, resample_headings
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.roles import named, roles_of, with_faced
 from animarl_envs.importing.scaling import in_centimetres, scales_of
@@ -48,6 +49,7 @@ def demonstrations_from_tracks(
     cleaned, faced = with_faced(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
     bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
+    cleaned = [in_arena_frame(one, scale) for one, scale in zip(cleaned, scales, strict=True)]
     individuals, roles, order = roles_of(cleaned, faced, recipe, name)
     bodies = [body[:, order] for body in bodies]
     contact = recipe.cutting.contact
@@ -175,7 +177,8 @@ def _episode(
             f"{tracks.recording}: it has {tracks.frame_rate:g} frames a second: choose a decision "
             "rate no higher than that"
         )
-    if abs(every - round(every)) < 1e-9:
+    even = abs(every - round(every)) < 1e-9
+    if even:
         index = resample_index(cut.stop - cut.start, round(every), recipe.keep_last_frame)
         samples = body[frames][index]
     else:
@@ -193,6 +196,8 @@ def _episode(
         if key in tracks.events and len(index) > 1:
             taken = np.maximum.reduceat(value[frames][: index[-1] + 1], index[:-1] + 1)
         own = taken.ndim > 1 and taken.shape[1] == several
+        if key == HEADING and own and not even:
+            taken = resample_headings(value[frames], tracks.frame_rate, rate)[1:]
         signals[key] = taken[:, order] if own else taken
     if recipe.keep_last_frame:
         signals[INTERVAL] = np.diff(index) / tracks.frame_rate

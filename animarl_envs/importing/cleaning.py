@@ -1,20 +1,24 @@
 """Cleaning of tracks, each step explicit and recorded: what was done, and to how many frames.
 
-Order: confidence threshold, keypoint, jumps flagged, gaps filled, smoothing. Nothing is shifted in
-time: the low-pass filter runs forwards and backwards, and filled gaps are straight lines.
+Order: confidence threshold, keypoint and heading, jumps flagged, gaps filled, smoothing. Nothing is
+shifted in time: the low-pass filter runs forwards and backwards, and filled gaps are straight lines
+(of headings, even turns).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.episode import FILLED
+from animarl_envs.demos.episode import FILLED, HEADING
 from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.importing.headings import direction, fill_headings, smooth_headings
 from animarl_envs.importing.tracks import CENTROID, Tracks
 
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
@@ -30,6 +34,9 @@ class Cleaning:
     ----------
     keypoint
         Name of the keypoint that stands for the body, or ``"centroid"``, the mean of those seen.
+    heading
+        Names of two keypoints: bodies point from the first to the second. Frames without both are
+        gaps like those without a position. ``None``: headings as the file tells them, if it does.
     min_confidence
         Keypoints below it count as not tracked; 0 takes all. ``None``: ``LIKELY`` where all
         confidences are likelihoods, between 0 and 1, and no threshold elsewhere.
@@ -42,12 +49,21 @@ class Cleaning:
     """
 
     keypoint: str = CENTROID
+    heading: tuple[str, str] | None = None
     min_confidence: float | None = None
     max_gap: float = 0.0
     smoothing_cutoff: float | None = None
     drop_jumps: bool = False
 
     def __post_init__(self) -> None:
+        if self.heading is not None:
+            pair = tuple(self.heading) if isinstance(self.heading, Sequence) else ()
+            if isinstance(self.heading, str) or len(pair) != 2 or pair[0] == pair[1]:
+                raise InputError(
+                    f"heading is {self.heading!r}: name two keypoints, the rear one first, such as "
+                    "thorax,head"
+                )
+            object.__setattr__(self, "heading", pair)
         if not 0 <= self.max_gap < math.inf:
             raise InputError(f"max_gap is {self.max_gap} s: it must be zero or positive")
         if self.smoothing_cutoff == 0:
@@ -79,6 +95,7 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
         done["confidence_of_at_least"] = limit
     bodies = body_positions(positions, tracks.keypoints, settings.keypoint, tracks.recording)
     done["keypoint"] = settings.keypoint
+    heading = _headings(tracks, positions, settings)
     jumps, swaps = find_jumps(bodies)
     done["jumps"], done["first_jumps"] = len(jumps), _flags(tracks, jumps)
     done["identity_swaps"], done["first_swaps"] = len(swaps), _flags(tracks, swaps)
@@ -86,20 +103,49 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     if settings.drop_jumps:
         bodies = bodies.copy()
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
+        if heading is not None:
+            heading[jumps[:, 0], jumps[:, 1]] = np.nan
     gaps: NDArray[np.bool_] = np.asarray(np.isnan(bodies).any(axis=2))
     seen = np.flatnonzero(~gaps.all(axis=1))  # before and after, nobody was in the recording
     done["untracked"] = int(np.count_nonzero(gaps[seen[0] : seen[-1] + 1])) if len(seen) else 0
     bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
+    if heading is not None:
+        heading = fill_headings(heading, round(settings.max_gap * rate))
+        lost = np.isnan(heading) & np.isfinite(bodies).all(axis=2)
+        bodies[lost] = np.nan
+        done["heading"], done["heading_unknown"] = list(settings.heading or ()), int(lost.sum())
     if settings.max_gap > 0:
         inside = np.asarray(gaps & np.isfinite(bodies).all(axis=2))
         tracks = replace(tracks, signals={**tracks.signals, FILLED: inside})
     if settings.smoothing_cutoff is not None:
-        bodies = smooth(bodies, settings.smoothing_cutoff, rate, tracks.recording)
+        low_pass = partial(
+            smooth, cutoff=settings.smoothing_cutoff, frame_rate=rate, name=tracks.recording
+        )
+        bodies = low_pass(bodies)
+        heading = None if heading is None else smooth_headings(heading, low_pass)
         done["smoothing"] = {
             "filter": "Butterworth low-pass, order 1, forward and backward",
             "cutoff_hz": settings.smoothing_cutoff,
         }
+    if heading is not None:
+        tracks = replace(tracks, signals={**tracks.signals, HEADING: heading})
     return tracks.with_bodies(bodies, keypoints=(settings.keypoint,)), done
+
+
+def _headings(
+    tracks: Tracks, positions: NDArray[np.float64], settings: Cleaning
+) -> NDArray[np.float64] | None:
+    """Headings ``(frames, individuals)`` [rad] from two keypoints, or as the file has them."""
+    if settings.heading is not None:
+        rear, front = (
+            body_positions(positions, tracks.keypoints, name, f"{tracks.recording}, heading")
+            for name in settings.heading
+        )
+        return direction(rear, front)
+    told = tracks.signals.get(HEADING)
+    if told is None or told.shape != (len(tracks), len(tracks.individuals)):
+        return None  # one column for all is handed on as it is
+    return told.astype(np.float64)
 
 
 def _least_confidence(tracks: Tracks, stated: float | None) -> float | None:

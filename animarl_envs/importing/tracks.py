@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.checks import check_names
+from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError
 
 CENTROID = "centroid"
@@ -41,7 +42,8 @@ class Tracks:
     confidence
         ``(frames, individuals, keypoints)`` or ``None``.
     signals
-        Further channels by name, ``(frames, ...)``.
+        Further channels by name, ``(frames, ...)``; ``heading`` ``(frames, individuals)`` is where
+        bodies point, from x towards y as they are in the file [rad], NaN where not known.
     events
         Names of the signals that tell of something that happened in the frame, such as a hit: a
         longer step has it if any of its frames has. The others are sampled.
@@ -213,11 +215,20 @@ def _side_by_side(group: Sequence[Tracks]) -> Tracks:
             part.positions
         )
         column += len(part.individuals)
+    headings = [part.signals.get(HEADING) for part in group]
+    signals = {}
+    if all(own is not None and own.ndim == 2 for own in headings):
+        shifted = [
+            np.pad(own, ((after, frames - after - len(own)), (0, 0)), constant_values=np.nan)
+            for own, after in zip(headings, late, strict=True)
+            if own is not None
+        ]
+        signals[HEADING] = np.concatenate(shifted, axis=1)
     return replace(
         first,
         individuals=tuple(name for part in group for name in part.individuals),
         positions=positions,
         confidence=None,
-        signals={},
+        signals=signals,
         events=(),
     )

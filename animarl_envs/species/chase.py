@@ -9,6 +9,7 @@ import numpy as np
 
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species
+from animarl_envs.species.turning import Turning, turnings_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,8 @@ class ChaseSpecies(Species):
     senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
     senses_time: bool = False  # adds the time since the start, where it tells how one moves
     senses_past: bool = False  # adds own velocity averaged over the last steps
+    senses_heading: bool = False  # adds where its body and those of the others point
+    turning: tuple[Turning | None, ...] = ()  # of each body, if one does not point where it walks
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
 
@@ -34,8 +37,10 @@ class ChaseSpecies(Species):
             raise InputError("a chase needs at least one pursuer and a target: name them both")
         self._positive("start_half_side")
         self._true_or_false(
-            "senses_centre", "senses_past", "senses_time", "shared_reward", "lone_pursuer"
-        )
+            "senses_centre", "senses_heading", "senses_past", "senses_time", "shared_reward",
+            "lone_pursuer",
+        )  # fmt: skip
+        object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
 
     def check_uniform_starts(self) -> None:
         """Refuse a square of starts that leaves the arena, or is too small to keep apart in."""
@@ -55,6 +60,11 @@ class ChaseSpecies(Species):
     def roles(self) -> tuple[str, ...]:
         many, one = ("target", "pursuer") if self.lone_pursuer else ("pursuer", "target")
         return (many,) * (self.num_individuals - 1) + (one,)
+
+    @property
+    def has_headings(self) -> bool:
+        """Whether headings are a state of their own, to turn or to be seen."""
+        return bool(self.turning) or self.senses_heading
 
     @property
     def num_pursuers(self) -> int:

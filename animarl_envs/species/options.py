@@ -103,10 +103,12 @@ def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
     """With so many individuals before the last one."""
     kind = species.individuals[0].rpartition("_")[0] or species.roles[0]
     many, last = species.locomotion[:-1], species.locomotion[-1]
+    turning = species.turning
     return replace(
         species,
         individuals=(*(f"{kind}_{i}" for i in range(count)), species.individuals[-1]),
         locomotion=(*(many[i % len(many)] for i in range(count)), last),
+        turning=turning and (*(turning[i % len(many)] for i in range(count)), turning[-1]),
     )
 
 
@@ -118,6 +120,7 @@ def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
             species,
             individuals=(f"{target}_0", pursuer),
             locomotion=(species.locomotion[-1], species.locomotion[0]),
+            turning=species.turning and (species.turning[-1], species.turning[0]),
             lone_pursuer=True,
         )
     return _with_many(species, count)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,7 +11,7 @@ import numpy as np
 from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species
-from animarl_envs.species.turning import Turning
+from animarl_envs.species.turning import Turning, as_turning
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,17 +66,7 @@ class SearchSpecies(Species):
             raise InputError(
                 f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
             )
-        if isinstance(self.turning, Mapping):
-            try:
-                object.__setattr__(self, "turning", Turning(**self.turning))
-            except TypeError as error:
-                raise InputError(
-                    f"turning is {dict(self.turning)!r}: name persistence, gain, slip and speed"
-                ) from error
-        elif not isinstance(self.turning, Turning | None):
-            raise InputError(
-                f"turning is {self.turning!r}: give a Turning, its numbers by name, or None"
-            )
+        object.__setattr__(self, "turning", as_turning(self.turning))
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)
             listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)

@@ -1,4 +1,4 @@
-"""How a body turns that does not point where it walks.
+"""How a body turns that does not point where it walks; a searcher's or that of one of a chase.
 
 A silkmoth walks sideways as well as ahead: its body is 0.75 rad off its direction of travel (median
 of recorded runs at 2 Hz, ``docs/plume.md``). The body is drawn towards the direction of travel, the
@@ -8,14 +8,16 @@ more so the faster it walks, and keeps a share of its last turn:
     heading' = heading + turn'
 
 with ``v'`` the velocity of the step and ``travel'`` its direction. Angles count counter-clockwise
-in the arena frame. The kernels' form is in :mod:`animarl_envs.worlds.search.senses`, the fit in
+in the arena frame. The kernels' form is :func:`animarl_envs.kinematics.next_turn`, the fit is in
 :mod:`animarl_envs.fitting.turning`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,3 +78,54 @@ class Turning:
         off = np.sin(np.arctan2(vy, vx) + self.slip - heading)
         pull = np.tanh(np.hypot(vx, vy) / self.speed) * off
         return np.asarray(self.persistence * turn + self.gain * pull)
+
+
+def as_turning(given: Any, whose: str = "turning") -> Turning | None:
+    """A turning from one, from its numbers by name, or none; ``whose`` is for messages.
+
+    Raises
+    ------
+    InputError
+        If it is anything else.
+    """
+    if isinstance(given, Mapping):
+        try:
+            return Turning(**given)
+        except TypeError as error:
+            raise InputError(
+                f"{whose} is {dict(given)!r}: name persistence, gain, slip and speed"
+            ) from error
+    if not isinstance(given, Turning | None):
+        raise InputError(f"{whose} is {given!r}: give a Turning, its numbers by name, or None")
+    return given
+
+
+def turnings_of(given: Any, individuals: Sequence[str]) -> tuple[Turning | None, ...]:
+    """One for each individual, or none at all where every body points where it walks.
+
+    ``given`` are as many in their order, or some of them by name.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown, the number is another, or one is no turning.
+    """
+    each = given
+    if isinstance(given, Mapping):
+        strangers = [name for name in given if name not in individuals]
+        if strangers:
+            raise InputError(
+                f"turning names {strangers[0]!r}: choose among {', '.join(individuals)}"
+            )
+        each = [given.get(name) for name in individuals]
+    listed = isinstance(each, Sequence) and not isinstance(each, str)
+    if each is not None and (not listed or len(each) not in (0, len(individuals))):
+        raise InputError(
+            f"turning is {given!r}: give one for each of {', '.join(individuals)}, some by name, "
+            "or None"
+        )
+    found = tuple(
+        as_turning(one, f"turning of {name}")
+        for name, one in zip(individuals, each or (), strict=False)
+    )
+    return () if all(one is None for one in found) else found

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError
 from animarl_envs.files import check_size
+from animarl_envs.importing.headings import radians_per_unit
 from animarl_envs.importing.readers.clocks import check_rate, frames_at, rate_of_frames, seconds
 from animarl_envs.importing.readers.habits import columns_by_habit, what_to_type
 from animarl_envs.importing.readers.layouts import Layout, layout_of, names_by_look
@@ -29,8 +31,8 @@ EXTENSIONS = (
     ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq"
 )  # fmt: skip
 Progress = Callable[[float], None] | None
-# Frame numbers, codes of recording and individual, positions (rows, 2), confidence.
-_Part = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any] | None]
+# Frame numbers, codes of recording and individual, positions (rows, 2), confidence, headings.
+_Part = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any] | None, NDArray[Any] | None]
 
 
 def table_layout(
@@ -71,6 +73,8 @@ def read_long_table(
     decimal: str | None = None,
     encoding: str | None = None,
     sheet: str | None = None,
+    heading: str | None = None,
+    angle_unit: str | None = None,
     progress: Progress = None,
 ) -> list[Tracks]:
     """One or more recordings; frames are whole numbers, missing rows are gaps.
@@ -78,7 +82,14 @@ def read_long_table(
     ``time`` names a column of times (numbers in ``time_unit``, by default seconds, or ISO 8601)
     that stands in for ``frame``; without ``fps`` it gives the frame rate as well. Frame 0 is the
     earliest time of each recording.
+
+    ``heading`` names a column of where bodies point, from x towards y; its ``angle_unit`` (rad or
+    deg) may stand in its name. No such column is found by habit: an angle may be that of an
+    ellipse, which has no front.
     """
+    if heading is None and angle_unit is not None:
+        raise InputError(f"{path}: angle_unit is {angle_unit!r} of no column: name it by heading")
+    to_radians = 1.0 if heading is None else radians_per_unit(path, heading, angle_unit)
     layout = table_layout(path, encoding, sheet, decimal)
     habit = columns_by_habit(layout.names, layout.units)
     given = {"frame": frame or time, "individual": individual, "x": x, "recording": recording}
@@ -94,7 +105,8 @@ def read_long_table(
     frame = None if time is not None else frame or habit.frame or (None if clock else "frame")
     if clock is not None and time is None:
         time_unit = time_unit or habit.time_unit or None
-    columns = [name for name in (frame, clock, individual, x, y, confidence, recording) if name]
+    wanted = (frame, clock, individual, x, y, confidence, heading, recording)
+    columns = [name for name in wanted if name]
     words_of_time = clock is not None and clock in layout.words_in
     text = [name for name in (individual, recording) if name]
     text += [clock] if clock is not None and words_of_time else []
@@ -108,12 +120,13 @@ def read_long_table(
         which = _codes(codes, names, sets, path.stem)
         values = np.column_stack([piece[x], piece[y]])
         weight = piece[confidence] if confidence is not None else None
+        angle = piece[heading] * to_radians if heading is not None else None
         when: NDArray[Any] = np.zeros(rows, dtype=np.int32)
         if frame is not None:
             when = _frame_numbers(path, frame, piece[frame])
         if clock is not None:
             times.append(piece[clock])
-        parts.append((when, which, values, weight))
+        parts.append((when, which, values, weight, angle))
     if not parts or not codes:
         raise InputError(f"{path}: it has a header but no rows: check the file")
     starts: dict[str, float] = {}
@@ -185,7 +198,7 @@ def _spread(
     """Rows to arrays ``(frames, individuals, 1, 2)``, a Tracks per recording."""
     count = len(codes)
     last = np.full(count, -1, dtype=np.int64)
-    for frames, which, _, _ in parts:
+    for frames, which, *_ in parts:
         np.maximum.at(last, which, frames)
     found = []
     for name in dict.fromkeys(recording for recording, _ in codes):
@@ -199,8 +212,11 @@ def _spread(
         weights = None
         if parts[0][3] is not None:
             weights = np.full((frames_total, len(own), 1), np.nan)
+        signals = {}
+        if parts[0][4] is not None:
+            signals[HEADING] = np.full((frames_total, len(own)), np.nan)
         seen = np.zeros((frames_total, len(own)), dtype=bool)
-        for frames, which, values, weight in parts:
+        for frames, which, values, weight, angle in parts:
             mine = column[which] >= 0
             rows, columns = frames[mine], column[which[mine]]
             flat = rows.astype(np.int64) * len(own) + columns
@@ -218,10 +234,13 @@ def _spread(
             positions[rows, columns, 0] = values[mine]
             if weights is not None and weight is not None:
                 weights[rows, columns, 0] = weight[mine]
+            if angle is not None:
+                signals[HEADING][rows, columns] = angle[mine]
         found.append(
             Tracks(
                 recording=name, individuals=individuals, positions=positions, frame_rate=fps,
-                unit=unit, y_down=y_down, confidence=weights, start=starts.get(name, 0.0),
+                unit=unit, y_down=y_down, confidence=weights, signals=signals,
+                start=starts.get(name, 0.0),
                 provenance={"file": path.name, "read_as": read_as},
             )
         )  # fmt: skip

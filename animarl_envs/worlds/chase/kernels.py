@@ -16,6 +16,7 @@ from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
+from animarl_envs.worlds.chase.headings import turn_bodies
 from animarl_envs.worlds.chase.judging import judge
 from animarl_envs.worlds.chase.past import remember
 from animarl_envs.worlds.chase.senses import observe
@@ -89,9 +90,9 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
     _ChaseStateType,
     [
         "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "acceleration", "past", "towards", "neighbours",
-        "nearest", "code", "components", "reward", "outcome", "terminated", "truncated",
-        "step_count", "warming", "observation", "senses",
+        "numbers", "position", "velocity", "acceleration", "past", "towards", "bodies",
+        "neighbours", "nearest", "code", "components", "reward", "outcome", "terminated",
+        "truncated", "step_count", "warming", "observation", "senses",
     ],
 )  # fmt: skip
 
@@ -99,14 +100,14 @@ structref.define_proxy(  # type: ignore[no-untyped-call]
 @jit
 def bundle(  # type: ignore[no-untyped-def]
     actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, acceleration, past, towards, neighbours, nearest, code, components, reward,
-    outcome, terminated, truncated, step_count, warming, observation, senses,
+    velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components,
+    reward, outcome, terminated, truncated, step_count, warming, observation, senses,
 ):  # fmt: skip
     """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
     return ChaseState(  # type: ignore[no-untyped-call]
         actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, acceleration, past, towards, neighbours, nearest, code, components, reward,
-        outcome, terminated, truncated, step_count, warming, observation, senses,
+        velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components,
+        reward, outcome, terminated, truncated, step_count, warming, observation, senses,
     )  # fmt: skip
 
 
@@ -140,6 +141,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.warming,
         )  # fmt: skip
     accelerate(velocity, state.thrust, dt, acceleration)
+    turn_bodies(state.drivers, warmup, state.demos, state.demo, step_count, velocity, state.bodies)
     judge(
         position, state.sharing, field, walled, lone, contact_radius, dt, penalty, state.nearest,
         code, state.components, state.reward,
@@ -149,8 +151,8 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         terminated[b] = code[b] != TIME_OUT
         truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
     observe(
-        position, velocity, acceleration, state.past, step_count, towards, state.neighbours,
-        state.senses, state.observation,
+        position, velocity, acceleration, state.past, step_count, towards, state.bodies,
+        state.neighbours, state.senses, state.observation,
     )  # fmt: skip
 
 

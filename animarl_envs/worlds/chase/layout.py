@@ -90,6 +90,7 @@ OWN = (
         for mean in (f"mean velocity over {over} steps" for over in PAST)
         for group in _scales(mean, mean, sense="senses_past")
     ),
+    Group(_circle("own heading"), EGO, "1", "unit", sense="senses_heading"),
 )
 """Of the individual itself. Where velocities are measured by it, u is the smallest of its thrusts:
 how an animal rests shows among velocities that no larger one could bring to a stop."""
@@ -105,6 +106,7 @@ OTHER = (
     Group(_plane("velocity"), ARENA, SPEED, "speed"),
     Group(_plane("difference"), ARENA, LENGTH, "offset"),
     Group(_circle("direction"), ARENA, "1", "unit", of_focus=False),
+    Group(_circle("heading"), EGO, "1", "unit", sense="senses_heading"),
 )
 """Of each other individual: the last one first (the target, or a lone pursuer), then the others by
 distance. The first is the focus."""
@@ -128,10 +130,10 @@ where it stands if that is a wall. The wall's frame is that of its nearest point
 
 (
     POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, ACCELERATION,
-    FOCUS, TIME, FINE_PAST, COARSE_PAST, LOG_PAST, _, _, _,
+    FOCUS, TIME, FINE_PAST, COARSE_PAST, LOG_PAST, _, _, _, HEADING,
     PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
-    OTHER_VELOCITY, OFFSET, DIRECTION, CENTRE_DISTANCE, EDGE, CENTRE, AT_WALL, BY_WALL,
-    WALL_CIRCLE, FINE_WALL, COARSE_WALL,
+    OTHER_VELOCITY, OFFSET, DIRECTION, OTHER_HEADING, CENTRE_DISTANCE, EDGE, CENTRE, AT_WALL,
+    BY_WALL, WALL_CIRCLE, FINE_WALL, COARSE_WALL,
 ) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip
 """Columns of :func:`first_rows`: the groups as they stand above."""
 
@@ -142,18 +144,22 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
     """The groups of an observation in order: whose (0 itself, 1 the focus, ...), column, group."""
     kind = species.observation
     for column, group in enumerate(OWN):
-        sensed = not group.sense or getattr(species, group.sense)
-        if kind in group.seen and sensed:
+        if kind in group.seen and _sensed(species, group):
             yield 0, column, group
     for rank in range(1, species.num_individuals):
         for column, group in enumerate(OTHER, start=len(OWN)):
-            if kind in group.seen and (rank > 1 or group.of_focus or kind == PAPER):
+            ahead = rank == 1 and not group.of_focus and kind != PAPER
+            if kind in group.seen and _sensed(species, group) and not ahead:
                 yield rank, column, group
     senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
     for column, group in enumerate(FIELD, start=len(OWN) + len(OTHER)):
         here = species.arena.rebound or not group.of_walls
         if senses_field and kind in group.seen and here:
             yield 0, column, group
+
+
+def _sensed(species: ChaseSpecies, group: Group) -> bool:
+    return not group.sense or bool(getattr(species, group.sense))
 
 
 def past_scales(species: ChaseSpecies) -> int:

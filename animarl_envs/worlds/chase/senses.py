@@ -19,6 +19,7 @@ from animarl_envs.focus import FALLBACK
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.arctangent import angle_of
 from animarl_envs.worlds.chase import layout
+from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.neighbours import (
     APART,
     DVX,
@@ -66,9 +67,10 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
 
 @jit
 def observe(  # type: ignore[no-untyped-def]
-    position, velocity, acceleration, past, steps, towards, neighbours, senses, observation
+    position, velocity, acceleration, past, steps, towards, bodies, neighbours, senses, observation
 ):
-    """Focus directions of all and the observers' observations; ``neighbours`` is scratch.
+    """Focus directions of all and the observers' observations; ``neighbours`` is scratch, and of
+    ``bodies`` what is no state.
 
     ``acceleration`` ``(K, 2, B)`` is that of the last step, in multiples of the thrust, ``past``
     ``(scales, K, 2, B)`` are mean velocities (module ``past``), none where they are not seen, and
@@ -77,6 +79,9 @@ def observe(  # type: ignore[no-untyped-def]
     """
     first, observers, stride, near, scales, shape, edge, limit = senses
     others = neighbours.others
+    turning = first[0, layout.HEADING] != ABSENT
+    if turning:
+        face(bodies)
     lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
         if not observers[i]:
@@ -101,6 +106,8 @@ def observe(  # type: ignore[no-untyped-def]
             observe_wall(
                 i, position, velocity, towards, first, stride[i], scales, shape, edge, observation
             )
+        if turning:
+            observe_headings(i, position, towards, first, neighbours.order, bodies, observation)
 
 
 @part

@@ -1,28 +1,31 @@
 """The chase world: pursuers and a target in an arena (agents, flies, newts and your own).
 
-State per copy and individual: position, velocity, the acceleration of the last step, focus, and the
-unit vector towards the focus. The focus of a pursuer is the target; the focus of the target is its
-nearest pursuer, chosen anew at each step (ties: the lower index). Where one pursues several, the
-focus of each target is the pursuer and that of the pursuer its nearest target: positions, senses
-and contact know the last individual and the many others, whoever pursues.
+State per copy and individual: position, velocity, the acceleration of the last step, focus, the
+unit vector towards the focus, and where the species has it the heading and its last turn. The focus
+of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at each step
+(ties: the lower index). Where one pursues several, the focus of each target is the pursuer and that
+of the pursuer its nearest target: positions, senses and contact know the last individual and the
+many others, whoever pursues.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase import kernels as kernels
 from animarl_envs.worlds.chase import senses
+from animarl_envs.worlds.chase.headings import bodies_of, first_headings, recorded_bodies
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
 from animarl_envs.worlds.chase.layout import past_scales
 from animarl_envs.worlds.chase.neighbours import neighbours_of
@@ -48,6 +51,9 @@ class ChaseWorld(World):
         of ``layout.PAST`` [arena unit / s]; no scales where the species does not sense them.
     towards
         ``(B, K, 2)``, unit vectors towards the focus.
+    heading, turn
+        ``(B, K)``, where bodies point and how far the last step turned them, counter-clockwise in
+        the arena frame [rad]; ``(B, 0)`` where the species has no headings.
     """
 
     reward_components = ("touch", "elapsed", "boundary")
@@ -72,6 +78,11 @@ class ChaseWorld(World):
         self.towards = self._towards.transpose(2, 0, 1)
         self._senses = senses.senses_of(species, self.observers)
         self._neighbours = neighbours_of(K, B)
+        recorded = None if scenario.demos is None else recorded_headings(scenario.demos)
+        self._bodies = bodies_of(species, B, recorded)
+        self.heading, self.turn = self._bodies.heading.T, self._bodies.turn.T
+        if species.has_headings:  # not in what was saved of a world without
+            self._state_names = (*ChaseWorld._state_names, "heading", "turn")
         damping = np.array([m.damping for m in species.locomotion])
         thrust = np.array([m.thrust for m in species.locomotion])
         pushes = np.stack([np.ascontiguousarray(m.action_vectors.T) for m in species.locomotion])
@@ -90,8 +101,8 @@ class ChaseWorld(World):
         self._state = kernels.bundle(
             np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
             sharing, damping, thrust, pushes, numbers, self._position, self._velocity,
-            self._acceleration, self._past, self._towards, self._neighbours, np.zeros(B),
-            np.zeros(B, dtype=np.int64), self._components, self._reward, self.outcome,
+            self._acceleration, self._past, self._towards, self._bodies, self._neighbours,
+            np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward, self.outcome,
             self.terminated, self.truncated, self.step_count, self.warming, self._sensed,
             self._senses,
         )  # fmt: skip
@@ -109,7 +120,21 @@ class ChaseWorld(World):
         )  # fmt: skip
         if len(self._past):
             self._past[..., mask] = self._velocity[..., mask]
+        if species.has_headings:
+            self._wake(mask)
         self._observe()
+
+    def _wake(self, mask: NDArray[np.bool_]) -> None:
+        """The first headings of new episodes."""
+        recorded = np.full((int(mask.sum()), self.num_individuals), np.nan)
+        demo = self.demo[mask]
+        if len(self._bodies.recorded):
+            paired = demo >= 0
+            recorded[paired] = self._bodies.recorded[self._demos.start[demo[paired]]]
+        self.heading[mask] = first_headings(
+            self._species, self.position[mask], self.velocity[mask], recorded
+        )
+        self.turn[mask] = 0.0
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
         kernels.advance(actions, self._state)
@@ -117,8 +142,12 @@ class ChaseWorld(World):
     def _observe(self) -> None:
         senses.observe(
             self._position, self._velocity, self._acceleration, self._past, self.step_count,
-            self._towards, self._neighbours, self._senses, self._sensed,
+            self._towards, self._bodies, self._neighbours, self._senses, self._sensed,
         )  # fmt: skip
+
+    def scene_details(self, copy: int) -> dict[str, Any]:
+        """The headings, where they are a state of their own."""
+        return {"headings": self.heading[copy].copy()} if self._species.has_headings else {}
 
 
 def observe(
@@ -127,12 +156,14 @@ def observe(
     velocity: NDArray[np.float64],
     acceleration: NDArray[np.float64] | None = None,
     steps: NDArray[np.int64] | None = None,
+    heading: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Observations ``(frames, K, n)`` and focus directions ``(frames, K, 2)`` of given states.
 
     The same kernel as in simulation, for recorded states ``(frames, K, 2)``; ``acceleration`` in
     multiples of the thrust, by default none, ``steps`` ``(frames,)`` since the start, by default 0
-    of all, so that each is a start.
+    of all, so that each is a start. ``heading`` ``(frames, K)`` are recorded ones [rad], by default
+    none; a species without headings does not look at them.
     """
     frames, K, _ = position.shape
     acceleration = np.zeros_like(velocity) if acceleration is None else acceleration
@@ -140,6 +171,7 @@ def observe(
     observation = np.zeros((K, len(observation_components(species)), frames), dtype=np.float32)
     towards = np.zeros((K, 2, frames))
     towards[:, 0] = 1.0
+    bodies = recorded_bodies(species, position, velocity, steps, heading)
     position, velocity, acceleration = (
         np.ascontiguousarray(each.transpose(1, 2, 0), dtype=np.float64)
         for each in (position, velocity, acceleration)
@@ -153,6 +185,7 @@ def observe(
         past,
         steps,
         towards,
+        bodies,
         neighbours_of(K, frames),
         senses.senses_of(species, np.ones(K, dtype=bool)),
         observation,
@@ -167,7 +200,18 @@ def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> 
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
     velocity = demos.velocities()
     pushes = _accelerations(species, demos, velocity)
-    return observe(species, demos.positions, velocity, pushes, demos.steps())[0]
+    heading = recorded_headings(demos)
+    return observe(species, demos.positions, velocity, pushes, demos.steps(), heading)[0]
+
+
+def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float64]:
+    """Headings in all recorded frames ``(frames, K)`` [rad], as the world would have them.
+
+    ``(frames, 0)`` where the species has none.
+    """
+    return recorded_bodies(
+        species, demos.positions, demos.velocities(), demos.steps(), recorded_headings(demos)
+    ).heading.T
 
 
 def _accelerations(

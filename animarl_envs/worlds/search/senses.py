@@ -9,12 +9,10 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.kinematics import next_velocity
+from animarl_envs.kinematics import next_turn, next_velocity, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.hits import is_hit
 from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
-
-HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as no turn [rad]
 
 
 class Senses(NamedTuple):
@@ -81,13 +79,8 @@ def _face(b, cosine, sine, angle, body):  # type: ignore[no-untyped-def]
     """Point the body at ``angle`` from upwind, its unit vector given; note how far it turned."""
     body.heading[0, b] = cosine
     body.heading[1, b] = sine
-    turned = angle - body.angle[b]
+    body.turn[b] = turn_between(body.angle[b], angle)
     body.angle[b] = angle
-    if turned > math.pi:
-        turned -= 2.0 * math.pi
-    elif turned < -math.pi:
-        turned += 2.0 * math.pi
-    body.turn[b] = 0.0 if abs(turned) > HALF_TURN else turned
 
 
 @nb.njit(inline="always")
@@ -111,15 +104,12 @@ def follow(b, velocity_x, velocity_y, rest_speed, body):  # type: ignore[no-unty
 @nb.njit(inline="always")
 def _swing(b, velocity_x, velocity_y, senses, body):  # type: ignore[no-untyped-def]
     """Turn by the equation of :mod:`animarl_envs.species.turning`."""
-    speed = math.sqrt(velocity_x * velocity_x + velocity_y * velocity_y)
-    turn = senses.persistence * body.turn[b]
-    if speed > 0.0:
-        x = velocity_x * senses.slip_cosine - velocity_y * senses.slip_sine
-        y = velocity_x * senses.slip_sine + velocity_y * senses.slip_cosine
-        off = (body.heading[0, b] * y - body.heading[1, b] * x) / speed  # a sine
-        turn += senses.gain * math.tanh(speed / senses.turning_speed) * off
-    angle = body.angle[b] + turn
-    angle -= 2.0 * math.pi * math.floor(0.5 + angle / (2.0 * math.pi))
+    turn = next_turn(
+        body.turn[b], body.heading[0, b], body.heading[1, b], velocity_x, velocity_y,
+        senses.persistence, senses.gain, senses.slip_cosine, senses.slip_sine,
+        senses.turning_speed,
+    )  # fmt: skip
+    angle = wrapped(body.angle[b] + turn)
     body.heading[0, b] = -math.cos(angle)
     body.heading[1, b] = -math.sin(angle)
     body.angle[b] = angle

@@ -1,0 +1,223 @@
+"""Where bodies point, in a chase whose species has it: state ``(n, B)``, n = K or 0 individuals.
+
+A body with a :class:`animarl_envs.species.turning.Turning` turns by it, or as was recorded where a
+demonstration with headings is followed; all others point where they walk and keep their heading at
+rest. An episode begins with the recorded heading, else along the velocity, else towards the focus.
+Angles count counter-clockwise from x in the arena frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.compiling import jit, part
+from animarl_envs.focus import focus_directions
+from animarl_envs.kinematics import next_turn, turn_between, wrapped
+from animarl_envs.scenario import REPLAY
+from animarl_envs.species import ChaseSpecies
+from animarl_envs.worlds.chase import layout
+
+HEADING, OTHER_HEADING = layout.HEADING, layout.OTHER_HEADING
+NOT_RECORDED = -1  # in the place of a frame
+
+
+class Bodies(NamedTuple):
+    """State, scratch and numbers of the bodies of ``B`` copies."""
+
+    heading: NDArray[np.float64]  # (n, B), in [-pi, pi) [rad]
+    turn: NDArray[np.float64]  # (n, B), of the last step [rad]
+    facing: NDArray[np.float64]  # (n, 2, B), scratch: the unit vectors
+    recorded: NDArray[np.float64]  # (frames, K) [rad], or no frames
+    turns: NDArray[np.bool_]  # (n,), by the numbers below; otherwise it points where it walks
+    numbers: NDArray[np.float64]  # (5, n): persistence, gain, cosine and sine of the slip, speed
+
+
+def bodies_of(
+    species: ChaseSpecies, num_copies: int, recorded: NDArray[np.float64] | None = None
+) -> Bodies:
+    """Bodies that point along x; ``recorded`` headings are ``(frames, K)`` [rad]."""
+    K = species.num_individuals
+    n = K if species.has_headings else 0
+    turns, numbers = np.zeros(n, dtype=bool), np.ones((5, n))
+    for i, own in enumerate(species.turning):
+        if own is not None:
+            slip = math.cos(own.slip), math.sin(own.slip)
+            turns[i], numbers[:, i] = True, (own.persistence, own.gain, *slip, own.speed)
+    return Bodies(
+        np.zeros((n, num_copies)), np.zeros((n, num_copies)), np.zeros((n, 2, num_copies)),
+        np.zeros((0, K)) if recorded is None else np.ascontiguousarray(recorded),
+        turns, numbers,
+    )  # fmt: skip
+
+
+def first_headings(
+    species: ChaseSpecies,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    recorded: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Headings ``(..., K)`` at the start of episodes [rad].
+
+    ``position`` and ``velocity`` are ``(..., K, 2)``; ``recorded`` ``(..., K)`` is NaN where
+    nothing was.
+    """
+    known = np.isfinite(recorded)
+    towards = focus_directions(position, species.roles)
+    at_rest = np.where(known, recorded, np.arctan2(towards[..., 1], towards[..., 0]))
+    moving = (velocity != 0.0).any(axis=-1)
+    heading = np.where(moving, np.arctan2(velocity[..., 1], velocity[..., 0]), at_rest)
+    turns = np.array([own is not None for own in species.turning], dtype=bool)
+    if len(turns):
+        heading = np.where(known & turns, recorded, heading)
+    return np.asarray((heading + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def recorded_bodies(
+    species: ChaseSpecies,
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    steps: NDArray[np.int64],
+    recorded: NDArray[np.float64] | None = None,
+) -> Bodies:
+    """The bodies in recorded frames, a copy for each, as the world would have them.
+
+    ``position`` and ``velocity`` are ``(frames, K, 2)``, ``steps`` ``(frames,)`` count from the
+    start of each episode, ``recorded`` ``(frames, K)`` are headings [rad].
+    """
+    bodies = bodies_of(species, len(position), recorded)
+    if len(bodies.heading):
+        starts = steps == 0
+        known = np.full(position.shape[:2], np.nan) if recorded is None else recorded
+        first = first_headings(species, position[starts], velocity[starts], known[starts])
+        bodies.heading[:, starts] = first.T
+        _follow_frames(np.ascontiguousarray(velocity), steps, bodies)
+    return bodies
+
+
+# -- turning --------------------------------------------------------------------------------------
+
+
+@part
+def turned(i, heading, turn, velocity_x, velocity_y, frame, bodies):  # type: ignore[no-untyped-def]
+    """Heading and turn of individual ``i`` after a step; ``frame`` is the recorded one it follows,
+    or ``NOT_RECORDED``."""
+    if not bodies.turns[i]:
+        if velocity_x == 0.0 and velocity_y == 0.0:
+            return heading, 0.0
+        along = wrapped(math.atan2(velocity_y, velocity_x))
+        return along, turn_between(heading, along)
+    if frame != NOT_RECORDED:
+        shown = wrapped(bodies.recorded[frame, i])
+        return shown, turn_between(heading, shown)
+    own = bodies.numbers
+    turn = next_turn(
+        turn, math.cos(heading), math.sin(heading), velocity_x, velocity_y, own[0, i], own[1, i],
+        own[2, i], own[3, i], own[4, i],
+    )  # fmt: skip
+    return wrapped(heading + turn), turn
+
+
+@part
+def turn_bodies(drivers, warmup, demos, demo, step_count, velocity, bodies):  # type: ignore[no-untyped-def]
+    """All bodies after a step; ``velocity`` ``(K, 2, B)`` is that of the step."""
+    for i in range(bodies.heading.shape[0]):
+        for b in range(bodies.heading.shape[1]):
+            frame = NOT_RECORDED
+            follows = drivers[i] == REPLAY or step_count[b] <= warmup
+            if len(bodies.recorded) > 0 and demo[b] >= 0 and follows:
+                at = demos.start[demo[b]] + step_count[b]
+                if at < demos.start[demo[b] + 1]:
+                    frame = at
+            heading, turn = turned(
+                i, bodies.heading[i, b], bodies.turn[i, b], velocity[i, 0, b], velocity[i, 1, b],
+                frame, bodies,
+            )  # fmt: skip
+            bodies.heading[i, b] = heading
+            bodies.turn[i, b] = turn
+
+
+@jit
+def _follow_frames(velocity, steps, bodies):  # type: ignore[no-untyped-def]
+    """Recorded frames one after the other; those that begin an episode have their heading."""
+    known = len(bodies.recorded) > 0
+    for i in range(bodies.heading.shape[0]):
+        for t in range(1, len(steps)):
+            if steps[t] > 0:
+                heading, turn = turned(
+                    i, bodies.heading[i, t - 1], bodies.turn[i, t - 1], velocity[t, i, 0],
+                    velocity[t, i, 1], t if known else NOT_RECORDED, bodies,
+                )  # fmt: skip
+                bodies.heading[i, t] = heading
+                bodies.turn[i, t] = turn
+
+
+# -- seeing ---------------------------------------------------------------------------------------
+
+
+@part
+def face(bodies):  # type: ignore[no-untyped-def]
+    """Unit vectors of the headings."""
+    for i in range(bodies.heading.shape[0]):
+        for b in range(bodies.heading.shape[1]):
+            bodies.facing[i, 0, b] = math.cos(bodies.heading[i, b])
+            bodies.facing[i, 1, b] = math.sin(bodies.heading[i, b])
+
+
+@part
+def observe_headings(i, position, towards, first, order, bodies, observation):  # type: ignore[no-untyped-def]
+    """Where individual ``i`` and the others point, in its frame.
+
+    The others have the order of :mod:`animarl_envs.worlds.chase.neighbours`; ``order`` is that of
+    the many, which is empty where they are few.
+    """
+    last = position.shape[0] - 1
+    leading = 0 if i == last else 1
+    for b in range(position.shape[2]):
+        _write(i, i, b, first[0, HEADING], towards, bodies, observation)
+        if leading == 1:
+            _write(i, last, b, first[1, OTHER_HEADING], towards, bodies, observation)
+    if order.shape[2] > 0:
+        for rank in range(last - leading):
+            at = first[1 + leading + rank, OTHER_HEADING]
+            for b in range(position.shape[2]):
+                _write(i, order[i, b, rank], b, at, towards, bodies, observation)
+        return
+    for j in range(last):
+        for b in range(position.shape[2]):
+            if j != i:
+                rank = leading + _nearer(i, j, b, position)
+                at = first[1 + rank, OTHER_HEADING]
+                _write(i, j, b, at, towards, bodies, observation)
+
+
+@part
+def _nearer(i, j, b, position):  # type: ignore[no-untyped-def]
+    """How many of the others but the last are nearer to ``i`` than ``j`` is, ties by index."""
+    apart, count = _apart(i, j, b, position), 0
+    for k in range(position.shape[0] - 1):
+        if k != i and k != j:
+            other = _apart(i, k, b, position)
+            count += other < apart or (other == apart and k < j)
+    return count
+
+
+@part
+def _apart(i, j, b, position):  # type: ignore[no-untyped-def]
+    dx = position[j, 0, b] - position[i, 0, b]
+    dy = position[j, 1, b] - position[i, 1, b]
+    return math.sqrt(dx * dx + dy * dy)
+
+
+@part
+def _write(i, j, b, at, towards, bodies, observation):  # type: ignore[no-untyped-def]
+    """Cosine and sine of the heading of ``j`` in the frame of ``i``."""
+    ex = towards[i, 0, b]
+    ey = towards[i, 1, b]
+    x = bodies.facing[j, 0, b]
+    y = bodies.facing[j, 1, b]
+    observation[i, at, b] = min(1.0, max(-1.0, x * ex + y * ey))
+    observation[i, at + 1, b] = min(1.0, max(-1.0, y * ex - x * ey))
