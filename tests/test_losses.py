@@ -181,6 +181,9 @@ def test_q_values_and_the_choice_of_distribution() -> None:
     for wrong in (1, 2.5):
         with pytest.raises(InputError, match=f"n_quantiles is {wrong}"):
             value_distribution(wrong)  # type: ignore[arg-type]
+    assert value_distribution(None, "huber") == ExpectedValue(ErrorLoss.HUBER)
+    with pytest.raises(InputError, match="td_loss is 'hubber': choose squared or huber"):
+        value_distribution(None, "hubber")
 
 
 def test_what_is_learned_cannot_be_changed() -> None:

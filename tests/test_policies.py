@@ -10,6 +10,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.utils import ConstantSchedule
 
+from animarl_algos.losses.values import ErrorLoss, ExpectedValue
 from animarl_algos.networks.acting_rule import boltzmann
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.networks.slots import decide_on_device
@@ -95,6 +96,14 @@ def test_compiled_and_tensor_acting_agree(
     got_q = policy._actor.decide(observations, previous, hidden)
     np.testing.assert_allclose(got_q, want_q, rtol=1e-4, atol=5e-6)
     np.testing.assert_allclose(hidden, want_hidden, rtol=1e-4, atol=5e-6)
+
+
+def test_a_huber_loss_is_kept_with_the_policy(tmp_path: Path) -> None:
+    policy = make(td_loss="huber")
+    assert policy.distribution == ExpectedValue(ErrorLoss.HUBER)
+    policy.save(str(tmp_path / "policy"))
+    again = GruPolicy.load(str(tmp_path / "policy"))
+    assert again.distribution == policy.distribution != make().distribution
 
 
 def test_acting_follows_training_and_moved_parameters() -> None:

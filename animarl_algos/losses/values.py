@@ -12,7 +12,7 @@ A time-out is not terminal: it bootstraps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from typing import Protocol
 
 import torch
@@ -21,9 +21,10 @@ from torch.nn import functional
 from animarl_algos.losses.quantile_huber import quantile_huber
 from animarl_algos.ranges import Range
 from animarl_algos.replay.batch import SequenceBatch
+from animarl_envs.errors import InputError
 
 
-class ErrorLoss(Enum):
+class ErrorLoss(StrEnum):
     """How a temporal-difference error is scored by :class:`ExpectedValue`."""
 
     SQUARED = "squared"
@@ -164,7 +165,15 @@ class Quantiles:
 
 
 def value_distribution(
-    n_quantiles: int | None, loss: ErrorLoss = ErrorLoss.SQUARED
+    n_quantiles: int | None, loss: str = ErrorLoss.SQUARED
 ) -> ExpectedValue | Quantiles:
-    """``ExpectedValue`` for None, else ``Quantiles(n_quantiles)``."""
-    return ExpectedValue(loss) if n_quantiles is None else Quantiles(n_quantiles)
+    """``ExpectedValue`` for None, else ``Quantiles(n_quantiles)``, which have a loss of their own.
+
+    Raises
+    ------
+    InputError
+        If there is no such loss, or too few quantiles.
+    """
+    if loss not in list(ErrorLoss):
+        raise InputError(f"td_loss is {loss!r}: choose {' or '.join(ErrorLoss)}")
+    return ExpectedValue(ErrorLoss(loss)) if n_quantiles is None else Quantiles(n_quantiles)

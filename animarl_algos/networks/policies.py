@@ -17,7 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from animarl_algos.losses.values import ExpectedValue, Quantiles, value_distribution
+from animarl_algos.losses.values import (
+    ErrorLoss,
+    ExpectedValue,
+    Quantiles,
+    value_distribution,
+)
 from animarl_algos.networks import slots
 from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.kernels.acting import CompiledActor
@@ -50,6 +55,9 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         Strength of that reversal.
     n_quantiles
         Quantiles per action (QR-DQN); None for expected values (DQN).
+    td_loss
+        Of expected values: the temporal-difference error ``"squared"`` (the paper), or by
+        ``"huber"`` with threshold 1 (stable-baselines3).
     hidden
         Units of every hidden layer.
     depth
@@ -99,6 +107,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         treatment_head: bool = False,
         reversal: float = 1.0,
         n_quantiles: int | None = None,
+        td_loss: str = ErrorLoss.SQUARED,
         hidden: int = 32,
         depth: int = 2,
         head_layers: int = 1,
@@ -140,7 +149,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         )
         self.individuals = tuple(individuals)
         self.num_actions = int(action_space.n)
-        self.distribution: ExpectedValue | Quantiles = value_distribution(n_quantiles)
+        self.distribution: ExpectedValue | Quantiles = value_distribution(n_quantiles, td_loss)
         self._acting = acting
         self.network_arguments: dict[str, Any] = {
             "individuals": self.individuals,
@@ -156,7 +165,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             "previous_action": self.recurrent if previous_action is None else previous_action,
             "seed": seed,
         }
-        self.n_quantiles = n_quantiles
+        self.n_quantiles, self.td_loss = n_quantiles, str(td_loss)
         self._observation_size = int(np.prod(observation_space.shape))
         self.seed(seed)
         self._build(lr_schedule)
@@ -359,6 +368,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             "action_space": self.action_space,
             "lr_schedule": self._dummy_schedule,
             "n_quantiles": self.n_quantiles,
+            "td_loss": self.td_loss,
             "acting": self.acting,
             "optimizer_class": self.optimizer_class,
             "optimizer_kwargs": self.optimizer_kwargs,
