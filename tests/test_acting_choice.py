@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from animarl_algos.evaluation import acting_choice
 from animarl_algos.evaluation.acting_choice import (
     APART,
     COOLER,
+    MARGIN,
     NEAR,
+    Candidate,
     candidate_rules,
     choice_episodes,
     choose_acting,
@@ -97,10 +100,30 @@ def test_no_test_episode_is_chosen_by() -> None:
         choice_episodes(demos.select(split="test"), seed=0)
 
 
-def test_candidates_are_greedy_and_cooler_shares_of_the_fitted_temperatures() -> None:
+def test_candidates_are_as_meant_then_cooler_shares_of_the_fitted_temperatures_then_greedy() -> (
+    None
+):
     rules = candidate_rules([2.0, 1.0])
-    assert rules[0] == Acting() and len(rules) == 1 + len(COOLER)
+    assert rules[0].temperature == (1.0, 1.0)
     assert rules[1].temperature == (2.0, 1.0)
+    assert rules[-1] == Acting() and len(rules) == 2 + len(COOLER)
+
+
+@pytest.mark.parametrize(("between", "number"), [(0.5 * MARGIN, 0), (2.0 * MARGIN, 1)])
+def test_a_later_rule_must_be_better_by_a_margin(
+    between: float, number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    demos = choice_episodes(load_packaged("agent"), seed=0).select(episodes=np.arange(5))
+    scenario = make_scenario("agent", demos=demos, split=None)
+    rules = [Acting.boltzmann(1.0), Acting.boltzmann(0.5), Acting()]
+    found = iter([0.1 + between, 0.1, 2.0])
+    monkeypatch.setattr(
+        acting_choice, "compared", lambda name, *_: Candidate(name, next(found), 0.0, 0.0, 0.0)
+    )
+    choice = choose_acting(
+        lambda rule: RandomPolicy(0), partial(make_world, scenario), demos, rules, seed=0
+    )
+    assert choice.acting == rules[number] and len(choice.candidates) == len(rules)
 
 
 def test_how_hard_and_which_way_are_cooled_apart() -> None:

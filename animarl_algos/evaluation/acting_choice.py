@@ -1,10 +1,13 @@
 """How a trained policy should act: chosen by what its rollouts do, beside what was recorded.
 
-Candidates are the greedy rule and Boltzmann sampling at shares of the temperatures that fit the
-demonstrated actions best; where none of them comes near, also at one share for how hard and another
-for which way. Each is rolled out from the starts of training and validation episodes
-and compared with these episodes by outcome, duration, path length and speed: neither by the DTW
-distance, which hardly tells good simulators from bad ones, nor on any test episode.
+Candidates are Boltzmann sampling at temperature 1, which a clone's logits mean, and at shares of
+the temperatures that fit the demonstrated actions best, and the greedy rule; where none of them
+comes near, also sampling at one share for how hard and another for which way. Each is rolled out
+from the starts of training and validation episodes and compared with these episodes by outcome,
+duration, path length and speed: neither by the DTW distance, which hardly tells good simulators
+from bad ones, nor on any test episode. A later candidate must be better by more than rollouts of
+one rule differ: what was fitted to few validation animals is of these, and the best of a dozen is
+lucky.
 """
 
 from __future__ import annotations
@@ -33,6 +36,8 @@ APART = tuple((thrust, way) for way in (0.7, 0.5, 0.35) for thrust in (0.7, 0.3)
 """Shares for how hard and for which way, of the fitted temperatures."""
 NEAR = 0.3
 """Mismatch up to which nothing further is tried: rollouts take time."""
+MARGIN = 0.1
+"""Mismatch by which a later candidate must be better: rollouts anew move it by some hundredths."""
 MOST_STARTS, ROLLOUTS = 200, 200
 SPEEDS = 400  # quantiles by which two distributions of speed are compared
 
@@ -72,9 +77,10 @@ class ActingChoice:
 
 
 def candidate_rules(temperatures: ArrayLike) -> list[Acting]:
-    """Greedy, and sampling at shares of the fitted ``temperatures`` ``(K,)``."""
+    """Sampling at 1, at shares of the fitted ``temperatures`` ``(K,)``, and greedy."""
     fitted = np.atleast_1d(np.asarray(temperatures, dtype=np.float64))
-    return [Acting(), *(Acting.boltzmann(fitted * share) for share in COOLER)]
+    tried = [np.ones_like(fitted), *(fitted * share for share in COOLER)]
+    return [*(Acting.boltzmann(temperature) for temperature in tried), Acting()]
 
 
 def further_rules(temperatures: ArrayLike) -> list[Acting]:
@@ -124,7 +130,7 @@ def choose_acting(
     demos
         Training and validation episodes, see :func:`choice_episodes`.
     rules
-        To choose among; of equals the first is taken.
+        To choose among: the first whose mismatch is within ``MARGIN`` of the least.
     further
         To try as well where the mismatch of all ``rules`` is above ``NEAR``.
     seed
@@ -143,8 +149,9 @@ def choose_acting(
             cue=cue,
         )  # fmt: skip
         candidates.append(compared(str(rule), simulated, recorded))
-    best = min(range(len(candidates)), key=lambda i: candidates[i].mismatch)
-    return ActingChoice((*rules, *further)[best], tuple(candidates))
+    enough = min(each.mismatch for each in candidates) + MARGIN
+    chosen = next(i for i, each in enumerate(candidates) if each.mismatch <= enough)
+    return ActingChoice((*rules, *further)[chosen], tuple(candidates))
 
 
 def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
