@@ -109,14 +109,22 @@ def test_candidates_are_as_meant_then_cooler_shares_of_the_fitted_temperatures_t
     assert rules[-1] == Acting() and len(rules) == 2 + len(COOLER)
 
 
-@pytest.mark.parametrize(("between", "number"), [(0.5 * MARGIN, 0), (2.0 * MARGIN, 1)])
-def test_a_later_rule_must_be_better_by_a_margin(
-    between: float, number: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("mismatches", "number"),
+    [
+        ([0.1 + 0.5 * MARGIN, 0.1, 2.0], 0),
+        ([0.1 + 2.0 * MARGIN, 0.1, 2.0], 1),
+        ([0.1 + 2.0 * MARGIN, 0.1 + 0.5 * MARGIN, 0.1], 2),
+    ],
+    ids=["nearly as good", "clearly worse", "the best of the others"],
+)
+def test_the_first_rule_stays_unless_another_is_better_by_a_margin(
+    mismatches: list[float], number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     demos = choice_episodes(load_packaged("agent"), seed=0).select(episodes=np.arange(5))
     scenario = make_scenario("agent", demos=demos, split=None)
     rules = [Acting.boltzmann(1.0), Acting.boltzmann(0.5), Acting()]
-    found = iter([0.1 + between, 0.1, 2.0])
+    found = iter(mismatches)
     monkeypatch.setattr(
         acting_choice, "compared", lambda name, *_: Candidate(name, next(found), 0.0, 0.0, 0.0)
     )

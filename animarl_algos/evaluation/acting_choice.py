@@ -5,9 +5,9 @@ the temperatures that fit the demonstrated actions best, and the greedy rule; wh
 comes near, also sampling at one share for how hard and another for which way. Each is rolled out
 from the starts of training and validation episodes and compared with these episodes by outcome,
 duration, path length and speed: neither by the DTW distance, which hardly tells good simulators
-from bad ones, nor on any test episode. A later candidate must be better by more than rollouts of
-one rule differ: what was fitted to few validation animals is of these, and the best of a dozen is
-lucky.
+from bad ones, nor on any test episode. The first stays unless another is better by more than
+rollouts of one rule differ: the others were fitted to few validation animals, and the best of a
+dozen is lucky. Where sampling at 1 is clearly wrong, the best is taken.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ APART = tuple((thrust, way) for way in (0.7, 0.5, 0.35) for thrust in (0.7, 0.3)
 NEAR = 0.3
 """Mismatch up to which nothing further is tried: rollouts take time."""
 MARGIN = 0.1
-"""Mismatch by which a later candidate must be better: rollouts anew move it by some hundredths."""
+"""Mismatch by which another must beat the first: rollouts anew move it by some hundredths."""
 MOST_STARTS, ROLLOUTS = 200, 200
 SPEEDS = 400  # quantiles by which two distributions of speed are compared
 
@@ -130,7 +130,8 @@ def choose_acting(
     demos
         Training and validation episodes, see :func:`choice_episodes`.
     rules
-        To choose among: the first whose mismatch is within ``MARGIN`` of the least.
+        To choose among: the first of them, unless its mismatch is more than ``MARGIN`` above the
+        least; then the rule with the least.
     further
         To try as well where the mismatch of all ``rules`` is above ``NEAR``.
     seed
@@ -149,8 +150,9 @@ def choose_acting(
             cue=cue,
         )  # fmt: skip
         candidates.append(compared(str(rule), simulated, recorded))
-    enough = min(each.mismatch for each in candidates) + MARGIN
-    chosen = next(i for i, each in enumerate(candidates) if each.mismatch <= enough)
+    mismatches = [each.mismatch for each in candidates]
+    stays = mismatches[0] <= min(mismatches) + MARGIN
+    chosen = 0 if stays else int(np.argmin(mismatches))
     return ActingChoice((*rules, *further)[chosen], tuple(candidates))
 
 
