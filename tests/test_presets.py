@@ -91,6 +91,7 @@ def test_files_are_plain_data() -> None:
                 "paper",
                 "epsilon",
                 "boltzmann",
+                "huber",
                 "recipe",
                 "hard",
                 "soft",
