@@ -1,8 +1,12 @@
-"""How a command ended, for tests that call one in this process."""
+"""Commands called in this process, and how they ended."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from typer.testing import CliRunner
+
+from animarl_algos.cli.main import app
 
 
 @dataclass(frozen=True)
@@ -12,3 +16,12 @@ class Done:
     returncode: int
     stdout: str
     stderr: str
+
+
+def animarl(*words: object) -> str:
+    """What ``animarl`` printed; what it raises is raised."""
+    ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
+        raise ran.exception
+    assert ran.exit_code == 0, ran.output
+    return ran.output

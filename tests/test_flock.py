@@ -8,13 +8,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from commands import animarl
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 from recordings import CHASER, PREY, dogs, flock
-from typer.testing import CliRunner
 
 import animarl_envs
-from animarl_algos.cli.main import app
 from animarl_algos.data.species_data import demonstration_rewards
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
@@ -275,17 +274,11 @@ def written(folder: Path, demos: Demonstrations, names: dict[str, str]) -> list[
     return files
 
 
-def said(*words: object) -> str:
-    ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
-    assert ran.exit_code == 0, ran.output
-    return ran.output
-
-
 def test_tables_of_a_sheepdog_become_a_run_with_a_report(tmp_path: Path) -> None:
     names = {"dog": "bella", "sheep_0": "ewe", "sheep_1": "lamb"}
     files = written(tmp_path, flock(2), names)
     imported = tmp_path / "flock.npz"
-    shown = said("import", *files, "--fps", 10, "--pursuer", "bella", "--arena", "disc",
+    shown = animarl("import", *files, "--fps", 10, "--pursuer", "bella", "--arena", "disc",
                  "--arena-width", 4, "--centre", "0,0", "--contact", 0.2,
                  "--out", imported)  # fmt: skip
     assert "bella" in shown
@@ -293,7 +286,7 @@ def test_tables_of_a_sheepdog_become_a_run_with_a_report(tmp_path: Path) -> None
     assert demos.individuals == ("ewe", "lamb", "bella")
     assert demos.roles == ("target", "target", "pursuer")
     run = tmp_path / "run"
-    said("run", imported, "--out", run, "--steps", 60, "--copies", 2, "--repetitions", 2,
+    animarl("run", imported, "--out", run, "--steps", 60, "--copies", 2, "--repetitions", 2,
          "--set", "offline_epochs=1")  # fmt: skip
     assert (run / "report.html").exists()
 
@@ -307,7 +300,7 @@ def test_a_table_of_roles_names_the_dog_of_every_field(tmp_path: Path) -> None:
         rows.append(f"field_{i},bella,pursuer")
     table = tmp_path / "sessions.csv"
     table.write_text("\n".join([*rows, ""]))
-    said("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "a.npz")
+    animarl("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "a.npz")
     assert Demonstrations.load(tmp_path / "a.npz").roles == ("target", "target", "pursuer")
     for more, why in (
         ("field_0,rex,pursuer", "several pursuers and several targets"),
@@ -315,7 +308,7 @@ def test_a_table_of_roles_names_the_dog_of_every_field(tmp_path: Path) -> None:
     ):
         table.write_text("\n".join([*rows, more, ""]))
         with pytest.raises(InputError, match=why):
-            said("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
+            animarl("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
     lone = [row for row in rows if row != "field_0,lamb,target"]
     for kept, why in (
         (lone, "some recordings have one target and others several"),
@@ -323,4 +316,4 @@ def test_a_table_of_roles_names_the_dog_of_every_field(tmp_path: Path) -> None:
     ):
         table.write_text("\n".join([*kept, ""]))
         with pytest.raises(InputError, match=why):
-            said("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")
+            animarl("import", *files, "--fps", 10, "--metadata", table, "--out", tmp_path / "b.npz")

@@ -8,12 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
-from typer.testing import CliRunner
+from commands import animarl
 
-from animarl_algos.cli import data
-from animarl_algos.cli.fit import fit_command
-from animarl_algos.cli.importing import import_command
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
@@ -21,20 +17,6 @@ from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import default_recipe, follow, get_reader, read
 from tools.fuzz.layouts import write_agents, write_long, write_native, write_slp, write_trex
-
-APP = typer.Typer()
-APP.command("import")(import_command)
-APP.command("fit")(fit_command)
-APP.add_typer(data.app, name="data")
-
-
-def animarl(*words: object) -> str:
-    """Run a command in this process; what it raises is raised."""
-    result = CliRunner().invoke(APP, [str(word) for word in words], catch_exceptions=False)
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def test_import_writes_demonstrations_and_a_recipe_that_repeats_them(tmp_path: Path) -> None:

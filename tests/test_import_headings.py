@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
+from commands import animarl
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
-from animarl_algos.cli.importing import import_command
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.errors import InputError
@@ -27,18 +25,7 @@ from animarl_envs.importing.scaling import Scaling
 from animarl_envs.importing.tracks import Tracks, merge
 from tools.fuzz.layouts import POSE, write_analysis, write_dlc_csv, write_slp
 
-APP = typer.Typer()
-APP.command()(import_command)
 RATE, FRAMES = 20.0, 200
-
-
-def animarl(*words: object) -> str:
-    """Run ``animarl import`` in this process; what it raises is raised."""
-    result = CliRunner().invoke(APP, [str(word) for word in words], catch_exceptions=False)
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def same(one: Any, two: Any, within: float = 1e-9) -> bool:
@@ -149,7 +136,7 @@ def test_files_of_one_animal_each_keep_their_headings() -> None:
 def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: Path) -> None:
     out = tmp_path / "demos.npz"
     said = animarl(
-        write(tmp_path), "--fps", 25, "--target", "female", "--keypoint", "thorax",
+        "import", write(tmp_path), "--fps", 25, "--target", "female", "--keypoint", "thorax",
         "--heading", "thorax,head", "--out", out,
     )  # fmt: skip
     assert "heading" in said
@@ -158,12 +145,14 @@ def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: 
     wanted = -math.atan2(ahead[1], ahead[0])  # images have y downwards
     assert same(recorded_headings(demos), np.full(demos.positions.shape[:2], wanted), within=1e-5)
     again = tmp_path / "again.npz"
-    animarl(write(tmp_path), "--recipe", tmp_path / "demos.recipe.yaml", "--out", again)
+    animarl("import", write(tmp_path), "--recipe", tmp_path / "demos.recipe.yaml", "--out", again)
     assert Demonstrations.load(again).fingerprint() == demos.fingerprint()
     plan = ImportRecipe.load(tmp_path / "demos.recipe.yaml")
     assert plan.cleaning.heading == ("thorax", "head")
     assert follow(plan, [write(tmp_path)]).fingerprint() == demos.fingerprint()
-    understood = animarl(write(tmp_path), "--fps", 25, "--heading", "thorax,head", "--dry-run")
+    understood = animarl(
+        "import", write(tmp_path), "--fps", 25, "--heading", "thorax,head", "--dry-run"
+    )
     assert "heading from thorax to head" in understood
 
 
@@ -183,7 +172,7 @@ def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
 )
 def test_keypoints_that_make_no_heading_are_refused(asked: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=says):
-        animarl(write_slp(tmp_path), "--fps", 25, "--heading", asked, "--dry-run")
+        animarl("import", write_slp(tmp_path), "--fps", 25, "--heading", asked, "--dry-run")
 
 
 def write_table(folder: Path, column: str = "theta_deg") -> Path:
@@ -207,7 +196,7 @@ def test_a_table_s_column_of_headings_is_named_and_its_unit_read(tmp_path: Path)
     assert np.isnan(heading[30, 0]) and np.isfinite(np.delete(heading.ravel(), 60)).all()
     assert same(np.delete(heading, 30, axis=0), np.delete(spinning(60), 30, axis=0), 1e-6)
     out = tmp_path / "demos.npz"
-    animarl(path, "--fps", 20, "--target", "female", "--option", "heading=theta_deg",
+    animarl("import", path, "--fps", 20, "--target", "female", "--option", "heading=theta_deg",
             "--max-gap", 0.2, "--piece", "inf", "--out", out)  # fmt: skip
     demos = Demonstrations.load(out)
     assert same(recorded_headings(demos), spinning(60)[1:], within=1e-6)

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from commands import animarl
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from animarl_algos.cli.describing import hints
-from animarl_algos.cli.main import app
 from animarl_algos.cli.merging import merged
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.demonstrations import UNFINISHED
@@ -27,15 +26,6 @@ from tools.fuzz.layouts import write_native
 
 CHASE = ("pursuer", "target")
 NAMES = tuple(f"{word}_{i}" for i in range(6) for word in ("sham", "drug"))
-
-
-def animarl(*words: object) -> str:
-    """Run a command in this process; what it raises is raised."""
-    ran = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
-    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
-        raise ran.exception
-    assert ran.exit_code == 0, ran.output
-    return ran.output
 
 
 def chase(number: int, frames: int = 40, apart: float = 100.0) -> NDArray[np.float64]:
