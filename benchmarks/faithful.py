@@ -22,7 +22,6 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -43,7 +42,7 @@ from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.demos.splits import FEWEST_RECORDINGS
+from animarl_envs.demos.splits import cross_validated
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import track
 from animarl_envs.species import CUSTOM, SPECIES
@@ -177,26 +176,6 @@ class Followed:
     positions: NDArray[np.float64]
 
 
-def folded(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
-    """The demonstrations as they are split, or once per fold with recordings dealt to it.
-
-    Each is validation once and test once; episodes of a recording stay together.
-    """
-    if folds == 1:
-        yield demos
-        return
-    dealt = demos.recording
-    if len(np.unique(dealt)) < FEWEST_RECORDINGS:
-        dealt = np.arange(len(demos)).astype(str)
-    names = np.random.default_rng(0).permutation(np.unique(dealt))
-    fold = {name: i % folds for i, name in enumerate(names.tolist())}
-    own = np.array([fold[name] for name in dealt.tolist()])
-    for number in range(folds):
-        split = np.where(own == number, "val", "train")
-        split[own == (number + 1) % folds] = "test"
-        yield replace(demos, split=split)
-
-
 def trained(
     demos: Demonstrations, folder: Path, algo: str, seed: int, split: str, rollouts: int
 ) -> tuple[Rollouts, Rollouts, list[NDArray[np.float64]]]:
@@ -238,7 +217,8 @@ def judged(
     began = time.process_time()
     demos = one.load(out / "imported")
     parts, used, followed = [], [], {}
-    for number, fold in enumerate(folded(demos, one.folds)):
+    folds = cross_validated(demos, one.folds) if one.folds > 1 else [demos]
+    for number, fold in enumerate(folds):
         folder = out / "runs" / f"{one.name}-{algo}-{seed}-{number}"
         index = np.flatnonzero(fold.split == split)
         *both, paths = trained(fold, folder, algo, seed, split, math.ceil(rollouts / one.folds))

@@ -212,7 +212,7 @@ def test_benchmark_presets_can_be_read() -> None:
     for name in matrix_names():
         assert read_matrix(name).species == ("agent", "fly", "newt", "silkmoth")
     paper = read_matrix("paper")
-    settings = paper.run_settings("agent", paper.recorded()["agent"], "dqn", 4)
+    settings = paper.run_settings("agent", paper.recorded()["agent"][0], "dqn", 4)
     assert settings.steps == 1_005_000 and len(paper.seeds) == 5
 
 

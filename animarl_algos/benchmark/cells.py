@@ -19,7 +19,7 @@ from typing import Any
 from animarl_algos.benchmark.methods import Checked, MethodSetting, load_factory, source_of
 from animarl_algos.benchmark.pieces import code, hashed, write_json
 from animarl_algos.benchmark.references import reference_rollouts
-from animarl_algos.benchmark.scores import Score, score
+from animarl_algos.benchmark.scores import Score, crossed_score, score
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline
@@ -33,15 +33,16 @@ COMMAND = "animarl benchmark"
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """The fitted world of one set of demonstrations, in which everybody acts."""
+    """The fitted world of one set of demonstrations, or of a fold of it, where everybody acts."""
 
     data: str
     settings: RunSettings
     demos: Demonstrations
+    fold: int | None = None
 
     @property
     def name(self) -> str:
-        return f"{self.data}/world"
+        return _world_name(self.data, self.fold)
 
     @cached_property
     def key(self) -> str:
@@ -78,12 +79,14 @@ class Cell:
     seed: int
     repetitions: int
     world: str
+    fold: int | None = None
     settings: RunSettings | None = None
     factory: str | None = None
 
     @property
     def name(self) -> str:
-        return f"{self.data}/{self.method}/{self.seed}"
+        fold = "" if self.fold is None else f"/fold{self.fold}"
+        return f"{self.data}/{self.method}/{self.seed}{fold}"
 
     @property
     def kind(self) -> str:
@@ -110,7 +113,7 @@ class Cell:
 
     @property
     def needs(self) -> tuple[str, ...]:
-        return (f"{self.data}/world",)
+        return (_world_name(self.data, self.fold),)
 
     def lacks(self, out: Path) -> str:
         there = (self.world_folder(out).path / "locomotion.json").exists()
@@ -128,7 +131,9 @@ class Cell:
         if self.settings is not None:
             return self._trained(folder, world, self.settings)
         if self.factory is None:
-            made = reference_rollouts(self.method, world, self.seed, self.repetitions)
+            made = reference_rollouts(
+                self.method, world, self.seed, self.repetitions, fold=self.fold is not None
+            )
             return made, None
         setting = MethodSetting.of(world, self.seed)
         policy = load_factory(self.factory)(setting)
@@ -204,14 +209,24 @@ class Scoring:
 
     def perform(self, out: Path) -> None:
         first = self.cells[0]
-        world = first.world_folder(out)
-        rollouts = Rollouts.concatenate([cell.rollouts(out) for cell in self.cells], self.method)
-        found = score(rollouts, world.demos, resamples=self.resamples)
+        rollouts = [cell.rollouts(out) for cell in self.cells]
+        if first.fold is None:
+            demos = first.world_folder(out).demos
+            joined = Rollouts.concatenate(rollouts, self.method)
+            found = score(joined, demos, resamples=self.resamples)
+        else:
+            folds = {c.fold: c.world_folder(out).demos for c in self.cells}
+            made = [(folds[cell.fold], own) for cell, own in zip(self.cells, rollouts)]
+            found = crossed_score(made, self.method, resamples=self.resamples)
         found = replace(found, data=self.data, kind=first.kind)
         write_json(self.folder(out) / "score.json", found.to_json())
 
     def result(self, out: Path) -> Score:
         return Score.from_json(json.loads((self.folder(out) / "score.json").read_text()))
+
+
+def _world_name(data: str, fold: int | None) -> str:
+    return f"{data}/world" if fold is None else f"{data}/world/fold{fold}"
 
 
 def _resolved(settings: RunSettings) -> dict[str, Any]:

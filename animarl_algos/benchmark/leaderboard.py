@@ -65,15 +65,17 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
     write_json(out / "leaderboard.json", content)
     _write_csv(out / "leaderboard.csv", _long(rows))
     synthetic = {world.data: world.demos.synthetic for world in plan.worlds}
+    starts = {name: _starts(some, plan.matrix.folds.get(name)) for name, some in scores.items()}
     text = "".join(
-        _markdown(name, some, ranks[name], synthetic[name]) for name, some in scores.items()
+        _markdown(name, some, ranks[name], synthetic[name], starts[name])
+        for name, some in scores.items()
     )
     if missing:
         listed = "\n".join(f"- {row}: {why}" for row, why in missing)
         text += f"\n## Not there\n\n{listed}\n"
     with write_then_rename(out / "leaderboard.md") as part:
         part.write_text(f"# Leaderboard\n\n{HOW}{text}", encoding="utf-8")
-    page = leaderboard_page(scores, ranks, synthetic, code())
+    page = leaderboard_page(scores, ranks, synthetic, starts, code())
     with write_then_rename(out / "leaderboard.html") as part:
         part.write_text(page, encoding="utf-8")
     _write_costs(plan.cells, out, command)
@@ -112,7 +114,15 @@ def _long(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
             yield head | {"seeds": seeds} | measure
 
 
-def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any], synthetic: bool) -> str:
+def _starts(scores: Sequence[Score], folds: int | None) -> str:
+    """From where rollouts began, in words."""
+    text = f"{max(one.starts for one in scores)} test starts"
+    return text if folds is None else f"{text}, cross-validated in {folds} folds"
+
+
+def _markdown(
+    name: str, scores: Sequence[Score], ranks: Mapping[str, Any], synthetic: bool, starts: str
+) -> str:
     """A section: its methods in the order of their energy score."""
 
     def place(one: Score) -> tuple[bool, float]:
@@ -122,7 +132,7 @@ def _markdown(name: str, scores: Sequence[Score], ranks: Mapping[str, Any], synt
     ordered = sorted(scores, key=place)
     most = max(ordered, key=lambda one: one.rollouts)
     kind = "synthetic demonstrations, recorded from no animal" if synthetic else "recordings"
-    text = f"\n## {name}\n\n{most.starts} test starts of {kind}; "
+    text = f"\n## {name}\n\n{starts}, of {kind}; "
     text += "beside each method seeds × rollouts.\n"
     for number, keys in enumerate(PARTS):
         heads = [_heading(most.of(key)) for key in keys]
@@ -161,7 +171,8 @@ def _lacks(scoring: Scoring, out: Path) -> str:
 def _write_costs(cells: Sequence[Cell], out: Path, command: str) -> None:
     """Processor time and parameters of every finished cell, on which machine, by which command."""
     rows: list[dict[str, Any]] = [
-        {"data": cell.data, "method": cell.method, "seed": cell.seed} | cell.cost(out)
+        {"data": cell.data, "method": cell.method, "seed": cell.seed, "fold": cell.fold}
+        | cell.cost(out)
         for cell in cells
         if cell.finished(out)
     ]
@@ -171,10 +182,11 @@ def _write_costs(cells: Sequence[Cell], out: Path, command: str) -> None:
     for row in rows:
         groups.setdefault(f"{row['data']}/{row['method']}", []).append(row)
     for name, some in groups.items():
-        seconds = sum(row["processor_seconds"] for row in some) / len(some)
+        seeds = len({row["seed"] for row in some})
+        seconds = sum(row["processor_seconds"] for row in some) / seeds
         parameters = some[0]["parameters"]
         told = "–" if parameters is None else f"{parameters:,}"
-        lines.append(f"| {name} | {len(some)} | {seconds:.1f} | {told} |")
+        lines.append(f"| {name} | {seeds} | {seconds:.1f} | {told} |")
     with write_then_rename(out / "costs.md") as part:
         made = [f"- {name}: {value}" for name, value in machine().items()]
         if command:

@@ -38,6 +38,7 @@ def leaderboard_page(
     scores: Mapping[str, Sequence[Score]],
     ranks: Mapping[str, Mapping[str, Any]],
     synthetic: Mapping[str, bool],
+    starts: Mapping[str, str],
     versions: Mapping[str, Any],
 ) -> str:
     """The page as HTML; the same scores give the same bytes.
@@ -50,6 +51,8 @@ def leaderboard_page(
         By set and method, for those that have one.
     synthetic
         By set, whether its demonstrations were generated.
+    starts
+        By set, from where rollouts began, in words.
     versions
         Of what the numbers depend on.
     """
@@ -62,8 +65,7 @@ def leaderboard_page(
         kind="Every method, every set of demonstrations, every seed",
         synthetic=bool(scores) and all(synthetic[name] for name in scores),
         facts=[
-            (name, f"{some[0].starts} test starts{', synthetic' if synthetic[name] else ''}")
-            for name, some in scores.items()
+            (name, f"{starts[name]}{', synthetic' if synthetic[name] else ''}") for name in scores
         ],
         sections=sections,
     )

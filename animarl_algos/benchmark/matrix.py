@@ -18,6 +18,7 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 from animarl_envs.importing.plain_yaml import parse_yaml, read_yaml
 from animarl_envs.importing.readers import read
@@ -55,6 +56,10 @@ class Matrix:
         Settings of single recipes, over those of the preset.
     episodes
         At most so many of each split, drawn once; by default all.
+    folds
+        Into how many folds a set of ``species`` or ``files`` is cross-validated, by its name: every
+        episode is tested once, by what was trained without its recording. By default its own split
+        is taken.
     repetitions
         Rollouts from each test start.
     resamples
@@ -73,6 +78,7 @@ class Matrix:
     thrusts: str | None = None
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     episodes: Mapping[str, int] = field(default_factory=dict)
+    folds: Mapping[str, int] = field(default_factory=dict)
     repetitions: int = 5
     resamples: int = RESAMPLES
 
@@ -80,7 +86,9 @@ class Matrix:
         for key in ("species", "recipes", "references"):
             _listed(self, key, str, "names")
         _listed(self, "seeds", int, "whole numbers")
-        for key, kind in (("files", str), ("settings", Mapping), ("episodes", int)):
+        for key, kind in (
+            ("files", str), ("settings", Mapping), ("episodes", int), ("folds", int),
+        ):  # fmt: skip
             table = getattr(self, key)
             if not isinstance(table, Mapping) or not all(isinstance(k, str) for k in table):
                 raise InputError(f"{key} is {table!r}: give a table")
@@ -123,16 +131,30 @@ class Matrix:
             if split not in SPLITS:
                 raise InputError(f"episodes names {split!r}: choose among {', '.join(SPLITS)}")
             _positive(f"episodes of {split}", number)
+        there = (*self.species, *self.files)
+        if unknown := [name for name in self.folds if name not in there]:
+            raise InputError(f"folds names {unknown[0]!r}: choose among {', '.join(there)}")
+        if self.folds and self.episodes:
+            raise InputError("folds and episodes are both given: folds need all episodes")
 
-    def recorded(self) -> dict[str, Demonstrations]:
-        """The demonstrations of every row group, by name, as many as are asked for."""
+    def recorded(self) -> dict[str, tuple[Demonstrations, ...]]:
+        """The demonstrations of every row group, by name, as many as are asked for.
+
+        Split as they are, or as often as there are folds.
+        """
         found = {name: load_packaged(name) for name in self.species}
         found |= {name: read(Path(file), None) for name, file in self.files.items()}
-        for name, demos in found.items():
+        dealt = {
+            name: tuple(cross_validated(demos, self.folds[name]))
+            if name in self.folds
+            else (self._fewer(demos),)
+            for name, demos in found.items()
+        }
+        for name, (demos, *_) in dealt.items():
             for split in SPLITS:
                 if not (demos.split == split).any():
                     raise InputError(f"{name}: no episode is in its {split} split: deal it again")
-        return {name: self._fewer(demos) for name, demos in found.items()}
+        return dealt
 
     def _fewer(self, demos: Demonstrations) -> Demonstrations:
         """The same episodes whenever it is asked."""

@@ -65,7 +65,7 @@ class Plan:
     def resolved(self) -> dict[str, Any]:
         """The matrix, and the key of every cell."""
         keys = {cell.name: cell.key for cell in self.cells}
-        prints = {world.data: world.demos.fingerprint() for world in self.worlds}
+        prints = {one.name: one.demos.fingerprint() for one in self.worlds}
         plain = asdict(self.matrix)
         return {"settings": plain, "demonstrations": prints, "cells": keys}
 
@@ -89,11 +89,16 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None) -> Plan:
             raise InputError(f"--method {name}: there is a row of that name: choose another")
     worlds: list[World] = []
     cells: list[Cell] = []
-    for data, demos in matrix.recorded().items():
-        world = World(data, matrix.world_settings(data, demos), demos)
+    dealt = [
+        (data, number if len(folds) > 1 else None, demos)
+        for data, folds in matrix.recorded().items()
+        for number, demos in enumerate(folds)
+    ]
+    for data, fold, demos in dealt:
+        world = World(data, matrix.world_settings(data, demos), demos, fold)
         worlds.append(world)
         shared: dict[str, Any] = {
-            "data": data, "repetitions": matrix.repetitions, "world": world.key,
+            "data": data, "repetitions": matrix.repetitions, "world": world.key, "fold": fold,
         }  # fmt: skip
         for algo in matrix.recipes:
             settings = [matrix.run_settings(data, demos, algo, seed) for seed in matrix.seeds]
@@ -141,4 +146,5 @@ def claim_folder(out: Path) -> None:
 
 
 def _matches(cell: Cell, pattern: str) -> bool:
-    return fnmatchcase(cell.name, pattern) or fnmatchcase(f"{cell.data}/{cell.method}", pattern)
+    row = f"{cell.data}/{cell.method}"
+    return any(fnmatchcase(name, pattern) for name in (cell.name, f"{row}/{cell.seed}", row))

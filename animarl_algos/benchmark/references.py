@@ -47,12 +47,14 @@ OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", 
 """By what names worlds have an individual's velocity, in the frame of its actions."""
 
 
-def reference_rollouts(name: str, world: RunFolder, seed: int, repetitions: int) -> Rollouts:
-    """The rollouts of one row, from every test start."""
+def reference_rollouts(
+    name: str, world: RunFolder, seed: int, repetitions: int, *, fold: bool = False
+) -> Rollouts:
+    """The rollouts of one row, from every test start; ``fold``: those of a cross-validation."""
     demos = world.demos
     test, species = demos.select(split="test"), world.species(demos, world.fit)
     if name == "recordings":
-        return others_as_rollouts(learnable(demos), test, seed)
+        return others_as_rollouts(beside_fold(demos) if fold else learnable(demos), test, seed)
     if name == "tracking":
         tracked = followed(test, track(test, species.locomotion, species.arena))
         return replace(tracked, method=name, seed=np.full(len(tracked), seed))
@@ -123,6 +125,14 @@ def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) 
         repetition=np.array(repetition),
         seed=np.full(len(taken), seed),
     )
+
+
+def beside_fold(demos: Demonstrations) -> Demonstrations:
+    """The recordings that the test episodes of a fold are compared with: its validation split.
+
+    Over all folds of a cross-validation each recording is taken once, beside another one.
+    """
+    return demos.select(split="val")
 
 
 def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> Policy:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.references import others_as_rollouts
+from animarl_algos.benchmark.references import beside_fold, others_as_rollouts
 from animarl_algos.evaluation.distances import bootstrap_distances
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
 from animarl_algos.evaluation.metrics import dtw_alignments
@@ -139,6 +139,43 @@ def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score
         Of the intervals.
     """
     test, others = demos.select(split="test"), learnable(demos)
+    return _score(rollouts, test, others_as_rollouts(others, test, SEED), others, resamples)
+
+
+def crossed_score(
+    folds: Sequence[tuple[Demonstrations, Rollouts]], method: str, *, resamples: int
+) -> Score:
+    """Measure rollouts from the test starts of all folds against the recordings, as one set.
+
+    Parameters
+    ----------
+    folds
+        For every fold and seed the demonstrations, as this fold splits them, and the rollouts.
+    method
+        Its name.
+    resamples
+        Of the intervals.
+    """
+    made, beside = [], {}
+    for demos, rollouts in folds:
+        tested = np.flatnonzero(demos.split == "test")
+        made.append(replace(rollouts, demo=tested[rollouts.demo]))
+        if int(tested[0]) not in beside:
+            others = others_as_rollouts(beside_fold(demos), demos.select(split="test"), SEED)
+            beside[int(tested[0])] = replace(others, demo=tested[others.demo])
+    whole = folds[0][0]
+    joined = Rollouts.concatenate(made, method)
+    return _score(joined, whole, Rollouts.concatenate(list(beside.values())), None, resamples)
+
+
+def _score(
+    rollouts: Rollouts,
+    test: Demonstrations,
+    beside: Rollouts,
+    others: Demonstrations | None,
+    resamples: int,
+) -> Score:
+    """Against the recordings ``test``; ``beside``: others, each as if it began at a test start."""
     rng_verdict, rng_draws, rng_null, rng_kde = np.random.default_rng(SEED).spawn(4)
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared.of(test, comparison_smoothing(test))
@@ -157,7 +194,7 @@ def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score
         mean = _mean(energies[name], draws)
         measures.append(_of(name, "recorded SD", mean, null=pooled_score(true)))
     measures.append(_endings(found))
-    measures += _closeness(counted, test, others, draws)
+    measures += _closeness(counted, test, beside, draws)
     exchanges = Exchanges.draw(counted.demo, len(test), rng_null, resamples)
     for key in DIFFERENCES:
         gap = _difference(simulated[key], counted, recorded[key], draws)
@@ -222,10 +259,9 @@ def first_second(rollouts: Rollouts, demos: Demonstrations, warmup: int) -> Floa
 
 
 def _closeness(
-    counted: Rollouts, test: Demonstrations, others: Demonstrations, draws: Draws
+    counted: Rollouts, test: Demonstrations, beside: Rollouts, draws: Draws
 ) -> list[Measured]:
     """DTW of whole episodes and of the first second, beside what other recordings come to."""
-    beside = others_as_rollouts(others, test, SEED)
     spec = SPECIES.get(test.species)
     warmup = spec.warmup if spec is not None else 0
 

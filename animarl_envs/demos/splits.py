@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,6 +15,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
 
+FEWEST_FOLDS = 3  # train, val and test
 FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits
 
 
@@ -61,6 +62,34 @@ def learnable(demos: Demonstrations) -> Demonstrations:
     if kept.all() or not kept.any():
         return demos
     return demos.select(episodes=np.flatnonzero(kept))
+
+
+def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
+    """The demonstrations once per fold: each episode is test once, val once, and else train.
+
+    Episodes of a recording stay together, unless there are fewer than three recordings. Whatever
+    the split was before is not asked.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than three folds, or fewer recordings (or episodes) than folds.
+    """
+    dealt = demos.recording
+    if len(np.unique(dealt)) < FEWEST_RECORDINGS:
+        dealt = np.arange(len(demos)).astype(str)
+    names = np.random.default_rng(0).permutation(np.unique(dealt))
+    if not FEWEST_FOLDS <= folds <= len(names):
+        raise InputError(
+            f"{demos.name}: {folds} folds of {len(names)} recordings or episodes: give "
+            f"{FEWEST_FOLDS} folds at least, and no more than there are of them"
+        )
+    fold = {name: i % folds for i, name in enumerate(names.tolist())}
+    own = np.array([fold[name] for name in dealt.tolist()])
+    for number in range(folds):
+        split = np.where(own == number, "val", "train")
+        split[own == (number + 1) % folds] = "test"
+        yield replace(demos, split=split)
 
 
 def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArray[np.str_]:
