@@ -260,6 +260,7 @@ def main(
     test: Annotated[bool, typer.Option(help="Ask about the test split.")] = False,
     quick: Annotated[bool, typer.Option(help="Packaged sets, one seed, few rollouts.")] = False,
     rollouts: Annotated[int | None, typer.Option(help="Per cell, at least two a start.")] = None,
+    import_only: Annotated[bool, typer.Option(help="No more than OUT/imported/SET.npz.")] = False,
     out: Annotated[Path, typer.Option(help="Where cells and tables go.")] = Path("out/faithful"),
 ) -> None:
     """Import, fit, train, roll out, and ask for the verdict."""
@@ -277,6 +278,9 @@ def main(
             continue
         if one.importing and not one.files():
             console.print(f"{one.name}: its recordings are not in {DATA}: left out")
+            continue
+        if import_only:
+            one.load(out / "imported")
             continue
         for s in (seed or [0])[: 1 if quick else None]:
             cell = out / "cells" / f"{one.name}-{algo}-{s}-{split}-{number}"
