@@ -11,8 +11,8 @@ After every tenth of the steps the learner acts greedily in 20 episodes, whose s
 for all. Tabled are the mean return of these episodes at the end, and of the mean of the last five
 looks (a policy that wanders has a lower one); that of the network of the best look, which is kept
 as stable-baselines3's EvalCallback keeps it, in 20 episodes from other starts; the processor
-seconds of training, the looks left out; and the latter return per processor second. Intervals are
-Student's t over seeds, 95 %.
+seconds of training, the looks left out; and the latter return per processor second, where returns
+are positive. Intervals are Student's t over seeds, 95 %.
 
 A learner and a seed make a file in ``--out``, and are not trained again where it exists.
 """
@@ -224,10 +224,10 @@ def row(task: str, name: str, cells: Sequence[dict[str, Any]]) -> list[str]:
     late = [float(np.mean(each["returns"][-LAST_LOOKS:])) for each in cells]
     seconds = [each["seconds"][-1] for each in cells]
     best = [each["best"] for each in cells]
-    paid = [r / s for r, s in zip(best, seconds, strict=True)]
+    paid = interval([r / s for r, s in zip(best, seconds, strict=True)]) if min(best) > 0 else "–"
     ends, bests = (", ".join(f"{r:.0f}" for r in values) for values in (end, best))
     return [task, name, f"{cells[0]['steps']:,}", interval(end), ends, interval(late),
-            interval(best), bests, f"{np.mean(seconds):.0f}", interval(paid)]  # fmt: skip
+            interval(best), bests, f"{np.mean(seconds):.0f}", paid]  # fmt: skip
 
 
 def lacking(task: str) -> str | None:
