@@ -15,12 +15,13 @@ import pytest
 from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix
+from animarl_algos.benchmark.measured import Measured, Score
 from animarl_algos.benchmark.methods import Checked, MethodSetting, parse_method, source_of
 from animarl_algos.benchmark.nearest import NEIGHBOURS, SEGMENT, NearestSegment
 from animarl_algos.benchmark.pieces import attempt
 from animarl_algos.benchmark.plan import plan
 from animarl_algos.benchmark.references import Steering, expert_rollouts, others_as_rollouts
-from animarl_algos.benchmark.scores import Measured, Score, first_second, start_energies
+from animarl_algos.benchmark.scores import first_second, start_energies
 from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts

@@ -16,10 +16,11 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from animarl_algos.benchmark.measured import Score
 from animarl_algos.benchmark.methods import Checked, MethodSetting, load_factory, source_of
 from animarl_algos.benchmark.pieces import code, hashed, write_json
 from animarl_algos.benchmark.references import reference_rollouts
-from animarl_algos.benchmark.scores import Score, crossed_score, score
+from animarl_algos.benchmark.scores import crossed_score, score
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline

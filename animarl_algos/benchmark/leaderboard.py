@@ -14,10 +14,10 @@ from typing import Any
 
 from animarl_algos.benchmark.cells import Cell, Scoring
 from animarl_algos.benchmark.leaderboard_page import leaderboard_page
+from animarl_algos.benchmark.measured import LABELS, Measured, Score
 from animarl_algos.benchmark.pieces import code, recorded_error, write_json
 from animarl_algos.benchmark.plan import Plan
 from animarl_algos.benchmark.ranks import ranked
-from animarl_algos.benchmark.scores import LABELS, Measured, Score
 from animarl_algos.runs.machine import machine
 from animarl_envs.files import write_then_rename
 

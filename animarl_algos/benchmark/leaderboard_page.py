@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from animarl_algos.benchmark.scores import LABELS, Measured, Score
+from animarl_algos.benchmark.measured import LABELS, Measured, Score
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report.blocks import Block, Gallery, Group, Pairs, Row, Section, Sentences, Table
 from animarl_algos.report.figures import interval_rows

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from animarl_algos.benchmark.scores import SEED, Score
+from animarl_algos.benchmark.measured import Score
+from animarl_algos.benchmark.scores import SEED
 from animarl_algos.evaluation.statistics import bootstrap_difference
 
 UNRANKED = ("recordings", "tracking")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.benchmark.measured import AUC, ENERGY, LABELS, Measured, Score
 from animarl_algos.benchmark.references import beside_fold, others_as_rollouts
 from animarl_algos.evaluation.distances import bootstrap_distances
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
@@ -38,92 +39,9 @@ from animarl_envs.species import SPECIES
 Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
-AUC, ENERGY = "auc", "energy"
 DIFFERENCES = ("reached", "duration", "path_length", "mean_speed")
 UNITS = {measure.key: measure.unit for measure in MEASURES}
 DISTRIBUTIONS = ("duration", "path_length")
-LABELS = {
-    AUC: "classifier AUC",
-    ENERGY: "energy score",
-    "energy_duration": "energy score of duration",
-    "energy_path_length": "energy score of path length",
-    "energy_mean_speed": "energy score of speed",
-    "outcomes": "endings (chi-squared)",
-    "reached": "target reached",
-    "duration": "duration",
-    "path_length": "path length",
-    "mean_speed": "mean speed",
-    "dtw_per_step": "DTW per step",
-    "dtw_first_second": "DTW per step, first second",
-    "kde_duration": "KDE distance of durations",
-    "kde_path_length": "KDE distance of path lengths",
-}
-"""The measures in their order: what a simulator is judged by first."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """One measure of one method.
-
-    ``value`` has the interval ``low`` to ``high``, over demonstrations and seeds; ``reason`` says
-    why there is none. Of outcome, duration, path length and speed it is the difference to the
-    recordings. ``null`` is what chance alone stays below in 95 % of cases, and what recordings of
-    other starts come to where ``p`` is not given (energy scores, DTW). NaN is what is not defined.
-    """
-
-    measure: str
-    unit: str = ""
-    value: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-    null: float = math.nan
-    p: float = math.nan
-    reason: str = ""
-
-    @property
-    def inside(self) -> bool:
-        """Whether it is no larger than its null."""
-        return abs(self.value) <= self.null
-
-
-@dataclass(frozen=True, kw_only=True)
-class Score:
-    """A method on one set of demonstrations; ``energies`` is ``(seeds, starts)``, NaN for none."""
-
-    data: str = ""
-    kind: str = ""
-    method: str
-    seeds: tuple[int, ...]
-    starts: int
-    rollouts: int
-    covers: str
-    words: str
-    measures: tuple[Measured, ...]
-    energies: Floats
-
-    def of(self, measure: str) -> Measured:
-        """One measure."""
-        return next(one for one in self.measures if one.measure == measure)
-
-    @property
-    def energy_cells(self) -> Cells:
-        """The joint energy score by seed and start."""
-        present = np.isfinite(self.energies)
-        return Cells(np.where(present, self.energies, 0.0), present.astype(np.float64))
-
-    def to_json(self) -> dict[str, Any]:
-        plain = asdict(self) | {"energies": self.energies.tolist()}
-        return dict(_without_nan(plain))
-
-    @classmethod
-    def from_json(cls, plain: Mapping[str, Any]) -> Score:
-        rows: list[dict[str, Any]] = [
-            {k: math.nan if v is None else v for k, v in one.items()} for one in plain["measures"]
-        ]
-        measures = tuple(Measured(**row) for row in rows)
-        energies = np.array(plain["energies"], dtype=np.float64)
-        seeds = tuple(plain["seeds"])
-        return cls(**{**plain, "measures": measures, "energies": energies, "seeds": seeds})
 
 
 def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score:
@@ -314,14 +232,3 @@ def _mean(energies: Floats, draws: Draws) -> Interval:
     if not present.any():
         return Interval.without_ends(UNDEFINED.estimate, FEW_ROLLOUTS)
     return bootstrap_mean(Cells(np.where(present, energies, 0.0), present.astype(float)), draws)
-
-
-def _without_nan(value: Any) -> Any:
-    """As JSON has it: None for what is not finite."""
-    if isinstance(value, dict):
-        return {k: _without_nan(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

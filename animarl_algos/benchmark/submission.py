@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.benchmark.measured import Score
 from animarl_algos.benchmark.pieces import write_json
-from animarl_algos.benchmark.scores import Score, score
+from animarl_algos.benchmark.scores import score
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_envs.checks import printable
