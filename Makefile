@@ -1,6 +1,7 @@
 # make demo   make the environment, run the main job on packaged demonstrations, name the report
-# make test   lint, types, tests with coverage
+# make test   lint, types, tests
 # make slow   the tests that take minutes
+# make coverage   the tests of make test, and which lines none of them reached
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
 # make fuzz [N=20000] [SEED=0]   damaged files through every reader, see SECURITY.md
 PYTHON ?= python3.11
@@ -13,12 +14,15 @@ PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 N ?= 20000
 SEED ?= 0
 
-.PHONY: demo test slow mutants fuzz lint types clean
+.PHONY: demo test coverage slow mutants fuzz lint types clean
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
 
 test: $(STAMP) lint types
+	$(PYTEST) -m "not slow"
+
+coverage: $(STAMP)
 	$(PYTEST) -m "not slow" --cov --cov-report=term:skip-covered
 
 slow: $(STAMP)
