@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from animarl_algos.cli.showing import report
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.errors import InputError
@@ -72,8 +73,6 @@ def merge_command(
 
       animarl data merge sham.npz lesion.npz --conditions sham,lesion --out both.npz
     """
-    from animarl_algos.cli.data import report  # it lists this command
-
     if out.suffix != ".npz":
         raise InputError(f"{out}: demonstrations end in .npz: rename it")
     report(merged(files, conditions), out, None)
