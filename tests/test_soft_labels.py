@@ -14,10 +14,13 @@ from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.labels import soft_labels
 from animarl_algos.data.reflection import Reflection
 from animarl_algos.data.species_data import SpeciesDemonstrations
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.losses.losses import action_cross_entropy, soft_action_cross_entropy
 from animarl_envs import SPECIES
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.worlds import demonstration_observations
 
@@ -128,6 +131,25 @@ def test_bad_labels_are_refused(options, message: str) -> None:
     demos = load_packaged("fly")
     with pytest.raises(InputError, match=message):
         SpeciesDemonstrations(SPECIES["fly"], demos, demos.individuals, **options)
+
+
+def test_the_horizon_of_tracking_labels_reaches_the_tracking() -> None:
+    exact = load_packaged("fly")
+    noise = np.random.default_rng(0).normal(0.0, 2e-3, exact.positions.shape)
+    demos = learnable(replace(exact, positions=exact.positions + noise))
+
+    def labelled(**options: float) -> NDArray[np.int64]:
+        env = SlotVecEnv("fly", 1, demos=demos, labels="tracking", **options)
+        return env.offline_data().train._frames.actions
+
+    within = np.repeat(demos.split == "train", demos.lengths)
+    species = SlotVecEnv("fly", 1, demos=demos).scenario.species
+    for options, horizon in (({}, 1.0), ({"label_horizon": 3.0}, 3.0)):
+        followed = track(demos, species.locomotion, species.arena, horizon=horizon)
+        np.testing.assert_array_equal(labelled(**options), followed.actions[within])
+    assert (labelled() != labelled(label_horizon=3.0)).any()
+    with pytest.raises(InputError, match=r"horizon is 0\.0"):
+        labelled(label_horizon=0.0)
 
 
 # -- windows and mirrors --------------------------------------------------------------------------

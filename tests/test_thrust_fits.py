@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from thrust_walks import DT, ROLES, TRUTH, walk
 from typer.testing import CliRunner
 
@@ -156,11 +157,12 @@ def test_exact_tracks_are_followed_exactly() -> None:
     assert speed_distances(demos, tracking).max() < 1e-10
 
 
-def test_each_step_is_the_best_from_where_the_simulation_is() -> None:
+@pytest.mark.parametrize("horizon", [1.0, 3.0])
+def test_each_step_is_the_best_from_where_the_simulation_is(horizon: float) -> None:
     """Against all actions of one step in NumPy, focus from the simulated positions."""
     demos, _ = walk(TRUTH, 11, episodes=5, noise=0.01)
     poorer = tuple(Locomotion(m.damping, m.thrust, (1.2, 0.5)) for m in TRUTH)
-    tracking, velocity = track(demos, poorer), demos.velocities()
+    tracking, velocity = track(demos, poorer, horizon=horizon), demos.velocities()
     focus = focus_directions(tracking.positions, ROLES)
     misses = one_step_misses(demos, poorer, tracking)
     for frame in np.flatnonzero(tracking.actions[:, 0] >= 0):
@@ -171,11 +173,14 @@ def test_each_step_is_the_best_from_where_the_simulation_is() -> None:
                 for k in range(25)
             ])  # fmt: skip
             p = tracking.positions[frame, i] + v * DT
-            cost = np.sum((p - demos.positions[frame + 1, i]) ** 2, axis=1) / DT**2
-            cost += np.sum((v - velocity[frame + 1, i]) ** 2, axis=1)
+            ahead = np.sum((p - demos.positions[frame + 1, i]) ** 2, axis=1) / DT**2
+            faster = np.sum((v - velocity[frame + 1, i]) ** 2, axis=1)
+            cost = ahead / horizon**2 + faster
             assert cost[taken] == pytest.approx(cost.min(), rel=1e-9)
             np.testing.assert_allclose(p[taken], tracking.positions[frame + 1, i], atol=1e-12)
-            np.testing.assert_allclose(misses[frame, i], DT * np.sqrt(cost / 2), atol=1e-12)
+            np.testing.assert_allclose(
+                misses[frame, i], DT * np.sqrt((ahead + faster) / 2), atol=1e-12
+            )
     last = demos.offsets[1:] - 1
     assert (tracking.actions[last] == -1).all() and not misses[last].any()
 
@@ -191,6 +196,26 @@ def test_misses_from_recorded_states_are_distances() -> None:
                 )
                 apart = demos.positions[frame, i] + reached * DT - demos.positions[frame + 1, i]
                 assert misses[frame, i, action] == pytest.approx(np.hypot(*apart), abs=1e-12)
+
+
+def test_a_longer_horizon_mends_less_in_haste() -> None:
+    """On circles: a push that mends a miss is soon undone by another one."""
+    demos, _ = walk(TRUTH, 14, episodes=6)
+    time = np.concatenate([np.arange(steps) for steps in demos.lengths]) * DT
+    turned = (1 + np.arange(3)) * 0.6 * time[:, None] + np.repeat(np.arange(6), 51)[:, None]
+    circles = 0.4 * np.stack([np.cos(turned), np.sin(turned)], axis=-1)
+    demos = replace(demos, positions=circles + np.array([[0.0, 0.1], [0.3, 0.0], [-0.3, 0.0]]))
+    near, calm = track(demos, TRUTH), track(demos, TRUTH, horizon=3)
+    inside = np.isin(np.arange(len(time)), demos.offsets[1:, None] - np.arange(1, 4), invert=True)
+
+    def jerk(velocities: NDArray[np.float64]) -> float:
+        change = np.diff(velocities, n=2, axis=0)[inside[:-2]]
+        return float(np.hypot(change[..., 0], change[..., 1]).mean())
+
+    assert jerk(calm.velocities) < 0.95 * jerk(near.velocities)
+    assert tracking_errors(demos, calm).max() < 0.04  # a tenth of a radius
+    with pytest.raises(InputError, match=r"horizon is 0\.5: give 1 step or more"):
+        track(demos, TRUTH, horizon=0.5)
 
 
 def test_tracking_stays_within_walls() -> None:

@@ -56,6 +56,8 @@ class SlotVecEnv(VecEnv):
         recipe's business.
     labels, label_width
         Of the offline phase; see :class:`animarl_algos.data.species_data.SpeciesDemonstrations`.
+    label_horizon
+        Of tracking labels; see :func:`animarl_envs.fitting.tracking.track`.
     options
         Of :func:`animarl_envs.scenario.make_scenario`.
 
@@ -82,6 +84,7 @@ class SlotVecEnv(VecEnv):
         dtw: str | None = "closeness",
         labels: str = "hard",
         label_width: float = 0.35,
+        label_horizon: float = 1.0,
         **options: Any,
     ) -> None:
         if split == "test":
@@ -131,7 +134,7 @@ class SlotVecEnv(VecEnv):
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
         self._pending: NDArray[np.int64] | None = None
-        self.labels, self.label_width = labels, label_width
+        self.labels, self.label_width, self.label_horizon = labels, label_width, label_horizon
         self._offline_data: SpeciesDemonstrations | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
@@ -231,7 +234,9 @@ class SlotVecEnv(VecEnv):
             species = self.scenario.species
             followed = None
             if self.labels == Labels.TRACKING:
-                followed = track(self.demos, species.locomotion, species.arena)
+                followed = track(
+                    self.demos, species.locomotion, species.arena, horizon=self.label_horizon
+                )
             self._offline_data = SpeciesDemonstrations(
                 species,
                 self.demos,
@@ -292,7 +297,9 @@ def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
 
 
 SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
-OWN_OPTIONS = ("split", "focal", "condition_flag", "cue", "dtw", "labels", "label_width")
+OWN_OPTIONS = (
+    "split", "focal", "condition_flag", "cue", "dtw", "labels", "label_width", "label_horizon",
+)  # fmt: skip
 
 
 def species_options(options: Mapping[str, Any]) -> dict[str, Any]:

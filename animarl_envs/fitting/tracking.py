@@ -44,13 +44,14 @@ def track(
     locomotion: Sequence[Locomotion],
     arena: Arena | None = None,
     *,
+    horizon: float = 1.0,
     random_share: float = 0.0,
     seed: int = 0,
 ) -> Tracking:
     """Follow every recorded episode from its first state, all individuals together.
 
-    Each step takes the action that minimises ``|p' - p_rec'|^2 / dt^2 + |v' - v_rec'|^2`` (ties:
-    the lower number); focus directions are those of the simulated positions.
+    Each step takes the action that minimises ``|p' - p_rec'|^2 / (h dt)^2 + |v' - v_rec'|^2``
+    (ties: the lower number); focus directions are those of the simulated positions.
 
     Parameters
     ----------
@@ -60,6 +61,9 @@ def track(
         Parameters of each of them, with equally many thrust magnitudes.
     arena
         Whose walls hold, if it has ``rebound``; by default that of ``demos``.
+    horizon
+        h, within how many steps a miss of the position is to be mended. 1 stays nearest; each mend
+        is a push and soon another one back, so that more leaves the pushes as smooth as recorded.
     random_share, seed
         So many of all actions are drawn at random instead, which the following ones mend.
 
@@ -69,6 +73,8 @@ def track(
         If there are not K equally rich sets of parameters, or the share is none.
     """
     _check(demos, locomotion)
+    if not horizon >= 1.0:
+        raise InputError(f"horizon is {horizon}: give 1 step or more")
     if not 0.0 <= random_share <= 1.0:
         raise InputError(f"random_share is {random_share}: give a share from 0 to 1")
     rng, shape = np.random.default_rng(seed), demos.positions.shape[:2]
@@ -89,7 +95,7 @@ def track(
     for t in range(int(demos.lengths.max())):
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
-            position_now, velocity_now, paths, speeds, forced, actions,
+            float(horizon), position_now, velocity_now, paths, speeds, forced, actions,
         )  # fmt: skip
         if arena.rebound:
             _hold_by_walls(arena, position_now, velocity_now)
@@ -180,7 +186,7 @@ def _hold_by_walls(arena: Arena, position: Floats, velocity: Floats) -> None:
 @jit
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
-    position, velocity, paths, speeds, forced, actions,
+    horizon, position, velocity, paths, speeds, forced, actions,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
@@ -219,8 +225,8 @@ def _follow(  # type: ignore[no-untyped-def]
                 ay = ahead * towards[i, 1] + left * towards[i, 0]
                 vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
                 vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
-                px = (position[i, 0, b] + vx * dt - recorded[frame + 1, i, 0]) / dt
-                py = (position[i, 1, b] + vy * dt - recorded[frame + 1, i, 1]) / dt
+                px = (position[i, 0, b] + vx * dt - recorded[frame + 1, i, 0]) / (horizon * dt)
+                py = (position[i, 1, b] + vy * dt - recorded[frame + 1, i, 1]) / (horizon * dt)
                 qx = vx - recorded_velocity[frame + 1, i, 0]
                 qy = vy - recorded_velocity[frame + 1, i, 1]
                 cost = px * px + py * py + qx * qx + qy * qy
