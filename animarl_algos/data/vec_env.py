@@ -6,7 +6,7 @@ reset within the same step, as SB3 expects.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -16,6 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.labels import Labels
+from animarl_algos.data.options import SCENARIO_OPTIONS
 from animarl_algos.data.slots import warn_of_mixed_means
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -294,14 +295,3 @@ class SlotVecEnv(VecEnv):
 def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
     """Whether a learner can be told the condition: the species has it, the recordings vary it."""
     return bool(species.conditions) and demos is not None and len(set(demos.condition)) == 2
-
-
-SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
-OWN_OPTIONS = (
-    "split", "focal", "condition_flag", "cue", "dtw", "labels", "label_width", "label_horizon",
-)  # fmt: skip
-
-
-def species_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the options of a :class:`SlotVecEnv` that change the species."""
-    return {k: v for k, v in options.items() if k not in (*SCENARIO_OPTIONS, *OWN_OPTIONS)}

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from animarl_algos.data.vec_env import OWN_OPTIONS, SCENARIO_OPTIONS, species_options
+from animarl_algos.data.options import OWN_OPTIONS, SCENARIO_OPTIONS, species_options
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import COUNTS, first_of_role
 from animarl_envs.species import Species
