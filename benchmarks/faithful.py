@@ -177,7 +177,7 @@ class Followed:
 
 
 def trained(
-    demos: Demonstrations, folder: Path, algo: str, seed: int, split: str, rollouts: int
+    demos: Demonstrations, folder: Path, algo: str, seed: int, split: str, repetitions: int
 ) -> tuple[Rollouts, Rollouts, list[NDArray[np.float64]]]:
     """Fit, train, roll out from the starts of a split.
 
@@ -195,10 +195,7 @@ def trained(
     policy.policy.seed(seed)
     spec = run.species(demos, pipeline.fit(run))
     world = partial(make_world, run.scenario(split))
-    starts = int((demos.split == split).sum())
-    collect = partial(
-        collect_rollouts, world, seed=seed, repetitions=max(2, math.ceil(rollouts / starts))
-    )
+    collect = partial(collect_rollouts, world, seed=seed, repetitions=repetitions)
     told = run.environment(spec, demos).condition_flag
     name = pipeline.method_name(algo)
     asked_for = demos.select(split=split)
@@ -217,11 +214,13 @@ def judged(
     began = time.process_time()
     demos = one.load(out / "imported")
     parts, used, followed = [], [], {}
-    folds = cross_validated(demos, one.folds) if one.folds > 1 else [demos]
+    folds = list(cross_validated(demos, one.folds)) if one.folds > 1 else [demos]
+    starts = sum(int((fold.split == split).sum()) for fold in folds)
+    repetitions = max(2, math.ceil(rollouts / starts))  # of each start, in whichever fold
     for number, fold in enumerate(folds):
         folder = out / "runs" / f"{one.name}-{algo}-{seed}-{number}"
         index = np.flatnonzero(fold.split == split)
-        *both, paths = trained(fold, folder, algo, seed, split, math.ceil(rollouts / one.folds))
+        *both, paths = trained(fold, folder, algo, seed, split, repetitions)
         parts.append([replace(r, demo=index[r.demo]) for r in both])
         followed |= dict(zip(index.tolist(), paths, strict=True))
         used.append(index)
