@@ -37,6 +37,15 @@ def test_animals_that_push_with_several_strengths_get_several(chases: Demonstrat
     assert tracking_floor(wobbly, joint_locomotion(wobbly)).estimate > 0.8
 
 
+def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for(chases: Demonstrations) -> None:
+    """Three recordings of newts do not say whether one thrust will do; three exact chases do."""
+    newts = load_packaged("newt").select(split="train").select(episodes=np.arange(3))
+    floor = tracking_floor(newts, joint_locomotion(newts))
+    assert floor.estimate <= 2 / 3 and floor.high - floor.low > 1 / 3
+    assert choose_thrusts(newts) == 3
+    assert choose_thrusts(chases.select(episodes=np.arange(3))) == 1
+
+
 def test_the_floor_is_tracked_within_the_walls_of_the_world() -> None:
     """Flies that are too sluggish to turn in time: through the edge, unless it is a wall."""
     packaged = load_packaged("fly").select(split="train")

@@ -27,6 +27,8 @@ from animarl_envs.locomotion import Locomotion
 TRIED = (1, 2, 3, 5, 8)
 LOW = 2 / 3  # a floor that needs no further magnitude
 GAIN = 0.05  # by which the floor must fall to be worth more actions
+UNSURE = 1 / 3  # a wider interval of the floor tells nothing: it reaches from not told to told
+RECORDED = 3  # then as many as recorded moths, termites and flies ask for
 FEW = 10  # with fewer demonstrations, parts of them are dealt to the classifier's folds
 
 
@@ -59,14 +61,17 @@ def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> int:
     """The number of magnitudes for a simulator, by the training episodes (all, if there are none).
 
     More are tried until the floor is at most ``LOW``, and the fewest are taken from which the floor
-    does not fall by another ``GAIN``.
+    does not fall by another ``GAIN``. Where the episodes are too few to say what the floor is,
+    ``RECORDED`` are taken: one would be what artificial chasers have, and is no safer a guess.
     """
     seen = demos.select(split="train") if (demos.split == "train").any() else demos
     floors: dict[int, float] = {}
     for thrusts in TRIED:
-        fitted = joint_locomotion(seen, thrusts)
-        floors[thrusts] = tracking_floor(seen, fitted, seed=seed).estimate
-        if floors[thrusts] <= LOW or not np.isfinite(floors[thrusts]):
+        floor = tracking_floor(seen, joint_locomotion(seen, thrusts), seed=seed)
+        if not floor.high - floor.low <= UNSURE:
+            return RECORDED
+        floors[thrusts] = floor.estimate
+        if floors[thrusts] <= LOW:
             break
     lowest = min(floors.values())
-    return next((m for m, floor in floors.items() if floor <= lowest + GAIN), TRIED[0])
+    return next(m for m, floor in floors.items() if floor <= lowest + GAIN)
