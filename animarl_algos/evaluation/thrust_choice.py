@@ -68,7 +68,7 @@ def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> int:
     floors: dict[int, float] = {}
     for thrusts in TRIED:
         floor = tracking_floor(seen, joint_locomotion(seen, thrusts), seed=seed)
-        if not floor.high - floor.low <= UNSURE:
+        if np.isnan(floor.high - floor.low) or floor.high - floor.low > UNSURE:
             return RECORDED
         floors[thrusts] = floor.estimate
         if floors[thrusts] <= LOW:

@@ -70,7 +70,8 @@ def track(
     Raises
     ------
     InputError
-        If there are not K equally rich sets of parameters, or the share is none.
+        If there are not K equally rich sets of parameters, the horizon is below a step, or the
+        share is none.
     """
     _check(demos, locomotion)
     if not horizon >= 1.0:
