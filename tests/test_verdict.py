@@ -73,6 +73,18 @@ def test_collapsed_simulators_lose_by_the_energy_score(kind: str) -> None:
     assert bad["energy"] > bad["energy_pooled"]
 
 
+def test_starts_that_were_rolled_out_more_often_weigh_no_more() -> None:
+    demos = recorded_pairs()
+    every = simulated_pairs(demos, "slow")
+    later = np.flatnonzero(every.demo >= demos.num_episodes // 2)
+    uneven = every.select(np.concatenate([np.arange(len(every)), later, later]))
+    rows = [verdict(demos, each, seed=0, references=demos).row for each in (every, uneven)]
+    for name in ("duration", "path_length", "mean_speed"):
+        once, often = (row(name) for row in rows)
+        assert often["simulated"] == pytest.approx(once["simulated"])
+        assert often["difference"] == pytest.approx(often["simulated"] - often["recorded"])
+
+
 def test_worse_than_untrained_is_said_only_where_it_holds() -> None:
     demos = recorded_pairs()
     dead, true = simulated_pairs(demos, "dead"), simulated_pairs(demos, "true")

@@ -53,7 +53,7 @@ def rows_of(
         one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
         many = cells(b, counted.seed, counted.demo, len(a))
         gap = bootstrap_difference(many, one, rng)
-        row = row_of(measure, prepared.unit, one.mean, many.mean, gap, tested)
+        row = row_of(measure, prepared.unit, one.mean, many.even.mean, gap, tested)
         row["covers"] = covers(many)
         if measure.spread:
             null = null_distances(a[starts], len(b), rng).wasserstein
