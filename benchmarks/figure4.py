@@ -141,12 +141,12 @@ def draw(by_species: dict[str, pd.DataFrame]) -> Figure:
         for column, (data, metrics) in enumerate(by_species.items()):
             for row, metric in enumerate(SHOWN):
                 panel: Axes = panels[row, column]
-                names = [RECORDED, *LEARNERS]
-                names = [name for name in names if name in metrics["method"].to_numpy()]
+                first = [RECORDED] if metric.of_recordings else []
+                there = metrics["method"].to_numpy()
+                names = [name for name in (*first, *LEARNERS) if name in there]
                 for place, name in enumerate(names):
-                    if name != RECORDED or metric.of_recordings:
-                        values = metrics.loc[metrics["method"] == name, metric.key].to_numpy()
-                        violin(panel, place, values, style.method_colour(name))
+                    values = metrics.loc[there == name, metric.key].to_numpy()
+                    violin(panel, place, values, style.method_colour(name))
                 style.light_grid(panel, "y")
                 panel.set_xticks(range(len(names)), [style.method_label(name) for name in names])
                 panel.tick_params(axis="x", length=0, rotation=20)
