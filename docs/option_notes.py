@@ -94,6 +94,10 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "`True`, `False`",
         "`'paper'` has the distance from the centre too",
     ),
+    "senses_course": (
+        "`True`, `False`",
+        "in which of the directions of actions it goes and thrusts too, by harmonics",
+    ),
     "senses_heading": (
         "`True`, `False`",
         "where its body and those of the others point too; your own animals do if one of them does "

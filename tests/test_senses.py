@@ -28,7 +28,7 @@ CHASES: list[tuple[str, dict[str, Any]]] = [
     ("agent", {"demos": None, "num_pursuers": 4}),
     ("agent", {"demos": None, "arena": "open"}),
     ("custom", {"demos": dogs(2)}),
-    ("fly", {"senses_past": True, "senses_time": True}),
+    ("newt", {"senses_past": True, "senses_time": True, "senses_course": True}),
 ]
 chases = pytest.mark.parametrize(("name", "options"), CHASES)
 
@@ -156,7 +156,8 @@ def test_mirror_images_of_actions_are_mirrored_vectors_and_their_own_inverse() -
     ("name", "seen"),
     [*itertools.product(["agent", "fly", "newt"],
                         [{"observation": "full"}, {"observation": "paper"}]),
-     ("fly", {"senses_past": True, "senses_time": True, "time_limit": 20})],
+     ("newt", {"senses_past": True, "senses_time": True, "senses_course": True,
+               "time_limit": 20})],
 )  # fmt: skip
 def test_recorded_frames_are_seen_as_the_world_sees_them(name: str, seen: dict[str, Any]) -> None:
     demos = load_packaged(name).select(split="test")
@@ -231,6 +232,31 @@ def test_own_speed_is_seen_at_the_scale_of_the_smallest_thrust() -> None:
     at = [names.index(f"tanh of own velocity / (u dt) {side}") for side in ("ahead", "left")]
     seen = np.linalg.norm(np.arctanh(world.observation[..., at]), axis=-1)
     assert seen == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("vector", ["velocity", "acceleration"])
+def test_harmonics_tell_a_direction_and_fade_with_its_vector(vector: str) -> None:
+    scenario = make_scenario("agent", demos=None, senses_course=True)
+    world = make_world(scenario, 300)
+    walk(world, 20, seed=2)
+    state = world.get_state()
+    state["velocity"][:100] *= 1e-3
+    state["velocity"][0] = 0.0
+    world.set_state(state)
+    world.step(np.full((300, world.num_individuals), 12))  # none: acceleration 0
+    world.step(np.random.default_rng(3).integers(13, size=(300, world.num_individuals)))
+    names = [c.name for c in world.observation_components]
+    source = {"velocity": "own velocity", "acceleration": "own acceleration / u"}[vector]
+    at = [names.index(f"{source} {side}") for side in ("ahead", "left")]
+    ahead, left = np.moveaxis(world.observation[..., at].astype(np.float64), -1, 0)
+    unit = [m.thrust * scenario.species.dt for m in scenario.species.locomotion]
+    faint = 0.1 * (np.array(unit) if vector == "velocity" else 1.0)
+    length, angle = np.hypot(ahead, left), np.arctan2(left, ahead)
+    clear = length / (length + faint)
+    assert (clear < 0.2).any() and (clear > 0.9).any()
+    for k, (function, name) in itertools.product((2, 3, 4), [(np.cos, "cosine"), (np.sin, "sine")]):
+        seen = world.observation[..., names.index(f"{name} of {k} x the direction of own {vector}")]
+        assert seen == pytest.approx(clear * function(k * angle), abs=1e-4)
 
 
 def accelerations(world: World) -> Array:

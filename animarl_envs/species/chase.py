@@ -26,6 +26,7 @@ class ChaseSpecies(Species):
     senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
     senses_time: bool = False  # adds the time since the start, where it tells how one moves
     senses_past: bool = False  # adds own velocity averaged over the last steps
+    senses_course: bool = False  # adds in which of the directions of actions it goes and thrusts
     senses_heading: bool = False  # adds where its body and those of the others point
     turning: tuple[Turning | None, ...] = ()  # of each body, if one does not point where it walks
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
@@ -37,8 +38,8 @@ class ChaseSpecies(Species):
             raise InputError("a chase needs at least one pursuer and a target: name them both")
         self._positive("start_half_side")
         self._true_or_false(
-            "senses_centre", "senses_heading", "senses_past", "senses_time", "shared_reward",
-            "lone_pursuer",
+            "senses_centre", "senses_course", "senses_heading", "senses_past", "senses_time",
+            "shared_reward", "lone_pursuer",
         )  # fmt: skip
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
 

@@ -27,6 +27,8 @@ REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
 PAST = (2, 6)  # velocities before the present one are averaged over so many steps, exponentially
+HARMONICS = (2, 3, 4)  # of a direction, where it is seen as finely as actions divide the circle
+FAINT = 0.1  # a vector of this length [u dt, or u] counts half in its direction
 BODY, REACH = 0.03, 0.1  # who walks along a wall keeps so far from it [arena size]
 
 
@@ -66,8 +68,17 @@ def _circle(name: str) -> tuple[tuple[str, float], ...]:
     return (f"{name} cosine", 1.0), (f"{name} sine", -1.0)
 
 
+def _harmonics(vector: str) -> tuple[tuple[str, float], ...]:
+    """A direction by its harmonics, as ``own._observe_direction`` writes it."""
+    return tuple(
+        (f"{function} of {k} x the direction of {vector}", sign)
+        for k in HARMONICS
+        for function, sign in (("cosine", 1.0), ("sine", -1.0))
+    )
+
+
 def _scales(velocity: str, speed: str, sense: str = "") -> tuple[Group, Group, Group]:
-    """A velocity where small differences show, as ``senses._observe_scales`` writes it."""
+    """A velocity where small differences show, as ``own._observe_scales`` writes it."""
     return (
         Group(_ahead_left(f"tanh of {velocity} / (u dt)"), EGO, "1", "fine", sense=sense),
         Group(_ahead_left(f"tanh of {velocity} / (3 u dt)"), EGO, "1", "coarse", sense=sense),
@@ -91,6 +102,8 @@ OWN = (
         for group in _scales(mean, mean, sense="senses_past")
     ),
     Group(_circle("own heading"), EGO, "1", "unit", sense="senses_heading"),
+    Group(_harmonics("own velocity"), EGO, "1", "unit", sense="senses_course"),
+    Group(_harmonics("own acceleration"), EGO, "1", "unit", sense="senses_course"),
 )
 """Of the individual itself. Where velocities are measured by it, u is the smallest of its thrusts:
 how an animal rests shows among velocities that no larger one could bring to a stop."""
@@ -131,7 +144,7 @@ where it stands if that is a wall. The wall's frame is that of its nearest point
 (
     POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, ACCELERATION,
     FOCUS, TIME, FINE_PAST, COARSE_PAST, LOG_PAST, _, _, _, HEADING,
-    PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
+    COURSE, PUSH, PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
     OTHER_VELOCITY, OFFSET, DIRECTION, OTHER_HEADING, CENTRE_DISTANCE, EDGE, CENTRE, AT_WALL,
     BY_WALL, WALL_CIRCLE, FINE_WALL, COARSE_WALL,
 ) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip

@@ -30,10 +30,10 @@ from animarl_envs.worlds.chase.neighbours import (
     lay_out,
     look,
 )
+from animarl_envs.worlds.chase.own import egocentric, observe_own
 from animarl_envs.worlds.chase.walls import observe_wall
-from animarl_envs.worlds.exponential import log_of, tanh_of, tanh_tripled
 
-ABSENT, REST, HARDEST = layout.ABSENT, layout.REST, layout.HARDEST
+ABSENT = layout.ABSENT
 SQUARE = SHAPE_CODES["square"]
 
 
@@ -90,16 +90,10 @@ def observe(  # type: ignore[no-untyped-def]
             continue
         seen = look(i, position, velocity, neighbours)
         _face(i, others, towards)
-        _observe_own(i, position, velocity, acceleration, towards, first, stride[i], observation)
-        if first[0, layout.TIME] != ABSENT:
-            _observe_time(i, steps, first, limit, observation)
-        for scale in range(past.shape[0]):
-            at = 3 * scale
-            _observe_scales(
-                i, past[scale], towards, first[0, layout.FINE_PAST + at],
-                first[0, layout.COARSE_PAST + at], first[0, layout.LOG_PAST + at], stride[i],
-                observation,
-            )  # fmt: skip
+        observe_own(
+            i, position, velocity, acceleration, past, steps, towards, first, stride[i], limit,
+            observation,
+        )  # fmt: skip
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
         if first[0, layout.AT_WALL] != ABSENT:
@@ -117,69 +111,6 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
         for b in range(others.shape[2]):
             apart = others[0, APART, b]
             towards[i, x, b] = others[0, DX + x, b] / apart if apart > 0.0 else FALLBACK[x]
-
-
-@part
-def _observe_own(  # type: ignore[no-untyped-def]
-    i, position, velocity, acceleration, towards, first, stride, observation
-):
-    """Own position, direction of the focus, own acceleration, and velocity on several scales."""
-    place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
-    B = position.shape[2]
-    for x in range(2):
-        for b in range(B):
-            observation[i, place + x, b] = position[i, x, b]
-            observation[i, focus + x, b] = towards[i, x, b]
-    at = first[0, layout.VELOCITY]
-    for b in range(B):
-        ahead, left = _egocentric(velocity[i, 0, b], velocity[i, 1, b], i, b, towards)
-        observation[i, at, b] = ahead
-        observation[i, at + 1, b] = left
-    at = first[0, layout.PLANE_VELOCITY]
-    if at != ABSENT:
-        for b in range(B):
-            observation[i, at, b] = velocity[i, 0, b]
-            observation[i, at + 1, b] = velocity[i, 1, b]
-    at = first[0, layout.ACCELERATION]
-    if at != ABSENT:
-        for b in range(B):
-            ahead, left = _egocentric(acceleration[i, 0, b], acceleration[i, 1, b], i, b, towards)
-            observation[i, at, b] = min(HARDEST, max(-HARDEST, ahead))
-            observation[i, at + 1, b] = min(HARDEST, max(-HARDEST, left))
-    if first[0, layout.FINE] != ABSENT:
-        _observe_scales(
-            i, velocity, towards, first[0, layout.FINE], first[0, layout.COARSE],
-            first[0, layout.LOG_SPEED], stride, observation,
-        )  # fmt: skip
-
-
-@part
-def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation):  # type: ignore[no-untyped-def]
-    """Own velocity where small differences show: recorded animals are slow most of the time."""
-    per_stride = 1.0 / stride
-    for b in range(velocity.shape[2]):
-        vx = velocity[i, 0, b] * per_stride
-        vy = velocity[i, 1, b] * per_stride
-        ex = towards[i, 0, b]
-        ey = towards[i, 1, b]
-        ahead = tanh_of((vx * ex + vy * ey) / 3.0)
-        left = tanh_of((vy * ex - vx * ey) / 3.0)
-        observation[i, coarse, b] = ahead
-        observation[i, coarse + 1, b] = left
-        observation[i, fine, b] = tanh_tripled(ahead)
-        observation[i, fine + 1, b] = tanh_tripled(left)
-    for b in range(velocity.shape[2]):
-        vx = velocity[i, 0, b] * per_stride
-        vy = velocity[i, 1, b] * per_stride
-        observation[i, log, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
-
-
-@part
-def _observe_time(i, steps, first, limit, observation):  # type: ignore[no-untyped-def]
-    """How long the episode has lasted; recordings may go on beyond the limit."""
-    at = first[0, layout.TIME]
-    for b in range(len(steps)):
-        observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
 
 
 @part
@@ -204,12 +135,12 @@ def _observe_places(i, seen, others, towards, first, observation):  # type: igno
             observation[i, apart_at, b] = others[rank, APART, b]
         if at != ABSENT:
             for b in range(others.shape[2]):
-                ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
+                ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
                 observation[i, at, b] = ahead
                 observation[i, at + 1, b] = np.float32(0.0) if rank == 0 else left
         if bearing_at != ABSENT:
             for b in range(others.shape[2]):
-                ahead, left = _egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
+                ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
                 bearing = np.float32(0.0) if rank == 0 else angle_of(ahead, left)
                 observation[i, bearing_at, b] = bearing
 
@@ -220,7 +151,7 @@ def _observe_drifts(i, seen, others, towards, first, observation):  # type: igno
     for rank in range(seen):
         at = first[rank + 1, layout.DRIFT]
         for b in range(others.shape[2]):
-            ahead, left = _egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
+            ahead, left = egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
             observation[i, at, b] = ahead
             observation[i, at + 1, b] = left
 
@@ -279,14 +210,6 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
         observation[i, at, b] = edge - out
     at = first[0, layout.CENTRE]
     for b in range(B):
-        ahead, left = _egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
+        ahead, left = egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
-
-
-@part
-def _egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
-    """A vector ahead and to the left of individual ``i``, float32."""
-    ex = towards[i, 0, b]
-    ey = towards[i, 1, b]
-    return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)
