@@ -255,7 +255,7 @@ def test_harmonics_tell_a_direction_and_fade_with_its_vector(vector: str) -> Non
     clear = length / (length + faint)
     assert (clear < 0.2).any() and (clear > 0.9).any()
     for k, (function, name) in itertools.product((2, 3, 4), [(np.cos, "cosine"), (np.sin, "sine")]):
-        seen = world.observation[..., names.index(f"{name} of {k} x the direction of own {vector}")]
+        seen = world.observation[..., names.index(f"own {vector} harmonic {k} {name}")]
         assert seen == pytest.approx(clear * function(k * angle), abs=1e-4)
 
 

@@ -71,7 +71,7 @@ def _circle(name: str) -> tuple[tuple[str, float], ...]:
 def _harmonics(vector: str) -> tuple[tuple[str, float], ...]:
     """A direction by its harmonics, as ``own._observe_direction`` writes it."""
     return tuple(
-        (f"{function} of {k} x the direction of {vector}", sign)
+        (f"{vector} harmonic {k} {function}", sign)
         for k in HARMONICS
         for function, sign in (("cosine", 1.0), ("sine", -1.0))
     )
