@@ -40,6 +40,7 @@ lint: $(STAMP)
 
 types: $(STAMP)
 	$(BIN)/mypy
+	$(BIN)/mypy docs/*.py
 
 clean:
 	rm -rf $(VENV) out build *.egg-info

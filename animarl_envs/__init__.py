@@ -14,7 +14,7 @@ import gymnasium as gym
 import pettingzoo
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.species import CUSTOM, SPECIES, Species
 
 if TYPE_CHECKING:
     from animarl_envs.views import AnimalParallelEnv
@@ -28,7 +28,7 @@ def environment_id(species: str) -> str:
     return f"AnimaRL/{species.capitalize()}-v0"
 
 
-def parallel_env(species: str, **options: Any) -> AnimalParallelEnv:
+def parallel_env(species: Species | str, **options: Any) -> AnimalParallelEnv:
     """All individuals of a species, or of ``"custom"`` demonstrations, as a ``ParallelEnv``."""
     from animarl_envs.views import AnimalParallelEnv
 

@@ -36,7 +36,7 @@ def figure(name: str, folder: Path) -> None:
     """Sample tracks above; speeds, pauses and moves below."""
     demos = load_packaged(name)
     drawn = plt.figure(figsize=(11, 5.4), layout="constrained")
-    above, below = drawn.subfigures(2, 1, height_ratios=(1.0, 1.1))
+    above, below = drawn.subfigures(2, 1, height_ratios=(1.0, 1.1))  # type: ignore[misc]  # an array of two
     order = np.argsort(demos.lengths, kind="stable")
     chosen = order[(np.linspace(0.15, 0.97, SHOWN) * len(order)).astype(int)]
     panels = above.subplots(1, SHOWN)
@@ -61,7 +61,7 @@ def tracks(axis: Any, demos: Demonstrations, index: int) -> None:
         axis.plot(x[0], y[0], "o", ms=5, mfc="white", color=colour)
     if one.outcome > 0:
         axis.plot(*one.positions[-1, -1], "*", ms=9, color=to_hex(TOUCH))
-    edge = {"fill": False, "ec": to_hex(RECORDED), "lw": 0.8}
+    edge: dict[str, Any] = {"fill": False, "ec": to_hex(RECORDED), "lw": 0.8}
     size = arena.size
     axis.add_patch(
         Circle((0, 0), size, **edge)

@@ -13,7 +13,8 @@ from PIL import Image
 
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_algos.report.path_figures import trajectory_pair
-from animarl_algos.runs.pipeline import method_name
+from animarl_algos.report.words import Words
+from animarl_algos.runs.rolling_out import method_name
 from animarl_algos.runs.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,8 +37,9 @@ def main() -> None:
             demos.episode(int(rollouts.demo[chosen])).positions,
             demos.arena,
             demos.roles,
+            demos.individuals,
+            Words.of(demos),
         )
-        figure.axes[1].texts[0].set_text("synthetic" if demos.synthetic else "recorded")
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=110)
         panels.append(Image.open(buffer).convert("RGB"))

@@ -220,8 +220,7 @@ def option_defaults(species: Species) -> dict[str, str]:
         for name, parameter in inspect.signature(function).parameters.items():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name != "drivers":
                 shown[name] = repr(parameter.default)
-    is_chase = isinstance(species, ChaseSpecies)
-    if is_chase:
+    if isinstance(species, ChaseSpecies):
         shown["num_pursuers"] = str(species.num_pursuers)
         shown["num_targets"] = str(species.roles.count("target"))
     shown |= {"arena": arena_text(species.arena), "boundary": number(species.arena.boundary)}

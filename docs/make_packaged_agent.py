@@ -23,7 +23,7 @@ def main() -> None:
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(11, 6.6), layout="constrained")
-        top, bottom = figure.subfigures(2, 1, height_ratios=(1.75, 1.0))
+        top, bottom = figure.subfigures(2, 1, height_ratios=(1.75, 1.0))  # type: ignore[misc]  # an array of two
         samples = top.subplots(2, len(PERCENTILES))
         panels = bottom.subplots(1, 3)
         for condition, name in enumerate(AGENT.conditions):
@@ -31,7 +31,7 @@ def main() -> None:
             order = np.argsort(part.lengths, kind="stable")
             for panel, percentile in zip(samples[condition], PERCENTILES):
                 episode = part.episode(int(order[round(percentile / 100 * (len(order) - 1))]))
-                draw_paths(panel, episode.positions, demos.arena, demos.roles)
+                draw_paths(panel, episode.positions, demos.arena, demos.roles, demos.individuals)
                 panel.set(xlim=(-1.15, 1.15), ylim=(-1.15, 1.15))
                 ends = "captured" if episode.outcome > 0 else "time-out"
                 ends = "left the arena" if episode.outcome < 0 else ends

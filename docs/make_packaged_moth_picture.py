@@ -16,6 +16,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Circle
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -30,7 +31,8 @@ COLOURS = {"recorded": to_hex(RECORDED), "full": to_hex(SIMULATED), "reduced": t
 
 def tracks(axis: Axes, demos: Demonstrations, condition: int, colour: str) -> None:
     """All searches of one plume pattern over a moment of that plume."""
-    values, extent = ModelPlume.fitted().field(PATTERN, 30.3)
+    values, (left, right, low, high) = ModelPlume.fitted().field(PATTERN, 30.3)
+    extent = (left, right, low, high)
     axis.imshow(values, origin="lower", extent=extent, vmin=0, vmax=1.6, cmap="Greys", zorder=0)
     for episode in demos.select(condition=condition):
         if episode.signals["plume"][0] != PATTERN:
@@ -39,7 +41,7 @@ def tracks(axis: Axes, demos: Demonstrations, condition: int, colour: str) -> No
         reached = episode.outcome == 1
         axis.plot(x, y, color=colour, lw=0.7, alpha=0.9 if reached else 0.45)
         axis.plot(x[-1], y[-1], "o" if reached else "x", color=colour, ms=4)
-    axis.add_patch(plt.Circle((0, 0), SILKMOTH.contact_radius, fill=False, ls="--", color="0.3"))
+    axis.add_patch(Circle((0, 0), SILKMOTH.contact_radius, fill=False, ls="--", color="0.3"))
     axis.plot(0.3, 0, "k>", ms=5)
     axis.set(title=f"synthetic, {SILKMOTH.conditions[condition]} (plume {PATTERN})",
              xlabel="x [m]", ylabel="y [m]", xlim=(-0.1, 0.45), ylim=(-0.2, 0.2))  # fmt: skip
@@ -61,7 +63,7 @@ def main() -> None:
         "reduced": "synthetic (30), wind and vision blocked",
     }
     figure = plt.figure(figsize=(11, 6.4), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
+    top, bottom = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))  # type: ignore[misc]  # an array of two
     for axis, condition in zip(top.subplots(1, 2, sharey=True), (0, 1)):
         tracks(axis, demos, condition, COLOURS["reduced" if condition else "full"])
     speed, turning, duration = bottom.subplots(1, 3)

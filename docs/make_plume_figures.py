@@ -31,7 +31,7 @@ def calibration(folder: Path) -> None:
     model = expected_map(probe, recorded, FilamentModel.fitted(), draws=10, seed=0)
     seen = compare(folder)
     figure = plt.figure(figsize=(10, 6.2), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1.0, 0.9))
+    top, bottom = figure.subfigures(2, 1, height_ratios=(1.0, 0.9))  # type: ignore[misc]  # an array of two
     axes = top.subplots(1, 3, width_ratios=(1, 1, 0.85))
     extent = (*recorded.x_edges[[0, -1]], *recorded.y_edges[[0, -1]])
     for axis, cells, title in zip(axes, (recorded, model), ("recorded", "model")):
