@@ -17,7 +17,7 @@ ABSENT, REST, HARDEST, FAINT = layout.ABSENT, layout.REST, layout.HARDEST, layou
 def observe_own(  # type: ignore[no-untyped-def]
     i, position, velocity, acceleration, past, steps, towards, first, stride, limit, observation
 ):
-    """Own position, direction of the focus, own acceleration, and velocity on several scales."""
+    """Own position, velocity on several scales, acceleration, and what a species senses beside."""
     place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
     B = position.shape[2]
     for x in range(2):
