@@ -85,3 +85,18 @@ def test_ray_refuses_what_it_cannot_reach(tmp_path: Path) -> None:
     claim_folder(tmp_path)
     with pytest.raises(InputError, match=r"no Ray cluster can be reached at 127\.0\.0\.1:1 "):
         ray_engine.perform_on_ray(plan(tiny()), tmp_path, Told(), "127.0.0.1:1")
+
+
+@pytest.mark.slow
+def test_where_no_cluster_runs_ray_starts_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray = pytest.importorskip("ray")
+    here = Path(__file__).parent
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), str(here)]))
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    asked, told = plan(tiny()), Told()
+    claim_folder(tmp_path)
+    ray_engine.perform_on_ray(asked, tmp_path, told)
+    assert not told.errors and all(cell.finished(tmp_path) for cell in asked.cells)
+    assert not ray.is_initialized()

@@ -1,4 +1,4 @@
-"""Doing pieces of work on a Ray cluster that is there: its tasks, its retries, its placement.
+"""Doing pieces of work on a Ray cluster: its tasks, its retries, its placement.
 
 Every piece is one Ray task of one core that waits for the tasks it needs; Ray chooses the node, and
 repeats what a lost node or process was at, which goes on from its checkpoints. Results lie in a
@@ -20,7 +20,7 @@ from animarl_algos.benchmark.plan import MARK, Plan
 from animarl_algos.runs.run_folder import versions
 from animarl_envs.errors import InputError, MissingExtraError
 
-AUTO = "auto"  # of this machine's cluster, or of $RAY_ADDRESS
+AUTO = "auto"  # $RAY_ADDRESS, or else this machine's cluster, which Ray starts if there is none
 PATIENCE = 5.0  # [s]
 RETRIES = 3  # of a piece whose node or process was lost
 
@@ -33,12 +33,13 @@ def perform_on_ray(plan: Plan, out: Path, watch: Watch, address: str = AUTO) -> 
     out
         A folder that every node of the cluster sees under this path.
     address
-        Of a running cluster, as ``ray.init`` takes it.
+        Of a running cluster, as ``ray.init`` takes it; ``"auto"``: that of ``RAY_ADDRESS``, or
+        else this machine's, which Ray starts for the time of the work if there is none.
 
     Raises
     ------
     InputError
-        If there is no cluster at the address, or a node sees no such folder or has other versions.
+        If nobody answers at the address, or a node sees no such folder or has other versions.
     MissingExtraError
         If Ray is not installed.
     """
@@ -118,17 +119,14 @@ def _connected(ray: Any, address: str) -> Iterator[None]:
     paths = os.environ.get("PYTHONPATH", "")
     found = os.pathsep.join(str(Path(p).resolve()) for p in paths.split(os.pathsep) if p)
     environment = {"env_vars": {"PYTHONPATH": found}} if found else {}
-    if address == AUTO:
-        address = os.environ.get("RAY_ADDRESS") or AUTO
+    named = os.environ.get("RAY_ADDRESS") if address == AUTO else address
     try:
-        _refuse_silence(address)
-        ray.init(
-            address, runtime_env=environment, log_to_driver=False, logging_level="error"
-        )  # fmt: skip
+        _refuse_silence(named or "")
+        ray.init(named, runtime_env=environment, log_to_driver=False, logging_level="error")
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(
-            f"no Ray cluster can be reached at {address} ({_last_line(error)}): start one with "
-            "'ray start --head', or give --address"
+            f"no Ray cluster can be reached at {named or AUTO} ({_last_line(error)}): start one "
+            "with 'ray start --head', or give another --address"
         ) from error
     try:
         yield

@@ -56,11 +56,14 @@ def benchmark_command(
     ] = None,
     engine: Annotated[
         str,
-        typer.Option(help="local: processes of this machine; ray: a Ray cluster that is there."),
+        typer.Option(help="local: processes of this machine; ray: tasks of a Ray cluster."),
     ] = "local",
     processes: Annotated[int, typer.Option(help="So many of engine local, one thread each.")] = 1,
     address: Annotated[
-        str, typer.Option(help="Of the Ray cluster; auto: this machine's, or that of RAY_ADDRESS.")
+        str,
+        typer.Option(
+            help="Of the Ray cluster; auto: RAY_ADDRESS, or this machine's, if need be new."
+        ),
     ] = "auto",
     show: Annotated[
         bool, typer.Option("--list", help="Say what there is to do, and do nothing.")
