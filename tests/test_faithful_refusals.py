@@ -70,6 +70,16 @@ def test_an_acting_rule_that_was_never_fitted(tmp_path: Path) -> None:
     assert is_one_sentence(str(said.value))
 
 
+@pytest.mark.parametrize("rule", ["boltzmann:1,2", "epsilon:2"])
+def test_an_acting_rule_for_others(rule: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"2 numbers for 3 individuals|epsilon is 2") as said:
+        settings = RunSettings(
+            file="packaged", species="fly", algo="soft-bc", steps=1, copies=1, acting=rule
+        )
+        pipeline.open_run(settings, tmp_path / "run", "test", load_packaged("fly"))
+    assert is_one_sentence(str(said.value)) and not (tmp_path / "run").exists()
+
+
 def test_a_model_of_another_observation() -> None:
     model = SoftBC(env=SlotVecEnv("fly", 2), device="cpu", seed=0)
     paper = SlotVecEnv("fly", 2, observation="paper")
@@ -93,16 +103,28 @@ def test_a_model_of_other_thrust_magnitudes() -> None:
     assert is_one_sentence(str(said.value)) and not model.offline_progress.epoch
 
 
+@pytest.mark.parametrize(
+    ("recordings", "mend"),
+    [
+        (["a", "b"], "it has 2 episodes, so record more or 'animarl import' with --piece"),
+        (["a", "a", "b"], "it has 2 recordings, so deal with 'animarl data split --by episode'"),
+        (["a", "b", "c"], "deal them again with 'animarl data split'"),
+    ],
+)
 def test_demonstrations_too_few_to_split(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    recordings: list[str],
+    mend: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    demos = load_packaged("fly")
-    two = demos.select(episodes=[np.flatnonzero(demos.split == s)[0] for s in ("train", "val")])
-    file = two.save(tmp_path / "two.npz")
+    demos = load_packaged("fly").select(episodes=range(len(recordings)))
+    split = np.array(["train", "val", "train"])[: len(recordings)]
+    file = replace(demos, recording=np.array(recordings), split=split).save(tmp_path / "few.npz")
     monkeypatch.setattr(sys, "argv", ["animarl", "run", str(file), "--out", str(tmp_path / "run")])
     with pytest.raises(SystemExit) as ended:
         main()
     said = capsys.readouterr().err.strip()
     assert ended.value.code == 2 and is_one_sentence(said)
-    assert "split 'test' holds no episode: split the file again" in said
+    assert f"split 'test' holds no episode: {mend}" in said
     assert not (tmp_path / "run").exists()

@@ -133,6 +133,19 @@ def test_bad_labels_are_refused(options, message: str) -> None:
         SpeciesDemonstrations(SPECIES["fly"], demos, demos.individuals, **options)
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"labels": "vague"}, "'vague': choose hard, soft, tracking"),
+        ({"label_width": 0}, "label_width is 0"),
+        ({"label_horizon": 0.5}, r"label_horizon is 0\.5: give a number of at least 1"),
+    ],
+)
+def test_bad_labels_are_refused_with_the_environment(options, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        SlotVecEnv("fly", 1, **options)
+
+
 def test_the_horizon_of_tracking_labels_reaches_the_tracking() -> None:
     exact = load_packaged("fly")
     noise = np.random.default_rng(0).normal(0.0, 2e-3, exact.positions.shape)

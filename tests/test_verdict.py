@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
 
+from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.motion import MEASURES, SlowSpeeds, episode_measures
 from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import LIKE, WORSE, Verdict, verdict
 from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import make_world
 
 
 @cache
@@ -153,6 +159,22 @@ def test_measures_of_a_known_path() -> None:
     assert found["slow_steps"][0] == pytest.approx(0.5)  # the target's
     assert found["turning"][0] == pytest.approx(3 * np.pi / 2 / 2 / 0.4)
     assert found["pursuer_out"][0] == found["leaving"][0] == 1.0
+
+
+def test_who_is_held_by_a_wall_has_not_left() -> None:
+    """Stored positions are rounded, so that one at a wall may lie a little beyond it."""
+    demos = load_packaged("fly").select(episodes=np.arange(12))
+    scenario = make_scenario("fly", demos=demos, start="demo")
+    away = SimpleNamespace(predict=lambda seen, *_, **__: (np.full(len(seen), 6), None))
+    rollouts = collect_rollouts(
+        partial(make_world, scenario), away, method="away", seed=0, repetitions=1
+    )
+    reach = np.hypot(*np.moveaxis(rollouts.positions, -1, 0))
+    assert reach.max() > 1.0 - 1e-5  # somebody is at the wall
+    prepared = Prepared.of(demos, smoothing=1)
+    assert not prepared.measures(rollouts)["leaving"].any()
+    beyond = replace(rollouts, positions=rollouts.positions * 1.001)
+    assert prepared.measures(beyond)["leaving"].any()
 
 
 def test_slow_is_a_quarter_of_the_median_moving_speed() -> None:

@@ -7,7 +7,10 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.ranges import POSITIVE
+from animarl_algos.ranges import POSITIVE, Range
+from animarl_envs.errors import InputError
+
+HORIZON = Range(least=1.0)  # [steps]
 
 
 class Labels(StrEnum):
@@ -16,6 +19,20 @@ class Labels(StrEnum):
     HARD = "hard"  # the action nearest to the recorded acceleration, at recorded states
     SOFT = "soft"  # a probability for each action, by how near it would have led
     TRACKING = "tracking"  # actions that follow the recording, at the states they lead to
+
+
+def check_labels(labels: str, width: float, horizon: float = 1.0) -> None:
+    """Refuse settings of labels that are none.
+
+    Raises
+    ------
+    InputError
+        If there are no such labels, the width is not positive, or the horizon is below a step.
+    """
+    if labels not in list(Labels):
+        raise InputError(f"labels is {labels!r}: choose {', '.join(Labels)}")
+    POSITIVE.check("label_width", width)
+    HORIZON.check("label_horizon", horizon)
 
 
 def soft_labels(

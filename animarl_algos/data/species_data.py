@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.data.labels import Labels, soft_labels
+from animarl_algos.data.labels import Labels, check_labels, soft_labels
 from animarl_algos.data.reflection import Mirror, Reflection
-from animarl_algos.ranges import POSITIVE
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -76,9 +75,7 @@ class SpeciesDemonstrations:
     tracked: Tracked | None = None
 
     def __post_init__(self) -> None:
-        if self.labels not in list(Labels):
-            raise InputError(f"labels is {self.labels!r}: choose {', '.join(Labels)}")
-        POSITIVE.check("label_width", self.label_width)
+        check_labels(self.labels, self.label_width)
         if self.labels == Labels.TRACKING and self.tracked is None:
             raise InputError(
                 "labels is 'tracking' and no tracked demonstrations were given: track the "

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.labels import Labels
+from animarl_algos.data.labels import Labels, check_labels
 from animarl_algos.data.options import SCENARIO_OPTIONS
 from animarl_algos.data.slots import warn_of_mixed_means
 from animarl_algos.data.species_data import SpeciesDemonstrations
@@ -90,6 +90,7 @@ class SlotVecEnv(VecEnv):
     ) -> None:
         if split == "test":
             raise InputError("split is 'test': learners are never given the test split")
+        check_labels(labels, label_width, label_horizon)
         with knowing(SlotVecEnv.__init__, without=("drivers",)):
             full = make_scenario(species, demos=demos, split=None, **options)
         everyone = full.names

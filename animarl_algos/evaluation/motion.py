@@ -94,16 +94,22 @@ def ending(rollouts: Rollouts) -> NDArray[np.int64]:
 
 
 def episode_measures(
-    rollouts: Rollouts, arena: Arena, slow: SlowSpeeds, unit: Unit = RECORDED_SCALE
+    rollouts: Rollouts,
+    arena: Arena,
+    slow: SlowSpeeds,
+    unit: Unit = RECORDED_SCALE,
+    *,
+    rounding: float = 0.0,
 ) -> dict[str, Floats]:
     """Every measure of every episode, ``(episodes,)`` each, under the keys of :data:`MEASURES`.
 
     ``slow_steps`` and the speeds are of single steps, averaged (or their median taken) over the
     steps of an episode and then over individuals. ``turning`` is the angle between successive
-    steps summed over an episode and divided by its duration [rad/s].
+    steps summed over an episode and divided by its duration [rad/s]. Nobody is outside the
+    ``arena`` by no more than ``rounding`` [arena unit]: one at a wall may have been rounded there.
     """
     ends, movers = ending(rollouts), rollouts.movers
-    inside = arena.contains(rollouts.positions).all(axis=1)
+    inside = arena.contains(rollouts.positions, margin=rounding).all(axis=1)
     outside = np.logical_or.reduceat(~inside, rollouts.offsets[:-1])
     mean, median, still, turned = np.zeros((4, len(rollouts)))
     for i in range(len(rollouts)):

@@ -25,17 +25,22 @@ class Prepared:
     slow: SlowSpeeds
     unit: Unit
     smoothing: int
+    rounding: float
 
     @classmethod
     def of(cls, demos: Demonstrations, smoothing: int) -> Prepared:
         recorded = _filtered(Rollouts.from_demonstrations(demos), smoothing)
-        return cls(demos, recorded, SlowSpeeds.of(recorded), unit_of(demos), smoothing)
+        grid = demos.resolution()
+        rounding = 0.0 if grid is None else grid.reach
+        return cls(demos, recorded, SlowSpeeds.of(recorded), unit_of(demos), smoothing, rounding)
 
     def filtered(self, rollouts: Rollouts) -> Rollouts:
         return _filtered(rollouts, self.smoothing)
 
     def measures(self, rollouts: Rollouts) -> dict[str, Floats]:
-        return episode_measures(rollouts, self.demos.arena, self.slow, self.unit)
+        return episode_measures(
+            rollouts, self.demos.arena, self.slow, self.unit, rounding=self.rounding
+        )
 
 
 def _filtered(rollouts: Rollouts, smoothing: int) -> Rollouts:

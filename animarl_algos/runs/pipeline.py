@@ -24,6 +24,7 @@ from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint,
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.recorder import check_environment
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
@@ -38,11 +39,12 @@ from animarl_algos.runs.rolling_out import (
     stored_rollouts,
 )
 from animarl_algos.runs.run_folder import RunFolder
-from animarl_algos.runs.run_settings import AUTO, RunSettings, checked_species
+from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.splits import refuse_empty_splits
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.fitting.result import Method
 from animarl_envs.fitting.tracking import track
@@ -84,6 +86,8 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
             env=env, seed=settings.seed, device="cpu", **arguments
         )
         check_environment(env, learner.layout, learner.recipe)
+        if settings.acting != CHOSEN:
+            Acting.parse(settings.acting).checked(len(env.individuals), env.world.num_actions)
 
 
 def load_demonstrations(
@@ -93,8 +97,7 @@ def load_demonstrations(
     if file == PACKAGED:
         return load_packaged(species or "agent")
     demos = read(file, source)
-    for split in SPLITS:
-        demos.select(split=split)  # an empty split is refused now, not after an hour
+    refuse_empty_splits(demos)  # now, not after an hour
     return demos
 
 

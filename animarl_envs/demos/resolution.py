@@ -7,6 +7,7 @@ stored.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,11 @@ class Resolution:
     def single(self) -> bool:
         """Whether positions were numbers of single precision, on no coarser grid."""
         return self.step == (0.0, 0.0)
+
+    @property
+    def reach(self) -> float:
+        """How far rounding moves a position within the arena at most [arena unit]."""
+        return math.hypot(*self.step) / 2 + SINGLE
 
 
 SINGLE_PRECISION = Resolution((0.0, 0.0), (0.0, 0.0))

@@ -64,6 +64,27 @@ def learnable(demos: Demonstrations) -> Demonstrations:
     return demos.select(episodes=np.flatnonzero(kept))
 
 
+def refuse_empty_splits(demos: Demonstrations) -> None:
+    """Training, validation and test episodes are needed, at least one each.
+
+    Raises
+    ------
+    InputError
+        If there are none of one of them; it says how to come by them.
+    """
+    empty = [split for split in SPLITS if not (demos.split == split).any()]
+    if not empty:
+        return
+    recordings, episodes = len(np.unique(demos.recording)), demos.num_episodes
+    if recordings >= len(SPLITS):
+        mend = "deal them again with 'animarl data split'"
+    elif episodes >= len(SPLITS):
+        mend = f"it has {recordings} recordings, so deal with 'animarl data split --by episode'"
+    else:
+        mend = f"it has {episodes} episodes, so record more or 'animarl import' with --piece"
+    raise InputError(f"{demos.name}: split {empty[0]!r} holds no episode: {mend}")
+
+
 def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:
     """The demonstrations once per fold: each episode is test once, val once, and else train.
 
