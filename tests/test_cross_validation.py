@@ -121,6 +121,15 @@ def test_benchmark_measures_rollouts_against_their_own_starts(finished: Path, as
     assert near["value"] < 0.05 * near["null"] and other["value"] < 0.05 * other["null"]
 
 
+def test_recordings_are_not_told_from_themselves(finished: Path) -> None:
+    """Over all folds the same episodes stand on both sides, and the sides could be learned."""
+    content = json.loads((finished / "leaderboard.json").read_text())
+    rows: dict[str, Any] = {row["method"]: row for row in content["rows"]}
+    area = next(m for m in rows["recordings"]["measures"] if m["measure"] == "auc")
+    assert area["null"] == area["high"]
+    assert 0.35 < area["value"] < 0.65
+
+
 def test_benchmark_compares_each_recording_once_with_another(
     finished: Path, asked: Plan, recordings: Demonstrations
 ) -> None:

@@ -27,13 +27,14 @@ PARTS = (
     ("dtw_per_step", "dtw_first_second", "kde_duration", "kde_path_length"),
 )
 HOW = """\
-Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds.
-With several seeds that is of training runs like these, with one of this network only.
-**Bold**: no larger than its null, so chance alone gives as much (for the AUC: recordings among
-themselves; for energy scores and DTW: other recordings of the same condition). Outcome, duration,
-path length and speed are differences to the recordings; lower is better everywhere else. Ranks go
-by the energy score of duration, path length and speed together, as far as paired intervals tell two
-methods apart; recordings and tracking know where the recordings go and are not ranked.
+Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds,
+of the AUC over demonstrations alone. With several seeds the others are of training runs like these,
+with one of this network only. **Bold**: no larger than its null, so chance alone gives as much (for
+the AUC: recordings among themselves, and at least one half; for energy scores and DTW: other
+recordings of the same condition). Outcome, duration, path length and speed are differences to the
+recordings; lower is better everywhere else. Ranks go by the energy score of duration, path length
+and speed together, as far as paired intervals tell two methods apart; recordings and tracking know
+where the recordings go and are not ranked. Parameters and processor time stand in `costs.md`.
 """
 
 

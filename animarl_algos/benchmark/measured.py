@@ -55,8 +55,8 @@ class Measured:
 
     @property
     def inside(self) -> bool:
-        """Whether it is no larger than its null."""
-        return abs(self.value) <= self.null
+        """Whether it is no larger than its null; an area of one half always is."""
+        return abs(self.value) <= (max(self.null, 0.5) if self.measure == AUC else self.null)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,6 +43,7 @@ from animarl_envs.worlds import make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
 Floats = NDArray[np.float64]
+RECORDINGS = "recordings"
 OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", "velocity left"))
 """By what names worlds have an individual's velocity, in the frame of its actions."""
 
@@ -53,7 +54,7 @@ def reference_rollouts(
     """The rollouts of one row, from every test start; ``fold``: those of a cross-validation."""
     demos = world.demos
     test, species = demos.select(split="test"), world.species(demos, world.fit)
-    if name == "recordings":
+    if name == RECORDINGS:
         return others_as_rollouts(beside_fold(demos) if fold else learnable(demos), test, seed)
     if name == "tracking":
         tracked = followed(test, track(test, species.locomotion, species.arena))
@@ -120,7 +121,7 @@ def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) 
     made = Rollouts.from_demonstrations(others).select(np.array(taken))
     return replace(
         made,
-        method="recordings",
+        method=RECORDINGS,
         demo=np.array(start),
         repetition=np.array(repetition),
         seed=np.full(len(taken), seed),

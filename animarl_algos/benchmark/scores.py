@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.benchmark.measured import AUC, ENERGY, LABELS, Measured, Score
-from animarl_algos.benchmark.references import beside_fold, others_as_rollouts
+from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.distances import bootstrap_distances
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
 from animarl_algos.evaluation.metrics import dtw_alignments
@@ -101,7 +101,8 @@ def _score(
     seen = prepared.filtered(counted)
     simulated, recorded = prepared.measures(seen), prepared.measures(prepared.recorded)
     draws = Draws.by(rng_draws, resamples)
-    energies, measures = {}, [_auc(found)]
+    crossed = others is None
+    energies, measures = {}, [_auc(found, crossed and rollouts.method == RECORDINGS)]
     for name, keys in {ENERGY: SUMMARY, **{f"energy_{key}": (key,) for key in SUMMARY}}.items():
         spread = [float(np.std(recorded[k])) or 1.0 for k in keys]
         drawn, true = (
@@ -206,7 +207,14 @@ def _difference(values: Floats, counted: Rollouts, recorded: Floats, draws: Draw
     return bootstrap_difference(many, one, draws)
 
 
-def _auc(found: Verdict) -> Measured:
+def _auc(found: Verdict, same: bool) -> Measured:
+    """That of recordings among themselves, where the ``same`` recordings stand on both sides.
+
+    Over all folds each is on one side itself and on the other as another's: the classifier would
+    learn to call it by the side on which it met it.
+    """
+    if same:
+        return _of(AUC, "", found.among, null=found.among.high)
     reason = "" if math.isfinite(found.auc.low) else found.row(AUC)["verdict"]
     value = Interval(found.auc.estimate, found.auc.low, found.auc.high, reason)
     return _of(AUC, "", value, null=found.among.high)
