@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_number
+from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 
 NUM_DIRECTIONS = 12
@@ -34,6 +34,13 @@ COAST = NUM_DIRECTIONS
 """No acceleration, where there is one thrust magnitude; else it is the last action."""
 MOST_THRUSTS = 10
 """Thrust magnitudes at most: actions are stored as int8."""
+MULTIPLES: dict[int, tuple[float, ...]] = {
+    1: (1.0,),
+    2: (1.45, 0.65),
+    3: (1.75, 1.0, 0.5),
+    8: (2.3, 1.7, 1.3, 1.0, 0.75, 0.5, 0.3, 0.15),
+}
+"""Measured best of fixed multiples of u, by the number of magnitudes."""
 ACTION_ANGLES: NDArray[np.float64] = -np.deg2rad(30.0) * np.arange(NUM_DIRECTIONS)
 """Angle of the directions in the egocentric frame, counter-clockwise [rad]."""
 
@@ -132,6 +139,21 @@ def _checked_magnitudes(given: Sequence[float]) -> tuple[float, ...]:
             "each once"
         )
     return numbers
+
+
+def check_thrusts(thrusts: Any) -> None:
+    """Refuse what is no number of thrust magnitudes."""
+    if not is_whole(thrusts) or not 1 <= thrusts <= MOST_THRUSTS:
+        raise InputError(
+            f"thrusts is {thrusts!r}: give a whole number of thrust magnitudes, 1 to {MOST_THRUSTS}"
+        )
+
+
+def fixed_multiples(thrusts: int) -> tuple[float, ...]:
+    """Multiples of u that need no fit, the largest first: measured, or a geometric ladder."""
+    if thrusts in MULTIPLES:
+        return MULTIPLES[thrusts]
+    return tuple(float(m) for m in np.geomspace(2.3, 0.25, thrusts))
 
 
 @cache

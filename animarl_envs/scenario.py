@@ -184,7 +184,8 @@ def make_scenario(
         Who moves an individual, by name; ``"action"`` for those not named.
     options
         What :func:`~animarl_envs.species.options.with_options` takes: ``num_pursuers``,
-        ``num_targets``, ``arena``, ``contact_radius``, ``time_limit``, ``locomotion``, ...
+        ``num_targets``, ``arena``, ``contact_radius``, ``time_limit``, ``locomotion``, ``thrusts``,
+        ...
         With fewer pursuers (or targets) than recorded, the first ones are used. With more, only
         the species is made from the recordings, and ``start`` must be ``"uniform"`` or positions.
 
@@ -200,7 +201,7 @@ def make_scenario(
         refuse_other_species(loaded, spec.name)
     more = any(_more_than_recorded(loaded, key, options.get(key), start) for key in COUNTS)
     if more and loaded is not None:
-        spec, loaded = spec or _recorded_species(loaded), None
+        spec, loaded = spec or _recorded_species(loaded, options), None
         options.setdefault("dt", spec.dt)
     for key in COUNTS:
         if loaded is None or options.get(key) is None:
@@ -210,7 +211,7 @@ def make_scenario(
         loaded = first_of_role(loaded, key, options.pop(key))
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
-        spec = _recorded_species(loaded)
+        spec = _recorded_species(loaded, options)
     if loaded is not None and split is not None:
         loaded = loaded.select(split=split)
     if loaded is not None and not (isinstance(demos, str) and demos == PACKAGED):
@@ -249,7 +250,8 @@ def _more_than_recorded(demos: Demonstrations | None, option: str, count: Any, s
     return recorded > 0 and is_whole(count) and bool(count > recorded)
 
 
-def _recorded_species(demos: Demonstrations | None) -> Species:
+def _recorded_species(demos: Demonstrations | None, options: Mapping[str, Any]) -> Species:
+    """The species that demonstrations show, with as many thrust magnitudes as the options say."""
     from animarl_envs.fitting.custom_species import species_of
 
     if demos is None:
@@ -257,7 +259,8 @@ def _recorded_species(demos: Demonstrations | None) -> Species:
             "the custom species is made from demonstrations: give demos=, a file or a "
             "Demonstrations object"
         )
-    return species_of(demos)
+    thrusts = options.get("thrusts")
+    return species_of(demos, thrusts=1 if thrusts is None else thrusts)
 
 
 def refuse_other_species(demos: Demonstrations, species: str, option: str = "species") -> None:

@@ -14,7 +14,11 @@ from animarl_envs.species import ChaseSpecies
 
 CUSTOM_NUMBERS = [
     ("names, roles, `dt`, `arena`", "the file"),
-    ("`locomotion`", "the joint fit to the training episodes, made once per content of the file"),
+    (
+        "`locomotion`",
+        "the joint fit to the training episodes, made once per content of the file; with "
+        "`thrusts=3` that of three magnitudes",
+    ),
     ("`time_limit`", "the longest episode, or what the import kept at most, if that is longer"),
     (
         "`contact_radius`",

@@ -225,6 +225,7 @@ def option_defaults(species: Species) -> dict[str, str]:
         shown["num_targets"] = str(species.roles.count("target"))
     shown |= {"arena": arena_text(species.arena), "boundary": number(species.arena.boundary)}
     shown |= {"rebound": repr(species.arena.rebound), "locomotion": "see Facts"}
+    shown |= {"thrusts": repr(species.thrusts)}
     hidden = {"name", "individuals", "recording", "locomotion", "arena", "source", "title"}
     for field in fields(species):
         if field.name not in hidden | {"version_history"}:

@@ -6,6 +6,8 @@ test compares the two lists.
 
 from __future__ import annotations
 
+from animarl_envs.locomotion import MOST_THRUSTS
+
 POSITIVE = "a positive number"
 NOT_NEGATIVE = "zero or a positive number"
 
@@ -46,6 +48,11 @@ NOTES: dict[str, tuple[str, str]] = {
         "a `Locomotion`; or by name a `Locomotion`, `{'damping': d, 'thrust': u, 'magnitudes': "
         "(1.5, 0.5)}` or a factor on u",
         "d, u and the multiples of u of the individuals; M multiples make 12 M + 1 actions",
+    ),
+    "thrusts": (
+        f"a whole number, 1 to {MOST_THRUSTS}",
+        "M of every individual, who gets fixed multiples of its u (of 3: 1.75, 1, 0.5); your own "
+        "animals have them fitted",
     ),
     "contact_radius": (POSITIVE, "closer is contact"),
     "dt": (POSITIVE, "decision step [s]"),

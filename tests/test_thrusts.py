@@ -37,7 +37,8 @@ from animarl_envs.locomotion import (
     infer_actions,
 )
 from animarl_envs.scenario import make_scenario
-from animarl_envs.species import AGENT, FLY, SILKMOTH
+from animarl_envs.species import AGENT, FLY, SILKMOTH, ChaseSpecies
+from animarl_envs.species.options import with_options
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.rules import LOOKAHEAD, decide
@@ -203,6 +204,82 @@ def test_all_views_offer_the_same_actions() -> None:
     env.step(36)
     with pytest.raises(InputError, match="0 to 36"):
         env.unwrapped.step(37)
+
+
+@pytest.mark.parametrize("name", ["fly", "silkmoth"])
+@pytest.mark.parametrize("thrusts", [1, np.int64(2), 3, 5, MOST_THRUSTS])
+def test_thrusts_are_an_option_of_all_views(name: str, thrusts: int) -> None:
+    env_id, count = animarl_envs.environment_id(name), 12 * thrusts + 1
+    env = gym.make(env_id, thrusts=thrusts)
+    envs = gym.make_vec(env_id, num_envs=2, thrusts=thrusts)
+    everybody = animarl_envs.parallel_env(name, thrusts=thrusts)
+    assert env.action_space == envs.unwrapped.single_action_space == gym.spaces.Discrete(count)  # type: ignore[attr-defined]
+    assert all(everybody.action_space(each).n == count for each in everybody.possible_agents)  # type: ignore[attr-defined]
+    env.reset(seed=0)
+    env.step(count - 1)
+    assert env.unwrapped.scenario.species.thrusts == thrusts  # type: ignore[attr-defined]
+
+
+def test_one_thrust_leaves_all_as_it_is() -> None:
+    for species in (AGENT, FLY, SILKMOTH):
+        assert with_options(species, thrusts=1) == with_options(species, thrusts=None) == species
+    richer = with_options(FLY, locomotion=Locomotion(0.1, 1.0, (1.2, 0.3)))
+    assert with_options(richer, thrusts=2) == richer
+    assert with_options(richer, thrusts=1).locomotion == (Locomotion(0.1, 1.0),) * 3
+
+
+def test_thrusts_move_as_the_same_magnitudes_do() -> None:
+    every = {name: {"magnitudes": MULTIPLES} for name in FLY.individuals}
+    given: list[dict[str, Any]] = [{"thrusts": 3}, {"locomotion": every}]
+    worlds = [make_world(make_scenario("fly", demos=None, **options), 20) for options in given]
+    rng = np.random.default_rng(0)
+    for world in worlds:
+        world.seed(np.arange(20))
+        world.reset()
+    for _ in range(20):
+        actions = rng.integers(37, size=(20, 3))
+        for world in worlds:
+            world.step(actions)
+        np.testing.assert_array_equal(worlds[0].position, worlds[1].position)
+        np.testing.assert_array_equal(worlds[0].observation, worlds[1].observation)
+
+
+def test_thrusts_go_with_other_thrusts_and_dampings() -> None:
+    female = {"female": {"damping": 0.5}, "male_0": 1.2}
+    told = with_options(FLY, thrusts=3, locomotion=female)
+    apart = with_options(three(FLY), locomotion=female)
+    assert told == apart
+    alike = with_options(FLY, thrusts=3, locomotion=Locomotion(0.1, 2.0))
+    assert alike.locomotion == (Locomotion(0.1, 2.0, MULTIPLES),) * 3
+    assert with_options(AGENT, thrusts=2, num_pursuers=4).thrusts == 2
+
+
+@pytest.mark.parametrize("thrusts", [0, -1, MOST_THRUSTS + 1, 2.0, True, "3", [3]])
+@pytest.mark.parametrize("env_id", ["AnimaRL/Fly-v0", "AnimaRL/Custom-v0"])
+def test_numbers_of_thrusts_that_cannot_be_are_refused(env_id: str, thrusts: Any) -> None:
+    with pytest.raises(InputError, match=r"^thrusts is .*, 1 to 10$"):
+        gym.make(env_id, demos=load_packaged("fly"), thrusts=thrusts)
+
+
+@pytest.mark.parametrize("locomotion", [
+    {"female": {"magnitudes": MULTIPLES}}, Locomotion(0.1, 1.0, MULTIPLES),
+    {"female": Locomotion(0.1, 1.0, (0.5,))}, [1.0, 1.0, Locomotion(0.1, 1.0, MULTIPLES)],
+])  # fmt: skip
+def test_thrusts_and_magnitudes_at_once_are_refused(locomotion: Any) -> None:
+    with pytest.raises(InputError, match="thrusts is 3 but locomotion gives magnitudes: leave one"):
+        gym.make("AnimaRL/Fly-v0", thrusts=3, locomotion=locomotion)
+
+
+def test_your_own_animals_have_their_thrusts_fitted() -> None:
+    demos, _ = walk(TRUTH, 1)
+    species = make_scenario("custom", demos=demos, thrusts=3).species
+    assert species.num_actions == 37
+    assert isinstance(species, ChaseSpecies) and species.senses_past
+    for own, truth in zip(species.locomotion, TRUTH, strict=True):
+        expected = truth.thrust * np.array(truth.magnitudes)
+        np.testing.assert_allclose(own.thrust * np.array(own.magnitudes), expected, rtol=1e-4)
+    assert gym.make("AnimaRL/Custom-v0", demos=demos, thrusts=3).action_space.n == 37  # type: ignore[attr-defined]
+    assert make_scenario("custom", demos=demos).species.num_actions == 13
 
 
 def test_whoever_nobody_drives_coasts() -> None:

@@ -48,6 +48,9 @@ def fit_command(
             autocompletion=completion.demonstrations,
         ),
     ],
+    numbers: Annotated[
+        list[str] | None, typer.Argument(help="Those of --thrusts after the first.")
+    ] = None,
     source: Annotated[
         str | None,
         typer.Option(
@@ -67,7 +70,7 @@ def fit_command(
     ] = MethodChoice.joint,
     thrusts: Annotated[
         list[str] | None,
-        typer.Option(help="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit)."),
+        typer.Option(help="Compare numbers of thrust magnitudes, such as 1 2 3 5 (joint fit)."),
     ] = None,
     onset_threshold: Annotated[
         float | None, typer.Option(help="th_acc of the onset rule, in arena unit / s^2.")
@@ -87,7 +90,7 @@ def fit_command(
 
       animarl fit demos.npz
 
-      animarl fit demos.npz --thrusts 1,2,3,5
+      animarl fit demos.npz --thrusts 1 2 3 5
 
       animarl fit demos.npz --method noise
 
@@ -95,17 +98,14 @@ def fit_command(
     """
     if out is not None and out.suffix not in {".csv", ".json"}:
         raise InputError(f"{out}: the suffix says how to save: use .csv or .json")
+    compared = _compared(file, numbers or [], thrusts or [], method)
     demos = load(file, source)
     if species is not None and onset_threshold is None:
         onset_threshold = get_species(species).recording.onset_threshold
     console = PlainConsole(least_width=TABLE_WIDTH)
     chosen = None if split == "all" else split
-    if thrusts:
-        from animarl_algos.cli.thrusts import parse_thrusts
-
-        if method is not MethodChoice.joint:
-            raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
-        compare_thrusts(demos, parse_thrusts(thrusts), chosen, seed, console, out)
+    if compared:
+        compare_thrusts(demos, compared, chosen, seed, console, out)
         return
     fits: list[LocomotionFit] = []
     methods = list(get_args(Method))[:2] if method is MethodChoice.both else [method.value]
@@ -131,6 +131,25 @@ def fit_command(
     if out is not None:
         save_fits(fits, out)
         console.print(f"Saved {out}", highlight=False, soft_wrap=True)
+
+
+def _compared(
+    file: str, numbers: list[str], thrusts: list[str], method: MethodChoice
+) -> tuple[int, ...]:
+    """The numbers of thrust magnitudes to compare; none, to fit one."""
+    if not (thrusts or numbers):
+        return ()
+    from animarl_algos.cli.thrusts import parse_thrusts
+
+    for word in numbers:
+        if not thrusts or not word.isdecimal():
+            raise InputError(
+                f"animarl fit takes one file, {file!r}, but {word!r} follows it: only the numbers "
+                "of --thrusts may, as in animarl fit demos.npz --thrusts 1 2 3"
+            )
+    if method is not MethodChoice.joint:
+        raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
+    return parse_thrusts([*thrusts, *numbers])
 
 
 def compare_thrusts(

@@ -22,7 +22,7 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, lone_pursuer
-from animarl_envs.locomotion import Locomotion
+from animarl_envs.locomotion import Locomotion, check_thrusts
 from animarl_envs.species import (
     CUSTOM,
     SILKMOTH,
@@ -38,7 +38,7 @@ from animarl_envs.species.turning import Turning
 SMALLEST_CONTACT = 0.001  # share of the arena's size
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 
-_FITS: dict[str, tuple[Locomotion, ...]] = {}
+_FITS: dict[tuple[str, int], tuple[Locomotion, ...]] = {}
 _TURNINGS: dict[tuple[str, int], Turning | None] = {}
 
 
@@ -46,6 +46,7 @@ def species_of(
     demos: Demonstrations,
     fit: Sequence[Locomotion] | None = None,
     base: str | None = None,
+    thrusts: int = 1,
 ) -> Species:
     """The species that demonstrations show.
 
@@ -77,6 +78,8 @@ def species_of(
         Individuals whose headings are recorded turn as they do, see :func:`fitted_turning`; those
         of a chase then see where everybody points (``senses_heading``), if one of them does not
         point where it walks.
+    thrusts
+        Thrust magnitudes that are fitted, where ``fit`` is not given.
 
     Raises
     ------
@@ -88,7 +91,7 @@ def species_of(
     numbers = get_species(name) if name in SPECIES else _plain_species(demos)
     _check_roles(demos, numbers)
     longest = int(demos.lengths.max()) - 1
-    locomotion = fitted_locomotion(demos) if fit is None else tuple(fit)
+    locomotion = fitted_locomotion(demos, thrusts) if fit is None else tuple(fit)
     conditions = numbers.conditions or _conditions(demos)
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
@@ -117,16 +120,17 @@ def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
     return _arena(demos, get_species(name) if name in SPECIES else _plain_species(demos))
 
 
-def fitted_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
+def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
     """Joint fit of every individual on the training episodes (on all, if there are none).
 
-    Fitted once per content of the demonstrations and process.
+    Fitted once per content of the demonstrations, number of magnitudes and process.
     """
-    key = demos.fingerprint()
+    check_thrusts(thrusts)
+    key = demos.fingerprint(), thrusts
     if key not in _FITS:
         from animarl_envs.fitting.magnitudes import joint_locomotion
 
-        _FITS[key] = joint_locomotion(_training(demos))
+        _FITS[key] = joint_locomotion(_training(demos), thrusts)
     return _FITS[key]
 
 

@@ -19,23 +19,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import best_of, fit_joint
 from animarl_envs.fitting.tracking import track, tracking_errors
 from animarl_envs.fitting.transitions import Transitions, transitions
-from animarl_envs.locomotion import MOST_THRUSTS, Locomotion
+from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 
 Floats = NDArray[np.float64]
 
 FAST = 0.99  # quantile of recorded speed that the terminal speed reaches
-MULTIPLES: dict[int, tuple[float, ...]] = {
-    2: (1.45, 0.65),
-    3: (1.75, 1.0, 0.5),
-    8: (2.3, 1.7, 1.3, 1.0, 0.75, 0.5, 0.3, 0.15),
-}
-"""Measured best of fixed multiples of u, by the number of magnitudes."""
 TOLERANCE = 1e-5  # relative change of d and magnitudes at which a fit of several has converged
 
 
@@ -54,10 +46,7 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
     InputError
         If ``thrusts`` is none of 1 to 10, or an individual has too few steps or never moves.
     """
-    if not is_whole(thrusts) or not 1 <= thrusts <= MOST_THRUSTS:
-        raise InputError(
-            f"thrusts is {thrusts!r}: give a whole number of thrust magnitudes, 1 to {MOST_THRUSTS}"
-        )
+    check_thrusts(thrusts)
     return _richer(demos, _one_magnitude(demos), thrusts)
 
 
@@ -65,13 +54,6 @@ def fast_speed(data: Transitions) -> float:
     """The speed that a fit must be able to reach [arena unit / s]."""
     speed = np.hypot(data.next_velocity[:, 0], data.next_velocity[:, 1])
     return float(np.quantile(speed, FAST)) if len(speed) else 0.0
-
-
-def fixed_multiples(thrusts: int) -> tuple[float, ...]:
-    """Multiples of u that need no fit, the largest first: measured, or a geometric ladder."""
-    if thrusts in MULTIPLES:
-        return MULTIPLES[thrusts]
-    return tuple(float(m) for m in np.geomspace(2.3, 0.25, thrusts))
 
 
 def _one_magnitude(demos: Demonstrations) -> tuple[Locomotion, ...]:

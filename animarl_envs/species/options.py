@@ -9,7 +9,7 @@ from typing import Any
 from animarl_envs.arena import Arena
 from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
-from animarl_envs.locomotion import Locomotion
+from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.species import ChaseSpecies, Species
 
 MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
@@ -32,6 +32,9 @@ def with_options(species: Species, **options: Any) -> Species:
         One :class:`Locomotion` for all, or by name ``{"female": Locomotion(...)}`` or
         ``{"female": {"thrust": 0.19}}`` (also ``damping``, ``magnitudes``) or
         ``{"female": 1.2}`` (a factor on the thrust).
+    thrusts
+        Number of thrust magnitudes of every individual, M: who has another number gets fixed
+        multiples of its thrust (:func:`~animarl_envs.locomotion.fixed_multiples`).
     others
         Any field of the species spec: ``contact_radius``, ``time_limit``, ``dt``, ``warmup``, ...
     """
@@ -55,11 +58,14 @@ def with_options(species: Species, **options: Any) -> Species:
         scaled = species.start_half_side * float(options["arena"]) / species.arena.size
         options.setdefault("start_half_side", scaled)
     arena = _arena(species.arena, options)
-    locomotion = _locomotion(species, options.pop("locomotion", None))
+    locomotion = _locomotion(species, options.get("locomotion"))
+    locomotion = _with_thrusts(
+        locomotion, options.pop("thrusts", None), options.pop("locomotion", None)
+    )
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
     for key in options:
         if key not in known:
-            more = {*MANY, "locomotion", "rebound", "boundary"}
+            more = {*MANY, "locomotion", "thrusts", "rebound", "boundary"}
             raise UnknownOptionError.of(key, species.name, known | more)
     try:
         return replace(species, arena=arena, locomotion=locomotion, **options)
@@ -195,3 +201,28 @@ def _one_locomotion(old: Locomotion, new: Any, name: str) -> Locomotion:
         f"locomotion of {name} is {new!r}: give a Locomotion, its damping, thrust or magnitudes, "
         "or a factor on the thrust"
     )
+
+
+def _with_thrusts(
+    locomotion: tuple[Locomotion, ...], thrusts: Any, given: Any
+) -> tuple[Locomotion, ...]:
+    """So many magnitudes for all; ``given`` is the option ``locomotion``, which may say none."""
+    if thrusts is None:
+        return locomotion
+    check_thrusts(thrusts)
+    if _says_magnitudes(given):
+        raise InputError(
+            f"thrusts is {thrusts} but locomotion gives magnitudes: leave one of the two out"
+        )
+    return tuple(
+        own if own.thrusts == thrusts else replace(own, magnitudes=fixed_multiples(int(thrusts)))
+        for own in locomotion
+    )
+
+
+def _says_magnitudes(given: Any) -> bool:
+    if isinstance(given, Locomotion):
+        return given.magnitudes != fixed_multiples(1)
+    if isinstance(given, Mapping):
+        return "magnitudes" in given or any(map(_says_magnitudes, given.values()))
+    return isinstance(given, Sequence) and any(map(_says_magnitudes, given))
