@@ -199,8 +199,22 @@ def _caption(verdict: Verdict) -> str:
         f"distance of {', '.join(key.replace('_', ' ') for key in SPREADS)}, the absolute "
         "difference elsewhere. Null: what it stays below in 95 % of cases if the recorded episode "
         "of each start is exchanged with one of its rollouts. For the classifier: recordings among "
-        f"themselves.{filtered}"
+        f"themselves.{_floor(verdict)}{filtered}"
     )
+
+
+def _floor(verdict: Verdict) -> str:
+    """What the classifier makes of tracking and of random actions, as a sentence; none if neither.
+
+    The first is its floor: what is left where every action is the best that there is.
+    """
+    areas = {
+        "the recordings as the fitted locomotion follows them in closed loop (its floor)":
+            verdict.floor,
+        "random actions": verdict.ceiling,
+    }  # fmt: skip
+    said = [f"{k} {with_interval(v)}" for k, v in areas.items() if math.isfinite(v.estimate)]
+    return f" It gives {' and '.join(said)}." if said else ""
 
 
 def _classifier_caption(verdict: Verdict) -> str:
