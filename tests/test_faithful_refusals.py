@@ -13,6 +13,7 @@ import toys
 from pair_learners import demonstrations
 
 from animarl_algos.cli.main import main
+from animarl_algos.data.slots import refuse_other_observation
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.recipes.dqdil import DQDIL
@@ -83,12 +84,40 @@ def test_an_acting_rule_for_others(rule: str, tmp_path: Path) -> None:
 def test_a_model_of_another_observation() -> None:
     model = SoftBC(env=SlotVecEnv("fly", 2), device="cpu", seed=0)
     paper = SlotVecEnv("fly", 2, observation="paper")
-    with pytest.raises(InputError, match="does not suit this learner: Observation spaces do not"):
+    with pytest.raises(InputError, match="shows 'other 1 relative position ahead', which this"):
         model.set_env(paper)
+    before = model.env
+    with pytest.raises(InputError, match="is of the species newt, this learner of fly"):
+        model.set_env(SlotVecEnv("newt", 2))
+    assert model.env is before
     model.demonstrations = paper.offline_data()
     with pytest.raises(InputError, match="observation components, the environment") as said:
         model.learn(1)
     assert is_one_sentence(str(said.value)) and not model.offline_progress.epoch
+
+
+@pytest.mark.parametrize(
+    ("here", "word"),
+    [
+        ((), None),  # an environment, or an older file, that does not say
+        (("fly", "speed", "place"), None),
+        (("moth", "speed", "place"), "of the species moth, this learner of fly"),
+        (("fly", "speed", "wall"), "shows 'wall', which this learner has not"),
+        (("fly", "speed"), "does not show 'place', which this learner has"),
+        (("fly", "place", "speed"), "in another order"),
+    ],
+)
+def test_observations_are_compared_by_name_where_both_are_known(
+    here: tuple[str, ...], word: str | None
+) -> None:
+    learned = ("fly", "speed", "place")
+    if word is None:
+        refuse_other_observation(learned, here)
+        refuse_other_observation(here, learned)
+        return
+    with pytest.raises(InputError, match=word) as said:
+        refuse_other_observation(learned, here)
+    assert is_one_sentence(str(said.value))
 
 
 def test_a_model_of_other_thrust_magnitudes() -> None:

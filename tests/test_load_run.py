@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,6 +49,23 @@ def test_a_change_is_all_that_differs(run: RunFolder) -> None:
         loaded.simulate(num_pursuers=1)
     with pytest.raises(InputError, match="time_limitt"):
         loaded.simulate(time_limitt=3)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"rebound": True}, "rebound changes"),
+        ({"contact_radius": 0.05, "senses_course": True}, "senses_course changes"),
+        ({"senses_past": True}, "senses_past changes"),
+        ({"arena": "open", "time_limit": 9}, "arena changes"),
+        ({"num_pursuers": 1}, "num_pursuers changes"),
+    ],
+)
+def test_what_would_show_the_policy_something_else_is_refused_by_name(
+    options: dict[str, Any], word: str, run: RunFolder
+) -> None:
+    with pytest.raises(InputError, match=f"^{word} what the policy is shown"):
+        load_run(run.path).simulate(**options)
 
 
 def test_the_page_runs_in_ten_lines(

@@ -15,6 +15,7 @@ from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
 from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.zoo.environments import slot_environment
 
 DQN = ["train", "--algo", "dqn", "--env", AGENT]
 
@@ -55,6 +56,8 @@ STUDY = ["--storage", "sqlite:///none.db", "--study-name", "mine"]
         (["enjoy", "--algo", "dqn", "--env", AGENT, "--model", "no.zip"], "no such file"),
         (["enjoy", "--algo", "dqn", "--env", AGENT, "--out", "a.bmp"], "use .gif or .mp4"),
         (["enjoy", "--algo", "dqn", "--env", "CartPole-v1", "--out", "a.gif"], "leave it out"),
+        (["enjoy", "--algo", "dqn", "--env", AGENT, "--acting", "bravely"], "acting is 'bravely'"),
+        (["enjoy", "--algo", "dqn", "--env", AGENT, "--acting", ""], "acting is ''"),
     ],
 )
 def test_bad_input_is_one_sentence(
@@ -129,6 +132,38 @@ def test_a_damaged_or_foreign_zip_is_refused(
         assert done.returncode == 2 and word in done.stderr
         assert "Traceback" not in done.stderr
     assert not (tmp_path / "logs").exists()
+
+
+@pytest.mark.parametrize(
+    ("rule", "word"),
+    [
+        ("boltzmann:0.5,0.7", "2 numbers for 1 individuals"),
+        ("boltzmann:1/0.5/0.5", "not 2 actions"),
+    ],
+)
+def test_a_rule_that_a_model_cannot_act_by_is_refused(
+    rule: str, word: str, zoo: Callable[..., Done]
+) -> None:
+    RECIPES["dqn"].algorithm("MlpPolicy", "CartPole-v1").save("pole.zip")
+    done = zoo("enjoy", "--algo=dqn", "--env=CartPole-v1", "--model=pole.zip", "--acting", rule)
+    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, "")
+    assert word in done.stderr
+
+
+def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path: Path) -> None:
+    """Flies and newts are called the same and observe the same, each in units of its own."""
+    fly = slot_environment("AnimaRL/Fly-v0", 1)
+    newt = slot_environment("AnimaRL/Newt-v0", 1)
+    assert (fly.individuals, fly.observed[1:]) == (newt.individuals, newt.observed[1:])
+    RECIPES["dqn"].algorithm("MlpPolicy", fly, offline_epochs=0, buffer_size=5000).save("fly.zip")
+    for command in (["enjoy", "--no-render", "-n", "5", "--model"], ["train", "-i"]):
+        done = zoo(*command, "fly.zip", "--algo=dqn", "--env=AnimaRL/Newt-v0")
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert "fly.zip: the environment is of the species newt" in done.stderr
+    assert not (tmp_path / "logs").exists()
+    done = zoo("enjoy", "--no-render", "-n=5", "--model=fly.zip", "--algo=dqn",
+               "--env=AnimaRL/Fly-v0")  # fmt: skip
+    assert done.returncode == 0, done.stderr
 
 
 def test_training_that_diverged_leaves_its_settings_to_look_at(

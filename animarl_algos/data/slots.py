@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, is_vecenv_wrapped
 
 from animarl_envs.errors import InputError
+from animarl_envs.worlds.base import World
 
 
 def refuse_other_actions(learned: int, here: int) -> None:
@@ -29,6 +30,34 @@ def refuse_other_actions(learned: int, here: int) -> None:
         )
 
 
+def observed_in(world: World) -> tuple[str, ...]:
+    """What slots of ``world`` observe: its species, then the names of the components in order."""
+    return (world.scenario.species.name, *(one.name for one in world.observation_components))
+
+
+def refuse_other_observation(learned: tuple[str, ...], here: tuple[str, ...]) -> None:
+    """A learner of one :func:`observed_in` knows nothing of another, of the same size or not.
+
+    Where one of the two is not known, as of environments of other packages, nothing is compared.
+
+    Raises
+    ------
+    InputError
+        If the animals or the components differ.
+    """
+    if not learned or not here or learned == here:
+        return
+    if learned[0] != here[0]:
+        what = f"is of the species {here[0]}, this learner of {learned[0]}"
+    elif new := [name for name in here if name not in learned]:
+        what = f"shows {new[0]!r}, which this learner has not learned from"
+    elif gone := [name for name in learned if name not in here]:
+        what = f"does not show {gone[0]!r}, which this learner has learned from"
+    else:
+        what = "shows what this learner has learned from in another order"
+    raise InputError(f"the environment {what}: give the one it was trained in")
+
+
 @dataclass(frozen=True)
 class SlotLayout:
     """Slot ``s`` of a VecEnv is individual ``s % K`` of copy ``s // K`` of the world.
@@ -44,11 +73,14 @@ class SlotLayout:
         The K names.
     condition_flag
         Whether the last observation component is the experimental condition.
+    observed
+        As :func:`observed_in` names it, nothing where the environment does not say.
     """
 
     num_copies: int
     individuals: tuple[str, ...]
     condition_flag: bool
+    observed: tuple[str, ...] = ()  # nor do older files
 
     @property
     def num_individuals(self) -> int:
@@ -68,7 +100,9 @@ class SlotLayout:
                 f"the environment has {env.num_envs} slots, not {num_copies} copies of "
                 f"{len(individuals)} individuals: make num_copies and individuals agree"
             )
-        return cls(num_copies, individuals, _condition_flag(env))
+        observed = getattr(env, "observed", ())
+        known = observed if isinstance(observed, tuple) else ()  # another's word for something else
+        return cls(num_copies, individuals, _condition_flag(env), known)
 
 
 def _condition_flag(env: VecEnv) -> bool:

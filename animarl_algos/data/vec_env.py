@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.labels import Labels, check_labels
 from animarl_algos.data.options import SCENARIO_OPTIONS
-from animarl_algos.data.slots import warn_of_mixed_means
+from animarl_algos.data.slots import observed_in, warn_of_mixed_means
 from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
@@ -113,7 +113,7 @@ class SlotVecEnv(VecEnv):
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
         self.world = make_world(self.scenario, num_copies)
-        self.num_copies = num_copies
+        self.num_copies, self.observed = num_copies, observed_in(self.world)
         self.condition_flag, self.cue = condition_flag, cue
         self.max_episode_steps = full.species.time_limit
         space = observation_space(self.world)

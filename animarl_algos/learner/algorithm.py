@@ -33,7 +33,11 @@ from stable_baselines3.common.type_aliases import (
 from stable_baselines3.common.utils import configure_logger
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import SlotLayout, refuse_other_actions
+from animarl_algos.data.slots import (
+    SlotLayout,
+    refuse_other_actions,
+    refuse_other_observation,
+)
 from animarl_algos.learner import checks, making, online, saving
 from animarl_algos.learner.collecting import Collector, Memory
 from animarl_algos.learner.demonstrations import (
@@ -259,12 +263,13 @@ class SequenceQLearning(OffPolicyAlgorithm):
         Raises
         ------
         InputError
-            If the individuals, the spaces or the number of copies differ, or if episodes may last
-            longer than the replay memory holds, or nobody says how long.
+            If the individuals, what they observe, the spaces or the number of copies differ, or if
+            episodes may last longer than the replay memory holds, or nobody says how long.
         """
         slots = self._wrap_env(env, self.verbose)
         layout = SlotLayout.of(slots)
         making.refuse_other_individuals(layout, self.layout)
+        refuse_other_observation(self.layout.observed, layout.observed)
         if isinstance(slots.action_space, Discrete):
             refuse_other_actions(self.policy.num_actions, int(slots.action_space.n))
         new, copies = self.replay_buffer is None, self.n_envs

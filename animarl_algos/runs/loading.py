@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,13 +18,15 @@ from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Condition, Scenario, make_scenario
+from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
-from animarl_envs.worlds import make_world
+from animarl_envs.worlds import make_world, observation_components
+from animarl_envs.worlds.base import ObservationComponent
 
 SEEN_OTHERWISE = (
     "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
 )  # fmt: skip
-"""Options under which a policy would be shown something else than it learned from."""
+"""Options that say who is there and what is shown of them; others may change it, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +86,11 @@ class LoadedRun:
         InputError
             If an option is unknown, or changes what the policy is shown.
         """
-        for key in SEEN_OTHERWISE:
-            if key in options:
-                raise InputError(
-                    f"{key} changes what the policy is shown, who has not learned from that: "
-                    "train a run with it"
-                )
+        if otherwise := seen_otherwise(self.scenario.species, options):
+            raise InputError(
+                f"{otherwise} changes what the policy is shown, who has not learned from that: "
+                "train a run with it"
+            )
         seed = self.folder.settings.seed if seed is None else seed
         before = self.scenario
         names = before.names
@@ -109,6 +112,34 @@ class LoadedRun:
             cue=told if self.policy.layout.condition_flag else None,
             reseed=self.policy.policy.seed,
         )
+
+
+def seen_otherwise(species: Species, options: Mapping[str, Any]) -> str:
+    """The option under which a policy of ``species`` would be shown something else, if any.
+
+    Of several that do so only together all are named.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown.
+    """
+    found = [key for key in SEEN_OTHERWISE if key in options]
+    if found:
+        return found[0]
+    shown = observation_components(species)
+    if _named(observation_components(with_options(species, **options))) == _named(shown):
+        return ""
+    for key, value in options.items():
+        with suppress(InputError):  # one that needs another beside it
+            alone = with_options(species, **{key: value})
+            if _named(observation_components(alone)) != _named(shown):
+                return key
+    return " with ".join(options)
+
+
+def _named(components: Iterable[ObservationComponent]) -> list[tuple[str, str, str]]:
+    return [(one.name, one.frame, one.unit) for one in components]
 
 
 def load_run(folder: str | Path) -> LoadedRun:

@@ -17,6 +17,7 @@ from animarl_algos.cli.watch_actors import trained_actor
 from animarl_algos.data.focal import FocalPolicy
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.zoo.environments import slot_environment, species_of_id
 from animarl_algos.zoo.models import check_fit, load_model
@@ -28,6 +29,7 @@ from animarl_envs.importing.plain_yaml import read_yaml
 def enjoy(arguments: list[str]) -> None:
     """Load a model and let it act; prints the return and length of every episode."""
     asked = _parser().parse_args(arguments)
+    rule = None if asked.acting is None else Acting.parse(asked.acting)
     if asked.out is not None and asked.out.suffix.lower() not in CLIP_SUFFIXES:
         raise InputError(f"{asked.out}: a clip cannot be written so: use .gif or .mp4")
     species = species_of_id(asked.env)
@@ -36,8 +38,9 @@ def enjoy(arguments: list[str]) -> None:
     path, options = find_model(asked)
     model = load_model(asked.algo, path)
     model.policy.seed(asked.seed)
-    if not asked.stochastic:
-        model.policy.epsilon, model.policy.temperature = 0.0, None
+    if rule is not None:
+        model.policy.acting = rule
+    print(f"Acting: {model.policy.acting}")
     if species is None:
         mode = None if asked.no_render else "human"
         env: VecEnv = model._wrap_env(gym.make(asked.env, render_mode=mode, **options))
@@ -152,10 +155,22 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("-n", "--n-timesteps", type=int, default=1000, help="most steps")
     parser.add_argument("--episodes", type=int, default=1, help="episodes to show")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--stochastic",
-        action="store_true",
-        help="act with the epsilon or temperature that was saved, instead of the best action",
+    acting = parser.add_mutually_exclusive_group()
+    acting.add_argument(
+        "--acting",
+        metavar="RULE",
+        help="how the model acts: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by default by "
+        "the rule that was saved with it",
+    )
+    acting.add_argument(
+        "--deterministic",
+        dest="acting",
+        action="store_const",
+        const=str(Kind.GREEDY),
+        help="take the best actions: --acting greedy",
+    )
+    acting.add_argument(
+        "--stochastic", action="store_true", help="act by the rule that was saved, as by default"
     )
     parser.add_argument(
         "--no-render",

@@ -23,9 +23,11 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.presets import LearnerPreset, beneath, learner_preset
 from animarl_algos.learner.progress import ProgressBar
 from animarl_algos.learner.zoo_files import merged
+from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.ranges import COUNT, COUNT_OR_NONE
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.zoo.environments import (
@@ -201,6 +203,9 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
 
     def learn(self, model: BaseAlgorithm) -> None:
         """Train, with learning curves as CSV and TensorBoard in the folder of the run."""
+        for callback in self.callbacks:
+            if isinstance(callback, EvalCallback):
+                callback.deterministic = self._scored_greedily(model)
         if self.tensorboard_log is not None:  # stable-baselines3 writes there by itself
             super().learn(model)
             return
@@ -211,6 +216,13 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         with closing(configure(self.save_path, outputs)) as logger:
             model.set_logger(logger)
             super().learn(model)
+
+    def _scored_greedily(self, model: BaseAlgorithm) -> bool:
+        """Whether evaluation takes the best actions: not of a policy that acts by sampling."""
+        assert isinstance(model, SequenceQLearning)
+        fitted = model.exploration == Exploration.BOLTZMANN  # once the offline phase is over
+        samples = fitted or model.policy.acting.kind is Kind.BOLTZMANN
+        return bool(self.deterministic_eval) and not samples
 
     def objective(self, trial: optuna.Trial) -> float:
         """The score on the validation split at the end of training; unpromising trials stop early.
@@ -231,18 +243,19 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
                 verbose=max(0, self.verbose - 1),
                 **arguments,
             )
+            greedily = self._scored_greedily(model)
             watch = TrialEvalCallback(
                 scored,
                 trial,
                 n_eval_episodes=episodes,
                 eval_freq=max(1, self.n_timesteps // self.n_evaluations // self.n_envs),
-                deterministic=self.deterministic_eval,
+                deterministic=greedily,
             )
             model.learn(self.n_timesteps, callback=watch)
             if watch.is_pruned:
                 raise optuna.TrialPruned
             score, _ = evaluate_policy(
-                model, scored, n_eval_episodes=episodes, deterministic=self.deterministic_eval
+                model, scored, n_eval_episodes=episodes, deterministic=greedily
             )
         except InputError as error:  # offline training that diverged says so
             print(f"Trial {trial.number} is given up: {error}")

@@ -9,8 +9,13 @@ from pathlib import Path
 from gymnasium.spaces import Discrete
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import refuse_other_actions
+from animarl_algos.data.slots import (
+    SlotLayout,
+    refuse_other_actions,
+    refuse_other_observation,
+)
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.making import refuse_other_individuals
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs.errors import InputError
 
@@ -54,15 +59,20 @@ def check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
     Raises
     ------
     InputError
-        If the individuals, the shape of their observations or their actions differ.
+        If the individuals, what they observe or their actions differ.
     """
     mine, here = model.observation_space.shape, env.observation_space.shape
-    individuals = len(getattr(env, "individuals", ("agent",)))
-    if mine != here or model.layout.num_individuals != individuals:
+    learned, layout = model.layout, SlotLayout.of(env)
+    if mine != here or learned.num_individuals != layout.num_individuals:
         raise InputError(
-            f"{path}: it was trained with {model.layout.num_individuals} individuals that observe "
-            f"{mine}, this environment has {individuals} that observe {here}: give the --env and "
-            "--algo it was trained with"
+            f"{path}: it was trained with {learned.num_individuals} individuals that observe "
+            f"{mine}, this environment has {layout.num_individuals} that observe {here}: give the "
+            "--env and --algo it was trained with"
         )
+    try:
+        refuse_other_individuals(layout, learned)
+        refuse_other_observation(learned.observed, layout.observed)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if isinstance(env.action_space, Discrete):
         refuse_other_actions(model.policy.num_actions, int(env.action_space.n))
