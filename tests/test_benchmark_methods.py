@@ -6,7 +6,6 @@ import importlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,7 @@ from animarl_algos.benchmark.pieces import attempt
 from animarl_algos.benchmark.plan import plan
 from animarl_algos.benchmark.references import Steering, expert_rollouts, others_as_rollouts
 from animarl_algos.benchmark.scores import first_second, start_energies
-from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
-from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.collect import RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.packaged import load_packaged
@@ -280,71 +278,3 @@ def test_benchmark_score_survives_json() -> None:
     again = Score.from_json(json.loads(json.dumps(made.to_json(), allow_nan=False)))
     assert again.measures[0].inside and np.isnan(again.measures[0].p)
     assert again.energy_cells.counts.tolist() == [[1.0, 0.0]]
-
-
-# -- submissions ----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def submission(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random actions from the packaged fly's test starts."""
-    scenario = make_scenario("fly", split="test")
-    made = collect_rollouts(
-        partial(make_world, scenario), RandomPolicy(0), method="mine", seed=0, repetitions=2
-    )
-    return write_submission(made, "fly", tmp_path_factory.mktemp("submission") / "mine.json")
-
-
-def test_benchmark_scores_a_submission(submission: Path) -> None:
-    found = score_submission(submission, resamples=20)
-    assert found.method == "mine" and found.rollouts == 20 and found.starts == 10
-    assert found.of("auc").value > 0.5
-
-
-def damage(path: Path, to: Path, change: Callable[[dict[str, Any]], Any]) -> Path:
-    content = json.loads(path.read_text())
-    change(content)
-    to.write_text(json.dumps(content))
-    return to
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda c: c.update(episodes=21), "claims 21 episodes and holds 20"),
-        (lambda c: c.update(species="cat"), "species is 'cat'"),
-        (lambda c: c.update(fingerprint="0"), "its fingerprint is '0'"),
-        (lambda c: c.update(version=2), "its version is 2"),
-        (lambda c: c.update(format="x"), "no submission"),
-        (lambda c: c.update(note="x"), "key 'note' is unknown"),
-        (lambda c: c.pop("method"), "method is missing"),
-        (lambda c: c["rollouts"][3].update(demo=10), "rollout 3: demo is 10"),
-        (lambda c: c["rollouts"][3].update(seed="1"), "rollout 3: seed is '1'"),
-        (lambda c: c["rollouts"][1].update(repetition=0), "same demo, seed and repetition"),
-        (lambda c: c["rollouts"][0]["positions"][0].pop(), "positions are not"),
-        (lambda c: c["rollouts"][0]["positions"][1].__setitem__(0, [np.nan, 0]), "finite"),
-        (lambda c: c["rollouts"][0]["positions"].pop(0), "does not begin where"),
-        (lambda c: c["rollouts"][2].update(outcome=9), "outcome 9 is none"),
-    ],
-)
-def test_benchmark_refuses_a_submission(
-    submission: Path, tmp_path: Path, change: Callable[[dict[str, Any]], Any], said: str
-) -> None:
-    with pytest.raises(InputError, match=said):
-        read_submission(damage(submission, tmp_path / "bad.json", change))
-
-
-def test_benchmark_checks_what_a_submission_claims(submission: Path, tmp_path: Path) -> None:
-    def claim(content: dict[str, Any]) -> None:
-        apart = next(one for one in content["rollouts"] if one["outcome"] <= 0)
-        apart["outcome"] = 1
-
-    with pytest.raises(InputError, match="claims that the goal was reached"):
-        read_submission(damage(submission, tmp_path / "bad.json", claim))
-
-    def leave_out(content: dict[str, Any]) -> None:
-        content["rollouts"] = [one for one in content["rollouts"] if one["demo"] != 4]
-        content["episodes"] = len(content["rollouts"])
-
-    with pytest.raises(InputError, match="no rollout is from test episode 4"):
-        read_submission(damage(submission, tmp_path / "bad.json", leave_out))

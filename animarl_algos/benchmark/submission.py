@@ -6,7 +6,8 @@
                    "positions": [[[x, y], ... one per individual], ... one per frame]}, ...]}
 
 ``demo`` counts the packaged test episodes, whose fingerprint it gives. Positions are in the arena
-frame [arena unit], from the recorded start on; the outcome is checked against the last of them.
+frame [arena unit], from the recorded start on; the outcome is checked against the last of them, the
+steps between them against how fast the species is, and all of them against the recording.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ HEAD = ("format", "version", "method", "species", "fingerprint", "episodes", "ro
 OF_EACH = ("demo", "seed", "repetition", "outcome", "positions")
 LARGEST = 512 * 2**20  # [bytes]
 SLACK = 0.02  # of the contact radius, for rounded positions
+PUSHES = 4.0  # times the thrust: a fit of many magnitudes has more than twice the one of a single
 
 
 def score_submission(path: str | Path, *, resamples: int = RESAMPLES) -> Score:
@@ -78,7 +80,14 @@ def read_submission(path: Path) -> tuple[Rollouts, Demonstrations]:
         )
     if not listed:
         raise InputError(f"{path}: it holds no rollout: give one for each test start at least")
-    paths = [_checked(one, f"{path}: rollout {i}", test) for i, one in enumerate(listed)]
+    fastest = float(np.linalg.norm(demos.velocities(), axis=2).max()) * demos.dt
+    widest = float(np.abs(demos.positions).max())
+    paths = []
+    for i, one in enumerate(listed):
+        paths.append(_checked(one, f"{path}: rollout {i}", test))
+        _check_moves(paths[-1], f"{path}: rollout {i}", test, fastest, widest)
+        _check_made(paths[-1], one["demo"], f"{path}: rollout {i}", test)
+        _check_outcome(one["outcome"], paths[-1], f"{path}: rollout {i}", test)
     columns = {key: np.array([one[key] for one in listed]) for key in OF_EACH[:-1]}
     keys = set(zip(*(columns[key].tolist() for key in OF_EACH[:3])))
     if len(keys) < len(listed):
@@ -146,7 +155,7 @@ def _content(path: Path) -> Mapping[str, Any]:
 
 
 def _checked(one: Any, place: str, test: Demonstrations) -> NDArray[np.float64]:
-    """The positions ``(frames, individuals, 2)`` of a rollout that could have happened."""
+    """The positions ``(frames, individuals, 2)`` of a rollout from one of the test starts."""
     if not isinstance(one, dict):
         raise InputError(f"{place}: it is no table: give {', '.join(OF_EACH)}")
     _same_keys(one, OF_EACH, place)
@@ -159,7 +168,7 @@ def _checked(one: Any, place: str, test: Demonstrations) -> NDArray[np.float64]:
     most, number = species.time_limit + 1, len(test.individuals)
     try:
         path = np.array(one["positions"], dtype=np.float64)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         path = np.zeros(0)
     if path.ndim != 3 or path.shape[1:] != (number, 2) or not 2 <= len(path) <= most:
         raise InputError(
@@ -170,15 +179,50 @@ def _checked(one: Any, place: str, test: Demonstrations) -> NDArray[np.float64]:
     start = test.positions[test.offsets[one["demo"]]]
     if np.abs(path[0] - start).max() > SLACK * species.contact_radius:
         raise InputError(f"{place}: it does not begin where test episode {one['demo']} began")
-    _check_outcome(one["outcome"], path, place, test)
     return path
+
+
+def _check_moves(
+    path: NDArray[np.float64], place: str, test: Demonstrations, fastest: float, widest: float
+) -> None:
+    """Nobody is where, or takes a step that, no animal and no locomotion of theirs could.
+
+    ``fastest`` and ``widest`` are the longest recorded step and the largest coordinate.
+    """
+    species = get_species(test.species)
+    damping = np.array([own.damping for own in species.locomotion])
+    push = PUSHES * np.array([own.thrust for own in species.locomotion]) * species.dt**2
+    step = max(fastest, float((push / damping).max()))
+    boundary = species.arena.boundary
+    most = max(widest, boundary) + step  # who is out has ended the episode
+    if not np.isfinite(boundary):
+        most = widest + species.time_limit * step
+    if (far := float(np.abs(path).max())) > most:
+        raise InputError(
+            f"{place}: a coordinate is {far:.3g} in size, and {most:.3g} is the most: "
+            "give positions in the arena frame, in arena units"
+        )
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
+    before = np.concatenate([np.full_like(steps[:1], fastest), np.maximum(steps[:-1], fastest)])
+    could = np.maximum(fastest, (1 - damping) * before + push)
+    if (steps > could).any():
+        frame, who = np.argwhere(steps > could)[0].tolist()
+        raise InputError(
+            f"{place}: {test.individuals[who]} moves {steps[frame, who]:.3g} from frame {frame} to "
+            f"{frame + 1}, where {could[frame, who]:.3g} is the most that it could: give every "
+            "frame as it was simulated"
+        )
 
 
 def _check_outcome(
     outcome: int, path: NDArray[np.float64], place: str, test: Demonstrations
 ) -> None:
-    """Reached if and only if the target, or the source at the origin, was in reach at the end."""
-    radius = get_species(test.species).contact_radius
+    """Reached if and only if the target, or the source at the origin, was in reach at the end.
+
+    Else somebody is out, or the time limit has passed.
+    """
+    species = get_species(test.species)
+    radius = species.contact_radius
     if "target" in test.roles:
         target = test.roles.index("target")
         goal, movers = path[-1, target], np.delete(path[-1], target, axis=0)
@@ -194,6 +238,34 @@ def _check_outcome(
     if outcome == TIME_OUT and distance < radius * (1 - SLACK):
         raise InputError(
             f"{place}: it ends in reach of the goal and claims that it was not reached"
+        )
+    if outcome == TIME_OUT and len(path) <= species.time_limit:
+        raise InputError(
+            f"{place}: it claims that time ran out, with {len(path)} of {species.time_limit + 1} "
+            "frames: roll out until the episode ends"
+        )
+    if outcome in (TARGET_OUT, PURSUER_OUT):
+        is_target = np.array([role == "target" for role in test.roles])
+        left = path[-1, is_target == (outcome == TARGET_OUT)]
+        beyond = replace(species.arena, rebound=False)
+        if beyond.contains(left, -SLACK * radius).all():
+            raise InputError(
+                f"{place}: it claims that somebody left the arena, and all of them are within it "
+                "at the end: give the outcome with which the episode ended"
+            )
+
+
+def _check_made(path: NDArray[np.float64], demo: int, place: str, test: Demonstrations) -> None:
+    """Not what was recorded, wherever warm-up and a second more leave enough to tell."""
+    species = get_species(test.species)
+    recorded = test.positions[test.offsets[demo] : test.offsets[demo + 1]]
+    common = min(len(path), len(recorded))
+    if common <= species.warmup + 1 + max(1, round(1 / species.dt)):
+        return
+    if np.abs(path[:common] - recorded[:common]).max() <= SLACK * species.contact_radius:
+        raise InputError(
+            f"{place}: it is the recording of test episode {demo} itself, frame by frame: "
+            "give what the method did from its start"
         )
 
 
