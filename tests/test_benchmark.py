@@ -59,7 +59,10 @@ class Told:
 
 
 def tiny(**changed: Any) -> Matrix:
-    return Matrix(**(TINY | changed))
+    asked = TINY | changed
+    if "recipes" in changed and "settings" not in changed:
+        asked["settings"] = {}
+    return Matrix(**asked)
 
 
 def run(matrix: Matrix, out: Path, *, processes: int = 1, only: Sequence[str] = ()) -> Told:
@@ -241,6 +244,7 @@ def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
         ({"settings": {"bcc": {}}}, "algorithm 'bcc' is unknown"),
         ({"preset": "best"}, "preset 'best' is unknown"),
         ({"settings": {"bc": 3}}, "settings of bc is 3"),
+        ({"settings": {"dqn": {"learning_speed": 3}}}, "'dqn', which is not among the recipes"),
         ({"settings": [1]}, "give a table"),
         ({"files": {"agent": "x.npz"}}, "no packaged species"),
         ({"files": {"mine": 3}}, "files of mine is 3"),
@@ -263,6 +267,39 @@ def test_benchmark_refuses_unknown_keys_and_settings(tmp_path: Path) -> None:
         plan(tiny(settings={"soft-bc": {"learning_speed": 1}}))
     with pytest.raises(InputError, match="needs two experimental conditions"):
         plan(tiny(species=["fly"], recipes=["dqcil"], settings={}))
+    with pytest.raises(InputError, match="nothing to do: name recipes or references"):
+        plan(tiny(recipes=[], references=[]))
+    nothing = plan(tiny(recipes=[], references=[]), {"bad": "test_benchmark_methods:make_raising"})
+    assert [cell.name for cell in nothing.cells] == ["agent/bad/0", "agent/bad/1"]
+
+
+def test_benchmark_names_the_file_of_refused_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    file = tmp_path / "own.yml"
+    for text, said in (
+        ("recipes: [bc]\nsettings: {bc: {learning_speed: 3}}", "bc: setting 'learning_speed'"),
+        ("recipes: [bc]\nsettings: {dqn: {}}", "settings are given for 'dqn'"),
+        ("recipes: []\nreferences: []", "there is nothing to do"),
+        ("recipes: [bc]\nseeds: [0]\nrecipes: [dqn]", "line 4: key 'recipes' was given in line 2"),
+    ):
+        file.write_text(f"species: [agent]\n{text}\n")
+        refused = said_by(["--config", str(file), "--list"], monkeypatch, capsys)
+        assert refused.returncode == 2 and f"{file}: {said}" in refused.stderr, refused
+
+
+def test_benchmark_says_each_cause_once_and_that_it_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    file, out = tmp_path / "tiny.yml", tmp_path / "out"
+    few = {"recipes": [], "settings": {}, "references": ["still"], "seeds": [0]}
+    file.write_text(json.dumps(TINY | few))
+    bad = ["--method", "bad=test_benchmark_methods:make_raising"]
+    ended = said_by(["--config", str(file), "--out", str(out), *bad], monkeypatch, capsys)
+    assert ended.returncode == 1 and ended.stderr == ""
+    assert ended.stdout.count(" failed: ") == 1 and "agent/bad/0 failed: method" in ended.stdout
+    content = json.loads((out / "leaderboard.json").read_text())
+    assert [row["method"] for row in content["rows"]] == ["still"]
 
 
 def test_benchmark_refuses_other_results(tmp_path: Path) -> None:
@@ -304,6 +341,14 @@ def test_benchmark_command_lists_and_refuses(
     done = said_by([*asked, "--engine", "local", "--processes", "2"], monkeypatch, capsys)
     assert done.returncode == 0 and "leaderboard.md" in done.stdout
     assert bytes_of(finished) == before
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')
+    refused = said_by([*asked, "--out", str(other), "--list"], monkeypatch, capsys)
+    assert refused.returncode == 2 and "are of animarl 0.0.1" in refused.stderr
+    new = tmp_path / "new"
+    assert said_by([*asked, "--out", str(new), "--list"], monkeypatch, capsys).returncode == 0
+    assert not new.exists() and [f.name for f in other.iterdir()] == ["benchmark.json"]
     monkeypatch.setitem(sys.modules, "ray", None)  # as where it is not installed
     for wrong, sentence in (
         (["--engine", "cloud"], "engine 'cloud' is unknown"),
@@ -314,8 +359,8 @@ def test_benchmark_command_lists_and_refuses(
         (["--method", "soft-bc=test_benchmark_methods:make_raising"], "a row of that name"),
         (["--method", "mine=nowhere:f"], "cannot be imported"),
     ):
-        refused = said_by([*asked, *wrong], monkeypatch, capsys)
+        refused = said_by([*asked, "--out", str(new), *wrong], monkeypatch, capsys)
         assert refused.returncode == 2 and sentence in refused.stderr, refused
-        assert refused.stderr.count("\n") == 1
+        assert refused.stderr.count("\n") == 1 and refused.stdout == "" and not new.exists()
     refused = said_by(["score", str(tmp_path / "none.json")], monkeypatch, capsys)
     assert refused.returncode == 2 and "there is no such file" in refused.stderr

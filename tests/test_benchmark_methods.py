@@ -73,6 +73,11 @@ def test_benchmark_refuses_actions(answer: Any, said: str) -> None:
         Checked("mine", lambda _: np.array(answer), 13).predict(np.zeros((3, 2)))
 
 
+def test_benchmark_names_the_method_of_a_ragged_answer() -> None:
+    with pytest.raises(InputError, match="method mine: its predict raised ValueError"):
+        Checked("mine", lambda _: [[1], [1, 2], 3], 13).predict(np.zeros((3, 2)))
+
+
 def test_benchmark_looks_methods_up_at_once() -> None:
     assert parse_method(f"mine={HERE}:make_raising") == ("mine", f"{HERE}:make_raising")
     assert "#" in source_of(f"{HERE}:make_raising")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import socket
 import sys
 import threading
 import time
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_benchmark import Told, bytes_of, run, tiny
+from test_benchmark import TINY, Told, bytes_of, run, said_by, tiny
 
 from animarl_algos.benchmark import ray_engine
 from animarl_algos.benchmark.leaderboard import write_leaderboard
@@ -19,10 +21,10 @@ from animarl_algos.benchmark.plan import claim_folder, plan
 from animarl_envs.errors import InputError, MissingExtraError
 
 
-def test_ray_is_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"animarl\[ray\]"):
-        ray_engine.perform_on_ray(plan(tiny()), tmp_path, Told())
+    with pytest.raises(MissingExtraError, match=r"animarl\[ray\]"), ray_engine.connected():
+        pass
 
 
 def test_a_node_says_why_it_cannot_take_part(tmp_path: Path) -> None:
@@ -37,6 +39,22 @@ def test_a_node_says_why_it_cannot_take_part(tmp_path: Path) -> None:
 def test_nobody_at_an_address_is_told_soon() -> None:
     with pytest.raises(OSError):
         ray_engine._refuse_silence("127.0.0.1:1")
+
+
+def test_who_answers_and_is_no_ray_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    pytest.importorskip("ray")
+    monkeypatch.setattr(ray_engine, "ASKING", 2.0)
+    file, out = tmp_path / "tiny.yml", tmp_path / "out"
+    file.write_text(json.dumps(TINY | {"recipes": [], "settings": {}}))
+    with socket.create_server(("127.0.0.1", 0)) as dumb:
+        place = f"127.0.0.1:{dumb.getsockname()[1]}"
+        asked = ["--config", str(file), "--engine", "ray", "--address", place, "--out", str(out)]
+        refused = said_by(asked, monkeypatch, capsys)
+    assert refused.returncode == 2 and refused.stderr.count("\n") == 1
+    assert f"no Ray cluster can be reached at {place} (" in refused.stderr
+    assert refused.stdout == "" and not out.exists()
 
 
 @pytest.fixture
@@ -71,7 +89,9 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
 
     killing = threading.Thread(target=lose_a_worker, daemon=True)
     killing.start()
-    ray_engine.perform_on_ray(asked, out, told, cluster.address)
+    with ray_engine.connected(cluster.address) as ray:
+        ray_engine.refuse_other_nodes(ray, out)
+        ray_engine.perform_on_ray(ray, asked, out, told)
     killing.join(60)
     write_leaderboard(asked, out)
     assert lost and lost[0] > 0  # there was something left to do
@@ -79,12 +99,11 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
     assert bytes_of(out) == bytes_of(alone)
 
 
-@pytest.mark.slow
-def test_ray_refuses_what_it_cannot_reach(tmp_path: Path) -> None:
+def test_ray_refuses_what_it_cannot_reach() -> None:
     pytest.importorskip("ray")
-    claim_folder(tmp_path)
-    with pytest.raises(InputError, match=r"no Ray cluster can be reached at 127\.0\.0\.1:1 "):
-        ray_engine.perform_on_ray(plan(tiny()), tmp_path, Told(), "127.0.0.1:1")
+    said = r"no Ray cluster can be reached at 127\.0\.0\.1:1 "
+    with pytest.raises(InputError, match=said), ray_engine.connected("127.0.0.1:1"):
+        pass
 
 
 @pytest.mark.slow
@@ -97,6 +116,8 @@ def test_where_no_cluster_runs_ray_starts_one(
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     asked, told = plan(tiny()), Told()
     claim_folder(tmp_path)
-    ray_engine.perform_on_ray(asked, tmp_path, told)
+    with ray_engine.connected() as connected:
+        ray_engine.refuse_other_nodes(connected, tmp_path)
+        ray_engine.perform_on_ray(connected, asked, tmp_path, told)
     assert not told.errors and all(cell.finished(tmp_path) for cell in asked.cells)
     assert not ray.is_initialized()

@@ -218,6 +218,18 @@ def test_foreign_yaml_stays_as_small_as_it_is(tmp_path: Path) -> None:
     assert parse_yaml("a: &x [1]\nb: *x", "t") == {"a": [1], "b": [1]}
 
 
+def test_foreign_yaml_gives_each_key_once() -> None:
+    for text, said in (
+        ("a: 1\nb: 2\na: 3", "t: line 3: key 'a' was given in line 1 already"),
+        ("a: [{b: 1,\n 'b': 2}]", "t: line 2: key 'b' was given in line 1 already"),
+    ):
+        with pytest.raises(InputError, match=said):
+            parse_yaml(text, "t")
+    merged = parse_yaml("a: &a {x: 1, y: 2}\nb: &b {<<: *a, x: 3}\nc: {<<: *b, y: 4}", "t")
+    assert merged["b"] == {"x": 3, "y": 2} and merged["c"] == {"x": 3, "y": 4}
+    assert parse_yaml("", "t") is None
+
+
 # -- no blow-up, no hang ---------------------------------------------------------------------------
 
 

@@ -53,7 +53,7 @@ class Matrix:
     acting, fit_method, thrusts
         As in :class:`~animarl_algos.runs.run_settings.RunSettings`; by default the preset's.
     settings
-        Settings of single recipes, over those of the preset.
+        Settings of single recipes of the matrix, over those of the preset.
     episodes
         At most so many of each split, drawn once; by default all.
     folds
@@ -116,6 +116,11 @@ class Matrix:
                 )
         for name in (*self.recipes, *self.settings):
             named_recipe(name)
+        if beside := [name for name in self.settings if name not in self.recipes]:
+            raise InputError(
+                f"settings are given for {beside[0]!r}, which is not among the recipes: add it "
+                "there, or leave its settings out"
+            )
         if unknown := [name for name in self.references if name not in REFERENCES]:
             raise InputError(
                 f"reference {unknown[0]!r} is unknown: choose among {', '.join(REFERENCES)}"
@@ -198,15 +203,15 @@ def read_matrix(preset: str, config: Path | None = None) -> Matrix:
     InputError
         If there is no such preset or file, or a key or a value is wrong; the place is named.
     """
+    place = matrix_file(preset, config)
     if config is None:
-        place = f"zoo_configs/benchmark/{preset}.yml"
         if preset not in matrix_names():
             raise InputError(f"preset {preset!r} is unknown: choose {', '.join(matrix_names())}")
         content = parse_yaml((FOLDER / f"{preset}.yml").read_text(encoding="utf-8"), place)
     elif not config.is_file():
         raise InputError(f"{config}: there is no such file: write a matrix, or give --preset")
     else:
-        place, content = str(config), read_yaml(config)
+        content = read_yaml(config)
     if not isinstance(content, dict):
         raise InputError(f"{place}: it holds no table: give species, recipes and seeds")
     known = [one.name for one in fields(Matrix)]
@@ -216,6 +221,11 @@ def read_matrix(preset: str, config: Path | None = None) -> Matrix:
         return Matrix(**content)
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
+
+
+def matrix_file(preset: str, config: Path | None = None) -> str:
+    """Where :func:`read_matrix` reads, for messages."""
+    return str(config or f"zoo_configs/benchmark/{preset}.yml")
 
 
 def matrix_names() -> list[str]:

@@ -111,14 +111,14 @@ class Checked:
                 )  # fmt: skip
             else:
                 actions = self._policy(observation)
+            found = np.asarray(actions)
         except Exception as error:
             raise InputError(
                 f"method {self._name}: its predict raised {type(error).__name__} ({error}): mend it"
             ) from error
-        return self._checked(actions, len(observation)), state
+        return self._checked(found, len(observation)), state
 
-    def _checked(self, actions: Any, slots: int) -> NDArray[np.int64]:
-        found = np.asarray(actions)
+    def _checked(self, found: NDArray[Any], slots: int) -> NDArray[np.int64]:
         wrong = ""
         if found.shape != (slots,) or found.dtype.kind not in "iuf":
             wrong = f"{found.dtype} of shape {found.shape}"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -70,18 +71,21 @@ class Plan:
         return {"settings": plain, "demonstrations": prints, "cells": keys}
 
 
-def plan(matrix: Matrix, methods: Mapping[str, str] | None = None) -> Plan:
+def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = "") -> Plan:
     """What there is to do.
 
     Parameters
     ----------
     methods
         Others' methods: ``module:factory`` by name.
+    place
+        The file that the matrix stands in, for messages.
 
     Raises
     ------
     InputError
-        If a recipe cannot learn from a set of demonstrations, or a method has the name of a row.
+        If a recipe cannot learn from a set of demonstrations, a method has the name of a row, or
+        there is nothing to do.
     """
     methods = methods or {}
     for name in methods:
@@ -95,14 +99,16 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None) -> Plan:
         for number, demos in enumerate(folds)
     ]
     for data, fold, demos in dealt:
-        world = World(data, matrix.world_settings(data, demos), demos, fold)
+        with _naming(place):
+            world = World(data, matrix.world_settings(data, demos), demos, fold)
         worlds.append(world)
         shared: dict[str, Any] = {
             "data": data, "repetitions": matrix.repetitions, "world": world.key, "fold": fold,
         }  # fmt: skip
         for algo in matrix.recipes:
-            settings = [matrix.run_settings(data, demos, algo, seed) for seed in matrix.seeds]
-            rehearse(settings[0], demos)
+            with _naming(place):
+                settings = [matrix.run_settings(data, demos, algo, seed) for seed in matrix.seeds]
+                rehearse(settings[0], demos)
             cells += [Cell(**shared, method=algo, seed=s.seed, settings=s) for s in settings]
         for name, factory in methods.items():
             cells += [Cell(**shared, method=name, seed=s, factory=factory) for s in matrix.seeds]
@@ -111,6 +117,9 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None) -> Plan:
             for name in matrix.references
             if name != "experts" or teams_of(demos) is not None
         ]
+    if not cells:
+        with _naming(place):
+            raise InputError("there is nothing to do: name recipes or references")
     rows: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         rows.setdefault((cell.data, cell.method), []).append(cell)
@@ -124,9 +133,22 @@ def claim_folder(out: Path) -> None:
     Raises
     ------
     InputError
+        As :func:`refuse_other_results` does.
+    """
+    refuse_other_results(out)
+    if not (out / MARK).exists():
+        write_json(out / MARK, _own_mark())
+
+
+def refuse_other_results(out: Path) -> None:
+    """Make sure that results may lie in a folder; nothing is written.
+
+    Raises
+    ------
+    InputError
         If it holds the results of another version, or something else.
     """
-    file, own = out / MARK, {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
+    file, own = out / MARK, _own_mark()
     if file.exists():
         try:
             there = json.loads(file.read_text())
@@ -141,8 +163,19 @@ def claim_folder(out: Path) -> None:
             )
     elif out.is_dir() and any(out.iterdir()):
         raise InputError(f"{out}: it holds something that is no benchmark: name another --out")
-    else:
-        write_json(file, own)
+
+
+def _own_mark() -> dict[str, Any]:
+    return {"format": FORMAT_VERSION, "animarl": versions()["animarl"]}
+
+
+@contextmanager
+def _naming(place: str) -> Iterator[None]:
+    """What is refused meanwhile names the file that it stands in."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}: {error}" if place else str(error)) from error
 
 
 def _matches(cell: Cell, pattern: str) -> bool:

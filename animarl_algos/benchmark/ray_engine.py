@@ -10,6 +10,8 @@ from __future__ import annotations
 import os
 import platform
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,51 +23,51 @@ from animarl_algos.runs.run_folder import versions
 from animarl_envs.errors import InputError, MissingExtraError
 
 AUTO = "auto"  # $RAY_ADDRESS, or else this machine's cluster, which Ray starts if there is none
-PATIENCE = 5.0  # [s]
+PATIENCE = 5.0  # [s] until somebody answers at an address
+ASKING = 30.0  # [s] until Ray does, most of which is to import it
 RETRIES = 3  # of a piece whose node or process was lost
+ASK = """
+import sys
+import ray
+try:
+    ray.init(sys.argv[1], log_to_driver=False, logging_level="error")
+except Exception as error:
+    print(error)
+    sys.exit(1)
+"""
 
 
-def perform_on_ray(plan: Plan, out: Path, watch: Watch, address: str = AUTO) -> None:
+def perform_on_ray(ray: Any, plan: Plan, out: Path, watch: Watch) -> None:
     """Do whatever is not finished; errors are recorded, and the rest goes on.
 
     Parameters
     ----------
+    ray
+        As :func:`connected` gives it.
     out
         A folder that every node of the cluster sees under this path.
-    address
-        Of a running cluster, as ``ray.init`` takes it; ``"auto"``: that of ``RAY_ADDRESS``, or
-        else this machine's, which Ray starts for the time of the work if there is none.
-
-    Raises
-    ------
-    InputError
-        If nobody answers at the address, or a node sees no such folder or has other versions.
-    MissingExtraError
-        If Ray is not installed.
     """
-    ray, out = _ray(), out.resolve()
-    with _connected(ray, address):
-        _refuse_other_nodes(ray, out)
-        watch.at_once(max(1, int(ray.cluster_resources().get("CPU", 1))))
-        task = ray.remote(num_cpus=1, max_retries=RETRIES)(_attempt_there)
-        promised: dict[str, Any] = {}
-        waiting: dict[Any, Piece] = {}
-        for stage in plan.stages:
-            for piece in stage:
-                if not piece.finished(out):
-                    first = [promised[name] for name in piece.needs if name in promised]
-                    promised[piece.name] = task.remote(piece, out, *first)
-                    waiting[promised[piece.name]] = piece
-        while waiting:
-            for ended in ray.wait(list(waiting), num_returns=1)[0]:
-                piece = waiting.pop(ended)
-                try:
-                    done = ray.get(ended)
-                except ray.exceptions.RayError as error:  # lost more often than it is repeated
-                    said = f"Ray gave it up ({type(error).__name__}: {_last_line(error)})"
-                    record_error(piece, out, said)
-                    done = Done(piece.name, 0.0, said)
-                watch.ended(piece, done)
+    out = out.resolve()
+    watch.at_once(max(1, int(ray.cluster_resources().get("CPU", 1))))
+    task = ray.remote(num_cpus=1, max_retries=RETRIES)(_attempt_there)
+    promised: dict[str, Any] = {}
+    waiting: dict[Any, Piece] = {}
+    for stage in plan.stages:
+        for piece in stage:
+            if not piece.finished(out):
+                first = [promised[name] for name in piece.needs if name in promised]
+                promised[piece.name] = task.remote(piece, out, *first)
+                waiting[promised[piece.name]] = piece
+    while waiting:
+        for ended in ray.wait(list(waiting), num_returns=1)[0]:
+            piece = waiting.pop(ended)
+            try:
+                done = ray.get(ended)
+            except ray.exceptions.RayError as error:  # lost more often than it is repeated
+                said = f"Ray gave it up ({type(error).__name__}: {_last_line(str(error))})"
+                record_error(piece, out, said)
+                done = Done(piece.name, 0.0, said)
+            watch.ended(piece, done)
 
 
 def _attempt_there(piece: Piece, out: Path, *first: Done) -> Done:
@@ -89,10 +91,17 @@ def _unfit(out: Path, wanted: dict[str, str]) -> str:
     return ""
 
 
-def _refuse_other_nodes(ray: Any, out: Path) -> None:
+def refuse_other_nodes(ray: Any, out: Path) -> None:
+    """Ask every node of a cluster that is :func:`connected`.
+
+    Raises
+    ------
+    InputError
+        If one does not see the marked folder ``out``, or has other versions.
+    """
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-    asked = ray.remote(num_cpus=0)(_unfit)
+    out, asked = out.resolve(), ray.remote(num_cpus=0)(_unfit)
     answers = [
         asked.options(
             scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
@@ -107,29 +116,48 @@ def _refuse_other_nodes(ray: Any, out: Path) -> None:
     except ray.exceptions.RayError as error:
         raise InputError(
             "a node of the Ray cluster cannot run animarl "
-            f"({_last_line(error)}): install it on all nodes"
+            f"({_last_line(str(error))}): install it on all nodes"
         ) from error
     if unfit:
         raise InputError(unfit[0])
 
 
 @contextmanager
-def _connected(ray: Any, address: str) -> Iterator[None]:
-    """While workers find the modules that are found here by ``PYTHONPATH``."""
+def connected(address: str = AUTO) -> Iterator[Any]:
+    """The module ``ray``, connected to a cluster.
+
+    Workers find the modules that are found here by ``PYTHONPATH``.
+
+    Parameters
+    ----------
+    address
+        Of a running cluster, as ``ray.init`` takes it; ``"auto"``: that of ``RAY_ADDRESS``, or
+        else this machine's, which Ray starts for the time of the work if there is none.
+
+    Raises
+    ------
+    InputError
+        If nobody answers at the address, or no Ray does.
+    MissingExtraError
+        If Ray is not installed.
+    """
+    ray = _ray()
     paths = os.environ.get("PYTHONPATH", "")
     found = os.pathsep.join(str(Path(p).resolve()) for p in paths.split(os.pathsep) if p)
     environment = {"env_vars": {"PYTHONPATH": found}} if found else {}
     named = os.environ.get("RAY_ADDRESS") if address == AUTO else address
     try:
-        _refuse_silence(named or "")
+        if named and named not in (AUTO, "local"):
+            _refuse_silence(named)
+            _refuse_no_ray(named)
         ray.init(named, runtime_env=environment, log_to_driver=False, logging_level="error")
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(
-            f"no Ray cluster can be reached at {named or AUTO} ({_last_line(error)}): start one "
-            "with 'ray start --head', or give another --address"
+            f"no Ray cluster can be reached at {named or AUTO} ({_last_line(str(error))}): start "
+            "one with 'ray start --head', or give another --address"
         ) from error
     try:
-        yield
+        yield ray
     finally:
         ray.shutdown()
 
@@ -147,9 +175,28 @@ def _refuse_silence(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=PATIENCE).close()
 
 
-def _last_line(error: Exception) -> str:
-    lines = [line for line in str(error).splitlines() if line.strip()]
-    return lines[-1].strip() if lines else type(error).__name__
+def _refuse_no_ray(address: str) -> None:
+    """Ray waits for minutes for an answer of something else, or ends the process: so a child asks.
+
+    Raises
+    ------
+    OSError
+        If Ray does not answer for ``ASKING`` seconds, or refuses.
+    """
+    asked = [sys.executable, "-c", ASK, address]
+    try:
+        told = subprocess.run(
+            asked, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, timeout=ASKING
+        )
+    except subprocess.TimeoutExpired:
+        raise OSError(f"what answers there is no Ray, or takes over {ASKING:g} s") from None
+    if told.returncode:
+        raise OSError(_last_line(told.stdout))
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else "it does not say why"
 
 
 def _ray() -> Any:

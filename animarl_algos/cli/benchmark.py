@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -16,11 +17,11 @@ from rich.table import Table
 
 from animarl_algos.benchmark.engine import perform_all
 from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
-from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.matrix import matrix_file, read_matrix
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
-from animarl_algos.benchmark.plan import Plan, claim_folder, plan
-from animarl_algos.benchmark.ray_engine import perform_on_ray
+from animarl_algos.benchmark.plan import Plan, claim_folder, plan, refuse_other_results
+from animarl_algos.benchmark.ray_engine import connected, perform_on_ray, refuse_other_nodes
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.errors import InputError
@@ -71,7 +72,8 @@ def benchmark_command(
 ) -> None:
     """Train, roll out and score every method on every species with every seed.
 
-    Given again, the command goes on where it was; finished cells are never run again.
+    Given again, the command goes on where it was; finished cells are never run again. The exit
+    code is 1 where something failed: the leaderboard is written without it.
 
     Examples:
 
@@ -103,22 +105,29 @@ def benchmark_command(
             files={name: file for name, file in matrix.files.items() if name in species},
         )
     methods = dict(parse_method(given) for given in method or [])
-    asked = plan(matrix, methods).only(only or [])
+    asked = plan(matrix, methods, matrix_file(preset, config)).only(only or [])
+    refuse_other_results(out)
     console = PlainConsole(least_width=100)
     if show:
         console.print(_listing(asked, out))
         return
-    claim_folder(out)
     watch = LiveTable(asked, out)
-    with Live(watch, console=console, refresh_per_second=1):
-        if engine == "ray":
-            perform_on_ray(asked, out, watch, address)
-        else:
-            perform_all(asked, out, processes, watch)
-    for piece, error in watch.failed:
-        console.print(f"\n{piece} failed: {error}", soft_wrap=True)
+    with ExitStack() as open_until_done:
+        ray = open_until_done.enter_context(connected(address)) if engine == "ray" else None
+        claim_folder(out)
+        if ray is not None:
+            refuse_other_nodes(ray, out)
+        with Live(watch, console=console, refresh_per_second=1):
+            if ray is not None:
+                perform_on_ray(ray, asked, out, watch)
+            else:
+                perform_all(asked, out, processes, watch)
+    for name, error in watch.causes():
+        console.print(f"\n{name} failed: {error}", soft_wrap=True)
     page = write_leaderboard(asked, out, shlex.join(["animarl", *sys.argv[1:]]))
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
+    if watch.failed:
+        raise typer.Exit(1)
 
 
 @app.command("score")
@@ -153,7 +162,7 @@ class LiveTable:
     """
 
     def __init__(self, asked: Plan, out: Path) -> None:
-        self.failed: list[tuple[str, str]] = []
+        self.failed: list[tuple[Piece, str]] = []
         self._number = 1
         self._left = [
             {piece.name for piece in stage if not piece.finished(out)} for stage in asked.stages
@@ -173,10 +182,15 @@ class LiveTable:
         for left in self._left:
             left.discard(piece.name)
         if done.error:
-            self.failed.append((done.name, done.error))
+            self.failed.append((piece, done.error))
         else:
             for key in (_kind(piece.name), ""):
                 self._took.setdefault(key, []).append(done.seconds)
+
+    def causes(self) -> list[tuple[str, str]]:
+        """What failed by itself, not for want of what failed before it."""
+        names = {piece.name for piece, _ in self.failed}
+        return [(p.name, error) for p, error in self.failed if names.isdisjoint(p.needs)]
 
     def seconds_left(self) -> float | None:
         """As far as it can be told."""
@@ -194,7 +208,7 @@ class LiveTable:
         table = Table("stage", "finished", "of", "failed", "running")
         for name, left, every in zip(STAGES, self._left, self._all):
             stage = [p for p in self._running if p in left]
-            failed = [p for p, _ in self.failed if _stage(p) == name]
+            failed = [p for p, _ in self.failed if _stage(p.name) == name]
             there = every - len(left) - len(failed)
             table.add_row(name, str(there), str(every), str(len(failed)), ", ".join(stage))
         left_over = self.seconds_left()

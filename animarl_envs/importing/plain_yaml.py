@@ -22,7 +22,8 @@ def read_yaml(path: Path) -> Any:
     Raises
     ------
     InputError
-        If it is no file, too long, not valid, names code, or repeats itself too often.
+        If it is no file, too long, not valid, names code, repeats itself too often, or gives a key
+        twice.
     """
     refuse_special(path)
     if path.stat().st_size > LONGEST:
@@ -45,7 +46,13 @@ def parse_yaml(text: str, place: str) -> Any:
     if _depth(text) > DEEPEST:
         raise InputError(f"{place}: its brackets nest deeper than {DEEPEST}: flatten it")
     try:
-        return yaml.safe_load(text)
+        loader = yaml.SafeLoader(text)
+        try:
+            node = loader.get_single_node()
+            _refuse_twice(node, place)
+            return None if node is None else loader.construct_document(node)
+        finally:
+            loader.dispose()
     except yaml.YAMLError as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{place}: it is not valid YAML ({first}): mend it") from None
@@ -53,6 +60,33 @@ def parse_yaml(text: str, place: str) -> Any:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{place}: it is not valid YAML ({error}): mend it") from None
+
+
+def _refuse_twice(root: Any, place: str) -> None:
+    """Of a key that is given twice in one table YAML would take the last, without a word."""
+    import yaml
+
+    todo, seen = [root], set()
+    while todo:
+        node = todo.pop()
+        if id(node) in seen:  # an alias
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.SequenceNode):
+            todo += node.value
+        if not isinstance(node, yaml.MappingNode):
+            continue
+        lines: dict[tuple[str, str], int] = {}
+        for key, value in node.value:
+            todo += [key, value]
+            if isinstance(key, yaml.ScalarNode):
+                kind, line = (key.tag, key.value), key.start_mark.line + 1
+                if kind in lines:
+                    raise InputError(
+                        f"{place}: line {line}: key {key.value!r} was given in line "
+                        f"{lines[kind]} already: give it once"
+                    )
+                lines[kind] = line
 
 
 def _depth(text: str) -> int:
