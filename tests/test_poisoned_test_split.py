@@ -4,44 +4,65 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
+from animarl_algos.benchmark.matrix import Matrix
+from animarl_algos.benchmark.plan import plan
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.runs.acting import acting_file
 from animarl_algos.runs.pipeline import learn, open_run
-from animarl_algos.runs.run_settings import RunSettings
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings
+from animarl_algos.runs.weights import weights_file
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
+from tools.make_pretrained import validation_mismatch
+
+SMALL: dict[str, Any] = {
+    "policy_kwargs": {"hidden": 16, "depth": 1},
+    "offline_epochs": 1,
+    "offline_kwargs": {"updates_per_epoch": 3, "warm_up": 1},
+}
+IQ: dict[str, Any] = {
+    "train_freq": [25, "step"], "gradient_steps": 2, "batch_size": 16, "buffer_size": 4000,
+}  # fmt: skip
 
 
-def a_few() -> Demonstrations:
+def a_few(species: str = "custom") -> Demonstrations:
     """Sixteen packaged (synthetic) chases of all splits, as a species of one's own."""
     all_of_them = load_packaged("agent")
     chosen = [np.flatnonzero(all_of_them.split == s)[:n] for s, n in (("train", 10), ("val", 3))]
     test = np.flatnonzero(all_of_them.split == "test")[:3]
     kept = all_of_them.select(episodes=np.concatenate([*chosen, test]))
-    return replace(kept, species="custom")
+    return replace(kept, species=species)
 
 
-def poisoned(demos: Demonstrations) -> Demonstrations:
-    """The same train and val episodes, beside absurd test episodes."""
-    bad = np.repeat(demos.split == "test", demos.lengths)
+def poisoned(demos: Demonstrations, split: str = "test") -> Demonstrations:
+    """The same episodes, but for absurd ones of one split."""
+    bad = np.repeat(demos.split == split, demos.lengths)
     rng = np.random.default_rng(0)
     positions = demos.positions.copy()
     positions[bad] = rng.uniform(-0.9, 0.9, positions[bad].shape)
-    test = demos.split == "test"
+    within = demos.split == split
     return replace(
         demos,
         positions=positions,
-        outcome=np.where(test, 1, demos.outcome).astype(np.int8),
-        condition=np.where(test, 1 - demos.condition, demos.condition).astype(np.int8),
+        outcome=np.where(within, 1, demos.outcome).astype(np.int8),
+        condition=np.where(within, 1 - demos.condition, demos.condition).astype(np.int8),
     )
+
+
+def learned(run: RunFolder) -> tuple[bytes, ...]:
+    """All that a run learned and chose, as it is stored."""
+    algo = run.settings.algo
+    files = weights_file(run.path / "policies", algo), acting_file(run, algo)
+    return tuple(file.read_bytes() for file in (*files, run.path / "locomotion.json"))
 
 
 def test_the_species_is_that_of_train_and_val() -> None:
@@ -62,18 +83,47 @@ def test_the_test_split_is_refused() -> None:
         SlotVecEnv("custom", 2, demos=a_few(), split="test")
 
 
-def test_poison_changes_neither_fit_nor_weights_nor_acting(tmp_path: Path) -> None:
-    made = {}
-    for name, demos in (("clean", a_few()), ("poisoned", poisoned(a_few()))):
-        file = demos.save(tmp_path / f"{name}.npz")
+@pytest.mark.parametrize(
+    ("algo", "species", "overrides"),
+    [
+        ("soft-bc", "custom", {}),
+        ("dqdil-pt", "agent", {}),  # its episodes begin with replayed demonstrations
+        ("dqaas", "agent", {}),
+        ("iq-learn", "agent", IQ),
+    ],
+)
+def test_poison_changes_neither_what_is_learned_nor_what_is_packaged(
+    tmp_path: Path, algo: str, species: str, overrides: dict[str, Any]
+) -> None:
+    def trained(demos: Demonstrations, name: str) -> RunFolder:
         settings = RunSettings(
-            file=str(file), species="custom", algo="soft-bc", steps=1, seed=3, baselines=False,
-            overrides={"offline_epochs": 2},
+            file=str(demos.save(tmp_path / f"{name}.npz")), species=species, algo=algo, steps=300,
+            copies=4, seed=3, baselines=False, thrusts=AUTO if algo == "soft-bc" else "1",
+            overrides=SMALL | overrides,
         )  # fmt: skip
         run = open_run(settings, tmp_path / name, "test")
-        model = learn(run, "soft-bc", progress_bar=False)
-        chosen = acting_file(run, "soft-bc").read_text()
-        made[name] = (model.policy.q_net.state_dict(), run.fit.locomotion, chosen)
-    clean, bad = made["clean"], made["poisoned"]
-    assert clean[1:] == bad[1:]
-    assert all(torch.equal(value, bad[0][key]) for key, value in clean[0].items())
+        model = learn(run, algo, progress_bar=False)
+        assert bool(model._n_updates) == bool(model.recipe.online)
+        return run
+
+    demos = a_few(species)
+    clean, bad = trained(demos, "clean"), trained(poisoned(demos), "poisoned")
+    assert learned(clean) == learned(bad)
+    assert validation_mismatch(clean) == validation_mismatch(bad)
+
+
+def test_poison_changes_no_trained_cell_of_a_benchmark(tmp_path: Path) -> None:
+    def trained(demos: Demonstrations, name: str) -> tuple[bytes, ...]:
+        matrix = Matrix(
+            files={"own": str(demos.save(tmp_path / f"{name}.npz"))}, recipes=("dqdil-pt",),
+            references=(), episodes={"train": 8, "val": 2, "test": 2}, steps=100, thrusts="1",
+            acting=CHOSEN, settings={"dqdil-pt": SMALL | {"n_envs": 4}},
+        )  # fmt: skip
+        asked, out = plan(matrix), tmp_path / name
+        for piece in (*asked.worlds, *asked.cells):
+            piece.perform(out)
+        return learned(RunFolder(asked.cells[0].folder(out) / "run"))
+
+    clean = trained(a_few(), "clean")
+    assert clean == trained(poisoned(a_few()), "poisoned")
+    assert clean != trained(poisoned(a_few(), "train"), "noticed")

@@ -1,8 +1,9 @@
 """The trained models that come with the package: ``python -m tools.make_pretrained``.
 
-Recipes of the benchmark's preset ``short`` are trained on the packaged demonstrations (what is
-finished in ``--out`` is kept). For each species the cell whose rollouts from validation starts are
-most like the validation recordings is evaluated on the test split and exported.
+The recipes of the benchmark's preset ``short`` are trained on the packaged demonstrations with its
+seeds (what is finished in ``--out`` is kept). For each species the cell whose rollouts from
+validation starts are most like the validation recordings is evaluated on the test split and
+exported.
 """
 
 from __future__ import annotations
@@ -97,14 +98,16 @@ def make(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    by_default, preset = f"by default all of preset {PRESET}", read_matrix(PRESET)
     parser.add_argument("--out", type=Path, default=Path("out/bench-short"))
     parser.add_argument("--species", action="append", help="by default all packaged; repeatable")
-    parser.add_argument("--recipe", action="append", help="by default soft-bc; repeatable")
-    parser.add_argument("--seed", action="append", type=int, help="by default 0; repeatable")
+    parser.add_argument("--recipe", action="append", help=f"{by_default}; repeatable")
+    parser.add_argument("--seed", action="append", type=int, help=f"{by_default}; repeatable")
     parser.add_argument("--processes", type=int, default=1)
     given = parser.parse_args()
     names = given.species or packaged_names()
-    make(given.out, names, given.recipe or ["soft-bc"], given.seed or [0], given.processes)
+    recipes, seeds = given.recipe or preset.recipes, given.seed or preset.seeds
+    make(given.out, names, recipes, seeds, given.processes)
 
 
 if __name__ == "__main__":
