@@ -106,7 +106,8 @@ def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
     shaken = replace(demos, positions=demos.positions + rough)
     found = verdict(demos, slow, seed=0, floor=demos, perturbed=shaken, baselines={"random": still})
     below = str(verdict_table(found).caption)
-    assert "closed loop (its floor) 0.5" in below and "and random actions 0.9" in below
+    assert "Its AUC is 0.500 [0.500, 0.500] for the" in below
+    assert "] for random actions." in below
     assert "floor" not in str(verdict_table(judged("slow")).caption)
     assert found.perturbed.estimate > 0.9
     assert found.floor.estimate == 0.5  # tracked without any error

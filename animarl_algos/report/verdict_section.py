@@ -213,8 +213,8 @@ def _floor(verdict: Verdict) -> str:
             verdict.floor,
         "random actions": verdict.ceiling,
     }  # fmt: skip
-    said = [f"{k} {with_interval(v)}" for k, v in areas.items() if math.isfinite(v.estimate)]
-    return f" It gives {' and '.join(said)}." if said else ""
+    said = [f"{with_interval(v)} for {k}" for k, v in areas.items() if math.isfinite(v.estimate)]
+    return f" Its AUC is {' and '.join(said)}." if said else ""
 
 
 def _classifier_caption(verdict: Verdict) -> str:
