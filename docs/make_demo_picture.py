@@ -28,10 +28,13 @@ def main() -> None:
     rollouts = Rollouts.load(run.path / "rollouts" / f"{name}.npz")
     told_nothing_false = (rollouts.cue == NO_CUE) | (rollouts.cue == rollouts.condition)
     rollouts = rollouts.select(told_nothing_false)
-    length = rollouts.lengths
+    ranked = np.argsort(rollouts.lengths)
+    shown: set[int] = set()
     panels = []
     for percentile in PERCENTILES:
-        chosen = int(np.argsort(length)[round(percentile / 100 * (len(length) - 1))])
+        longer = ranked[round(percentile / 100 * (len(ranked) - 1)) :].tolist()
+        chosen = next(i for i in longer if int(rollouts.demo[i]) not in shown)  # no start twice
+        shown.add(int(rollouts.demo[chosen]))
         figure = trajectory_pair(
             rollouts.path(chosen),
             demos.episode(int(rollouts.demo[chosen])).positions,
