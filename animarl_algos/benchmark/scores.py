@@ -101,8 +101,8 @@ def _score(
     seen = prepared.filtered(counted)
     simulated, recorded = prepared.measures(seen), prepared.measures(prepared.recorded)
     draws = Draws.by(rng_draws, resamples)
-    crossed = others is None
-    energies, measures = {}, [_auc(found, crossed and rollouts.method == RECORDINGS)]
+    same = others is None and rollouts.method == RECORDINGS
+    energies, measures = {}, [_auc(found, same)]
     for name, keys in {ENERGY: SUMMARY, **{f"energy_{key}": (key,) for key in SUMMARY}}.items():
         spread = [float(np.std(recorded[k])) or 1.0 for k in keys]
         drawn, true = (

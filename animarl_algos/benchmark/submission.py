@@ -84,10 +84,12 @@ def read_submission(path: Path) -> tuple[Rollouts, Demonstrations]:
     widest = float(np.abs(demos.positions).max())
     paths = []
     for i, one in enumerate(listed):
-        paths.append(_checked(one, f"{path}: rollout {i}", test))
-        _check_moves(paths[-1], f"{path}: rollout {i}", test, fastest, widest)
-        _check_made(paths[-1], one["demo"], f"{path}: rollout {i}", test)
-        _check_outcome(one["outcome"], paths[-1], f"{path}: rollout {i}", test)
+        place = f"{path}: rollout {i}"
+        positions = _checked(one, place, test)
+        _check_moves(positions, place, test, fastest, widest)
+        _check_made(positions, one["demo"], place, test)
+        _check_outcome(one["outcome"], positions, place, test)
+        paths.append(positions)
     columns = {key: np.array([one[key] for one in listed]) for key in OF_EACH[:-1]}
     keys = set(zip(*(columns[key].tolist() for key in OF_EACH[:3])))
     if len(keys) < len(listed):

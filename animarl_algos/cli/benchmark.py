@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -112,8 +112,7 @@ def benchmark_command(
         console.print(_listing(asked, out))
         return
     watch = LiveTable(asked, out)
-    with ExitStack() as open_until_done:
-        ray = open_until_done.enter_context(connected(address)) if engine == "ray" else None
+    with connected(address) if engine == "ray" else nullcontext() as ray:
         claim_folder(out)
         if ray is not None:
             refuse_other_nodes(ray, out)

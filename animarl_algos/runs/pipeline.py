@@ -80,14 +80,14 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         species, settings.copies, demos=demos, focal=settings.focal, condition_flag=None,
         **asked.env_kwargs,
     )  # fmt: skip
+    if settings.acting != CHOSEN:
+        Acting.parse(settings.acting).checked(len(env.individuals), env.world.num_actions)
     for algo in (settings.algo, *settings.compared):
         arguments = constructed(settings.learner(algo).arguments)
         learner = named_recipe(algo).algorithm(
             env=env, seed=settings.seed, device="cpu", **arguments
         )
         check_environment(env, learner.layout, learner.recipe)
-        if settings.acting != CHOSEN:
-            Acting.parse(settings.acting).checked(len(env.individuals), env.world.num_actions)
 
 
 def load_demonstrations(

@@ -58,10 +58,8 @@ def with_options(species: Species, **options: Any) -> Species:
         scaled = species.start_half_side * float(options["arena"]) / species.arena.size
         options.setdefault("start_half_side", scaled)
     arena = _arena(species.arena, options)
-    locomotion = _locomotion(species, options.get("locomotion"))
-    locomotion = _with_thrusts(
-        locomotion, options.pop("thrusts", None), options.pop("locomotion", None)
-    )
+    given = options.pop("locomotion", None)
+    locomotion = _with_thrusts(_locomotion(species, given), options.pop("thrusts", None), given)
     known = {f.name for f in fields(species)} - {"name", "individuals", "recording", "locomotion"}
     for key in options:
         if key not in known:
