@@ -21,16 +21,16 @@ import rl_zoo3.utils
 import yaml
 from behaviours import Behaviour, PartlyRandom, Same
 from commands import Done
-from stable_baselines3.common import callbacks
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import load_results
-from zoo_commands import AGENT
+from zoo_commands import AGENT, CARTPOLE, TINY
+from zoo_commands import small as small
 from zoo_commands import zoo as zoo
 
 from animarl_algos.learner.presets import known_settings, learner_preset
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.recipes.soft_bc import SoftBC
-from animarl_algos.zoo import enjoy, manager, samplers
+from animarl_algos.zoo import manager, samplers
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment
 from animarl_algos.zoo.samplers import sampler
@@ -39,20 +39,6 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import COAST
 
 NAME = "AnimaRL-Agent-v0"
-CARTPOLE = ["--env", "CartPole-v1", "-n", "16", "--eval-episodes", "1"]
-TINY = ["--n-timesteps", "200", "--seed", "1", "--eval-freq", "100", "--eval-episodes", "2"]
-
-
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Demonstrations of a few short episodes of both conditions in each split."""
-    demos = load_packaged("agent")
-    chosen = []
-    for split, count in (("train", 6), ("val", 3), ("test", 3)):
-        for condition in (0, 1):
-            found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
-            chosen.extend(found[np.argsort(demos.lengths[found])][5 : 5 + count].tolist())
-    return demos.select(episodes=chosen).save(tmp_path_factory.mktemp("demos") / "small.npz")
 
 
 def test_all_learners_are_in_the_tables_of_rl_zoo3() -> None:
@@ -362,49 +348,6 @@ def test_a_trial_has_the_network_that_was_asked_for(
         assert done.returncode == 0, done.stderr
         folder = tmp_path / "logs" / "qr-dqn" / f"CartPole-v1_{number}" / "CartPole-v1"
         assert yaml.safe_load((folder / "config.yml").read_text())["policy_kwargs"] == networks[0]
-
-
-@pytest.mark.parametrize(
-    ("asked", "rule"),
-    [
-        ([], "boltzmann:2"),
-        (["--stochastic"], "boltzmann:2"),
-        (["--deterministic"], "greedy"),
-        (["--acting", "epsilon:0.1"], "epsilon:0.1"),
-        (["--acting=boltzmann:0.5"], "boltzmann:0.5"),
-    ],
-)
-def test_enjoy_acts_by_the_saved_rule_unless_told(
-    asked: list[str], rule: str, zoo: Callable[..., Done], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = RECIPES["dqn"].algorithm("MlpPolicy", "CartPole-v1")
-    model.policy.epsilon, model.policy.temperature = 0.3, 2.0
-    model.save("warm.zip")
-    rules: list[str] = []
-    monkeypatch.setattr(enjoy, "run", lambda m, *_: rules.append(str(m.policy.acting)))
-    done = zoo("enjoy", "--algo=dqn", *CARTPOLE[:2], "--no-render", "--model", "warm.zip", *asked)
-    assert rules == [rule] and f"Acting: {rule}\n" in done.stdout, done.stderr
-
-
-@pytest.mark.parametrize("exploration", ["epsilon", "boltzmann"])
-def test_training_scores_a_policy_that_samples_as_it_acts(
-    exploration: str, zoo: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the best actions otherwise, as rl_zoo3 does; its callback and optuna's alike."""
-    greedily: list[tuple[bool, str]] = []
-
-    def score(model: Any, *_: Any, deterministic: bool, **asked: Any) -> Any:
-        greedily.append((deterministic, str(model.policy.acting.kind)))
-        return ([0.0], [1]) if asked.get("return_episode_rewards") else (0.0, 0.0)
-
-    monkeypatch.setattr(callbacks, "evaluate_policy", score)
-    monkeypatch.setattr(manager, "evaluate_policy", score)
-    told = ["--algo", "dqdil-pt", "--env", AGENT, *TINY, "--env-kwargs", f"demos:{small}",
-            "-params", "offline_epochs:1", f"exploration:{exploration}"]  # fmt: skip
-    for command in (["train"], ["optimize", "--n-trials", "1", "--pruner", "none"]):
-        done = zoo(*command, *told)
-        assert done.returncode == 0, done.stderr
-    assert len(greedily) > 2 and set(greedily) == {(exploration == "epsilon", exploration)}
 
 
 def test_help_says_what_a_zip_file_is(zoo: Callable[..., Done]) -> None:
