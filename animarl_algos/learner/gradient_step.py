@@ -220,12 +220,16 @@ def _burn_in(network: StackedQNetwork, batch: SequenceBatch) -> torch.Tensor:
     if state is None:
         state = network.initial_state(batch.batch_size)
     prefix, starts = batch.burn_in, batch.starts
-    if bool(((starts == 0) | (starts == prefix)).all()):  # prefixes are whole, or there is none
-        rebuilt = network(
-            batch.observations[:, :prefix], batch.previous_actions[:, :prefix], state
-        ).final_state
-        return torch.where((starts == 0).unsqueeze(-1), rebuilt, state)
-    for t in range(prefix):
-        _, after = network.step(batch.observations[:, t], batch.previous_actions[:, t], state)
-        state = torch.where((starts <= t).unsqueeze(-1), after, state)
-    return state
+    # Each column is moved up to begin at its own start, so that all run at once.
+    packing = Packing.from_lengths((prefix - starts).cpu().numpy(), prefix, starts.device)
+    if not len(packing.active):  # all begin with the trained steps
+        return state
+    steps = torch.arange(prefix, device=starts.device)[:, None] + starts[..., None, :]
+    steps = steps.clamp(max=prefix - 1).expand(len(state), -1, -1)
+    observations = batch.observations[:, :prefix]
+    return network(
+        observations.gather(1, steps[..., None].expand(observations.shape)),
+        batch.previous_actions[:, :prefix].gather(1, steps),
+        state,
+        packing,
+    ).final_state

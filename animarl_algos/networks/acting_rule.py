@@ -238,12 +238,19 @@ def drawn_apart(scaled: NDArray[Any], thrust: float, direction: float) -> NDArra
     """
     whole = scaled.astype(np.float64)
     way = whole[:, :-1].reshape(len(whole), -1, NUM_DIRECTIONS)
-    hard = np.concatenate([np.logaddexp.reduce(way, axis=2), whole[:, -1:]], axis=1) / thrust
-    hard -= np.logaddexp.reduce(hard, axis=1, keepdims=True)
+    hard = np.concatenate([_log_sum_exp(way)[..., 0], whole[:, -1:]], axis=1) / thrust
+    hard -= _log_sum_exp(hard)
     way = way / direction
-    way -= np.logaddexp.reduce(way, axis=2, keepdims=True)
+    way -= _log_sum_exp(way)
     pushed = (hard[:, :-1, None] + way).reshape(len(whole), -1)
     return np.concatenate([pushed, hard[:, -1:]], axis=1)
+
+
+def _log_sum_exp(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Over the last axis, which stays with length 1."""
+    most = values.max(-1, keepdims=True)
+    sums: NDArray[np.float64] = np.log(np.exp(values - most).sum(-1, keepdims=True))
+    return most + sums
 
 
 def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:
