@@ -102,6 +102,14 @@ def test_a_clone_goes_on_after_an_interruption(
     assert bytes_of(out) == bytes_of(tmp_path / "whole")
 
 
+def test_clones_by_two_processes_are_the_same(tmp_path: Path) -> None:
+    matrix = replace(alike(("soft-bc", "dqaas")), seeds=(0, 1))
+    for number in (1, 2):
+        assert not run(matrix, tmp_path / str(number), processes=number).errors
+    assert all(one.cost(tmp_path / "2") for one in plan(matrix).clones)
+    assert bytes_of(tmp_path / "1") == bytes_of(tmp_path / "2")
+
+
 def test_the_clone_stands_once_among_the_costs_and_curves_of_all(tmp_path: Path) -> None:
     matrix = alike(("soft-bc", "dqaas"))
     assert not run(matrix, tmp_path).errors
