@@ -9,11 +9,13 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from test_benchmark import TINY, Told, bytes_of, run, said_by, tiny
+from test_benchmark_clones import alike
 
 from animarl_algos.benchmark import ray_engine
 from animarl_algos.benchmark.leaderboard import write_leaderboard
@@ -75,7 +77,8 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
 ) -> None:
     here = Path(__file__).parent
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(here.parent), str(here)]))
-    matrix, alone, out = tiny(), tmp_path / "local", tmp_path / "ray"
+    matrix = replace(alike(("soft-bc", "dqaas")), seeds=(0, 1))
+    alone, out = tmp_path / "local", tmp_path / "ray"
     assert not run(matrix, alone).errors
     asked, told, lost = plan(matrix), Told(), []
     claim_folder(out)
@@ -96,6 +99,7 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
     write_leaderboard(asked, out)
     assert lost and lost[0] > 0  # there was something left to do
     assert not told.errors and told.side_by_side == 2
+    assert len(asked.clones) == 2 and all(one.cost(out) for one in asked.clones)
     assert bytes_of(out) == bytes_of(alone)
 
 

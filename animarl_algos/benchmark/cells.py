@@ -2,23 +2,23 @@
 
 A piece has a folder of its own, named by its key: what is there is never made again, and a changed
 setting, recording, version or kernel makes another key and so another folder. The order is worlds
-(the fitted locomotion of a species), cells (a method with a seed: trained, rolled out), scores (a
-method over its seeds, measured).
+(the fitted locomotion of a species), clones (an offline phase that several cells begin with), cells
+(a method with a seed: trained, rolled out), scores (a method over its seeds, measured).
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from animarl_algos.benchmark.clones import COMMAND, cloning, opened
 from animarl_algos.benchmark.measured import Score
 from animarl_algos.benchmark.methods import Checked, MethodSetting, load_factory, source_of
-from animarl_algos.benchmark.pieces import code, hashed, write_json
+from animarl_algos.benchmark.pieces import code, cost, hashed, write_cost, write_json
 from animarl_algos.benchmark.references import reference_rollouts
 from animarl_algos.benchmark.scores import crossed_score, score
 from animarl_algos.evaluation.collect import collect_rollouts
@@ -28,8 +28,6 @@ from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.worlds import make_world
-
-COMMAND = "animarl benchmark"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,30 +105,53 @@ class Cell:
         return out / "cells" / f"{self.name.replace('/', '-')}-{self.key}"
 
     def finished(self, out: Path) -> bool:
-        return (self.folder(out) / "cost.json").exists()
+        return bool(self.cost(out))
+
+    @property
+    def world_name(self) -> str:
+        return _world_name(self.data, self.fold)
 
     def world_folder(self, out: Path) -> RunFolder:
         return RunFolder(out / "worlds" / f"{self.data}-{self.world}")
 
+    @cached_property
+    def cloning(self) -> RunSettings | None:
+        """The run that its training begins with, if it is one of soft-label cloning."""
+        return None if self.settings is None else cloning(self.settings)
+
+    @cached_property
+    def clone(self) -> str | None:
+        """The key of that: cells of the same may share it."""
+        own = self.cloning
+        return None if own is None else hashed(_resolved(own) | {"world": self.world} | code())
+
+    @property
+    def clone_name(self) -> str:
+        return f"{self.data}/clone/{self.seed}-{self.clone}"
+
+    def clone_folder(self, out: Path) -> Path:
+        return out / "clones" / f"{self.data}-{self.seed}-{self.clone}"
+
     @property
     def needs(self) -> tuple[str, ...]:
-        return (_world_name(self.data, self.fold),)
+        return (self.world_name, self.clone_name) if self.clone else (self.world_name,)
 
     def lacks(self, out: Path) -> str:
         there = (self.world_folder(out).path / "locomotion.json").exists()
         return "" if there else f"the world of {self.data} could not be fitted"
 
     def perform(self, out: Path) -> None:
-        began = time.process_time()
-        folder, world = self.folder(out), self.world_folder(out)
-        rollouts, parameters = self._rolled_out(folder, world)
+        began, folder = time.process_time(), self.folder(out)
+        clone = RunFolder(self.clone_folder(out) / "run") if cost(self.clone_folder(out)) else None
+        rollouts, parameters = self._rolled_out(folder, self.world_folder(out), clone)
         rollouts.save(folder / "rollouts.npz")
-        cost = {"processor_seconds": time.process_time() - began, "parameters": parameters}
-        write_json(folder / "cost.json", cost)
+        write_cost(folder, began, parameters, self.clone_name if clone else None)
 
-    def _rolled_out(self, folder: Path, world: RunFolder) -> tuple[Rollouts, int | None]:
+    def _rolled_out(
+        self, folder: Path, world: RunFolder, clone: RunFolder | None
+    ) -> tuple[Rollouts, int | None]:
         if self.settings is not None:
-            return self._trained(folder, world, self.settings)
+            return self._trained(folder, world, clone, self.settings)
         if self.factory is None:
             made = reference_rollouts(
                 self.method, world, self.seed, self.repetitions, fold=self.fold is not None
@@ -147,11 +168,10 @@ class Cell:
         return made, None
 
     def _trained(
-        self, folder: Path, world: RunFolder, settings: RunSettings
+        self, folder: Path, world: RunFolder, clone: RunFolder | None, settings: RunSettings
     ) -> tuple[Rollouts, int]:
-        run = pipeline.open_run(settings, folder / "run", COMMAND, world.demos)
-        shutil.copyfile(world.path / "locomotion.json", run.path / "locomotion.json")
-        model = pipeline.learn(run, settings.algo, progress_bar=False)
+        run = opened(settings, folder, world)
+        model = pipeline.learn(run, settings.algo, clone=clone, progress_bar=False)
         model.policy.seed(self.seed)
         made = collect_rollouts(
             partial(make_world, run.scenario("test")),
@@ -167,7 +187,7 @@ class Cell:
         return Rollouts.load(self.folder(out) / "rollouts.npz")
 
     def cost(self, out: Path) -> dict[str, Any]:
-        return dict(json.loads((self.folder(out) / "cost.json").read_text()))
+        return cost(self.folder(out))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from animarl_algos.benchmark.cells import Cell, Scoring
+from animarl_algos.benchmark.clones import Clone
 from animarl_algos.benchmark.leaderboard_page import leaderboard_page
 from animarl_algos.benchmark.measured import LABELS, Measured, Score
 from animarl_algos.benchmark.pieces import code, recorded_error, write_json
@@ -79,7 +80,7 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
     page = leaderboard_page(scores, ranks, synthetic, starts, code())
     with write_then_rename(out / "leaderboard.html") as part:
         part.write_text(page, encoding="utf-8")
-    _write_costs(plan.cells, out, command)
+    _write_costs(plan, out, command)
     return out / "leaderboard.md"
 
 
@@ -169,19 +170,23 @@ def _lacks(scoring: Scoring, out: Path) -> str:
     return "; ".join(errors) or recorded_error(scoring, out) or "not finished"
 
 
-def _write_costs(cells: Sequence[Cell], out: Path, command: str) -> None:
-    """Processor time and parameters of every finished cell, on which machine, by which command."""
+def _write_costs(plan: Plan, out: Path, command: str) -> None:
+    """Processor time and parameters of every finished cell, on which machine, by which command.
+
+    What several cells began with stands once, under its own name, as it was done once.
+    """
+    done: list[Cell | Clone] = [*plan.cells, *plan.clones]
     rows: list[dict[str, Any]] = [
-        {"data": cell.data, "method": cell.method, "seed": cell.seed, "fold": cell.fold}
-        | cell.cost(out)
-        for cell in cells
-        if cell.finished(out)
+        {"data": one.data, "method": one.method, "seed": one.seed, "fold": one.fold} | cost
+        for one in done
+        if (cost := one.cost(out))
     ]
     _write_csv(out / "costs.csv", rows)
     lines = ["| row | seeds | processor time of a seed (s) | parameters |", "|---|---|---|---|"]
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(f"{row['data']}/{row['method']}", []).append(row)
+        beside = " beside its clone" if row["clone"] else ""
+        groups.setdefault(f"{row['data']}/{row['method']}{beside}", []).append(row)
     for name, some in groups.items():
         seeds = len({row["seed"] for row in some})
         seconds = sum(row["processor_seconds"] for row in some) / seeds
@@ -193,7 +198,7 @@ def _write_costs(cells: Sequence[Cell], out: Path, command: str) -> None:
         if command:
             made.insert(0, f"- command: `{command}`")
         total = sum(row["processor_seconds"] for row in rows)
-        made.append(f"- all cells: {total:.0f} s of processor time")
+        made.append(f"- all cells and clones: {total:.0f} s of processor time")
         text = "\n".join(["# What it cost", "", *made, "", *lines])
         part.write_text(f"{text}\n", encoding="utf-8")
 

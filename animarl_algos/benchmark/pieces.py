@@ -131,6 +131,21 @@ def recorded_error(piece: Piece, out: Path) -> str:
     return str(json.loads(file.read_text())["error"]) if file.exists() else ""
 
 
+def write_cost(
+    folder: Path, began: float, parameters: int | None, clone: str | None = None
+) -> None:
+    """Processor time since ``began``; with it a piece, maybe begun as a ``clone``, is finished."""
+    seconds = time.process_time() - began
+    spent = {"processor_seconds": seconds, "parameters": parameters, "clone": clone}
+    write_json(folder / "cost.json", spent)
+
+
+def cost(folder: Path) -> dict[str, Any]:
+    """What :func:`write_cost` wrote; empty if the piece is not finished."""
+    file = folder / "cost.json"
+    return {"clone": None} | json.loads(file.read_text()) if file.exists() else {}
+
+
 def write_json(path: Path, content: Any) -> None:
     with write_then_rename(path) as part:
         part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")

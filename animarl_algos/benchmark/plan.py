@@ -7,10 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from animarl_algos.benchmark.cells import Cell, Scoring, World
+from animarl_algos.benchmark.clones import Clone
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.pieces import Piece, write_json
 from animarl_algos.evaluation.teams import teams_of
@@ -26,7 +28,7 @@ MARK = "benchmark.json"
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Worlds first, then cells, then scores; within these three any order gives the same."""
+    """Worlds first, then clones, cells, scores; within these any order gives the same."""
 
     matrix: Matrix
     worlds: tuple[World, ...]
@@ -35,7 +37,16 @@ class Plan:
 
     @property
     def stages(self) -> tuple[tuple[Piece, ...], ...]:
-        return self.worlds, self.cells, self.scorings
+        return self.worlds, self.clones, self.cells, self.scorings
+
+    @cached_property
+    def clones(self) -> tuple[Clone, ...]:
+        """One for every two cells or more that begin with the same offline phase."""
+        alike: dict[str, list[Cell]] = {}
+        for cell in self.cells:
+            if cell.clone is not None:
+                alike.setdefault(cell.clone, []).append(cell)
+        return tuple(Clone(cells=tuple(some)) for some in alike.values() if len(some) > 1)
 
     def only(self, patterns: Sequence[str]) -> Plan:
         """The rows that match a pattern, ``species/method`` or ``species/method/seed``.

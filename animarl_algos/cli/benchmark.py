@@ -15,6 +15,8 @@ from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 
+from animarl_algos.benchmark.cells import Cell
+from animarl_algos.benchmark.clones import Clone
 from animarl_algos.benchmark.engine import perform_all
 from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
 from animarl_algos.benchmark.matrix import matrix_file, read_matrix
@@ -27,7 +29,7 @@ from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.errors import InputError
 
 ENGINES = ("local", "ray")
-STAGES = ("worlds", "cells", "scores")
+STAGES = ("worlds", "clones", "cells", "scores")
 
 app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
 
@@ -166,7 +168,7 @@ class LiveTable:
         self._left = [
             {piece.name for piece in stage if not piece.finished(out)} for stage in asked.stages
         ]
-        self._all = [len(stage) for stage in asked.stages]
+        self._all = [{piece.name for piece in stage} for stage in asked.stages]
         self._running: dict[str, float] = {}
         self._took: dict[str, list[float]] = {}
 
@@ -207,9 +209,9 @@ class LiveTable:
         table = Table("stage", "finished", "of", "failed", "running")
         for name, left, every in zip(STAGES, self._left, self._all):
             stage = [p for p in self._running if p in left]
-            failed = [p for p, _ in self.failed if _stage(p.name) == name]
-            there = every - len(left) - len(failed)
-            table.add_row(name, str(there), str(every), str(len(failed)), ", ".join(stage))
+            failed = sum(p.name in every for p, _ in self.failed)
+            there = len(every) - len(left) - failed
+            table.add_row(name, str(there), str(len(every)), str(failed), ", ".join(stage))
         left_over = self.seconds_left()
         told = "not known yet" if left_over is None else f"{left_over / 60:.1f} min"
         return Group(table, f"time left: about {told}")
@@ -220,14 +222,10 @@ def _kind(name: str) -> str:
     return name.rpartition("/")[0] + ("/score" if name.endswith("/score") else "")
 
 
-def _stage(name: str) -> str:
-    last = name.rpartition("/")[2]
-    return {"world": STAGES[0], "score": STAGES[2]}.get(last, STAGES[1])
-
-
 def _listing(asked: Plan, out: Path) -> Table:
     table = Table("cell", "kind", "key", "state")
-    for cell in asked.cells:
-        state = "finished" if cell.finished(out) else recorded_error(cell, out) or "to do"
-        table.add_row(cell.name, cell.kind, cell.key, state)
+    listed: list[Clone | Cell] = [*asked.clones, *asked.cells]
+    for one in listed:
+        state = "finished" if one.finished(out) else recorded_error(one, out) or "to do"
+        table.add_row(one.name, one.kind, one.key, state)
     return table

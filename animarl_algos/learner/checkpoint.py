@@ -23,6 +23,7 @@ import re
 import shutil
 import textwrap
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.offline import OfflineProgress
 from animarl_algos.learner.training_state import identity, restore_training_state, training_state
 from animarl_algos.replay.buffer_state import buffer_state, restore_buffer
 from animarl_envs.errors import InputError
@@ -209,6 +211,30 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         AttributeError, OverflowError,
     ) as error:  # fmt: skip
         raise _damaged(path, error) from error
+
+
+def begin_as_clone(model: SequenceQLearning, folder: str | Path) -> None:
+    """Give ``model`` the offline phase that the newest checkpoint in ``folder`` has behind it.
+
+    It is to be of soft-label cloning alone, with the same networks, demonstrations, seed and
+    offline settings. ``model.learn`` then goes on as if the phase, which draws from no stream that
+    lasts, had been its own.
+
+    Raises
+    ------
+    InputError
+        If there is none, or it is damaged.
+    """
+    path = latest_checkpoint(folder)
+    if path is None:
+        raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
+    try:
+        counters = json.loads((path / "state.json").read_text())["counters"]
+        model.best_weights = load_tensors(path / "model.pt")["q_net"]
+        progress = OfflineProgress.from_json(counters["offline_progress"])
+    except (OSError, LookupError, TypeError, ValueError) as error:
+        raise _damaged(path, error) from error
+    model.offline_progress = replace(progress, done=False)  # the best weights are not in place yet
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:

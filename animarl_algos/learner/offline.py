@@ -71,6 +71,10 @@ class OfflineProgress:
         """Which individuals still wait for a better epoch."""
         return [patience is None or self.epoch - best < patience for best in self.best_epochs]
 
+    def over(self, epochs: int, patience: int | None) -> bool:
+        """Whether no epoch is to follow: there were all of them, or nobody waits for a better."""
+        return self.epoch >= epochs or (self.epoch > 0 and not any(self.running(patience)))
+
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
 
@@ -105,7 +109,7 @@ def run_offline_phase(
         disable=not (progress_bar and sys.stderr.isatty()),
     )
     with bar:
-        while progress.epoch < model.offline_epochs:
+        while not progress.over(model.offline_epochs, model.offline_patience):
             model.at_boundary()
             row = train_epoch(model, data.train, progress.epoch)
             policy.q_net_target.load_state_dict(policy.q_net.state_dict())
@@ -121,8 +125,6 @@ def run_offline_phase(
             bar.update()
             figure = np.mean(progress.best_figures)
             bar.set_postfix(best=progress.best_epoch, figure=f"{figure:.3f}")
-            if not any(progress.running(model.offline_patience)):
-                break
     assert model.best_weights is not None
     _warn_of_ignorance(model)
     policy.q_net.load_state_dict(model.best_weights)

@@ -6,6 +6,7 @@ was killed goes on where it was.
 
 from __future__ import annotations
 
+import shutil
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,7 +21,12 @@ from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint, steps_done
+from animarl_algos.learner.checkpoint import (
+    begin_as_clone,
+    latest_checkpoint,
+    load_checkpoint,
+    steps_done,
+)
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.presets import constructed
 from animarl_algos.learner.recorder import check_environment
@@ -119,10 +125,13 @@ def fit(run: RunFolder) -> LocomotionFit:
 
 
 @holding
-def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQLearning:
+def learn(
+    run: RunFolder, algo: str, *, clone: RunFolder | None = None, progress_bar: bool = True
+) -> SequenceQLearning:
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
-    Goes on from the last checkpoint, exactly.
+    Goes on from the last checkpoint, exactly; without one from the run ``clone``, if given, which
+    has done the same offline phase (:func:`animarl_algos.learner.checkpoint.begin_as_clone`).
     """
     torch.set_num_threads(1)
     demos, settings = run.learnable_demos, run.settings
@@ -135,6 +144,11 @@ def learn(run: RunFolder, algo: str, *, progress_bar: bool = True) -> SequenceQL
     resumed = latest_checkpoint(checkpoints) is not None
     if resumed:
         load_checkpoint(model, checkpoints)
+    elif clone is not None:
+        other = clone.settings.algo
+        begin_as_clone(model, clone.path / "checkpoints" / other)
+        logs = run.path / "logs" / algo
+        shutil.copytree(clone.path / "logs" / other, logs, dirs_exist_ok=True)
     with (
         timed(run.path, f"training {method_name(algo)}"),
         closing(configure(str(run.log_folder(algo)), ["csv", "tensorboard"])) as logger,
