@@ -22,6 +22,7 @@ import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -36,6 +37,7 @@ from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.report.verdict_section import verdict_table
+from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_folder import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
@@ -51,40 +53,55 @@ from animarl_envs.worlds import make_world
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 ROLLOUTS, QUICK_ROLLOUTS = 250, 60
 FOLDS = 6  # of the cross-validation over recordings, where there are few
+NEAR = 0.05  # above recordings among themselves, where even the floor may lie
 CROSSED = "-folds"  # ends the name of a packaged set that is cross-validated
 ANIMARL = [sys.executable, "-c", "from animarl_algos.cli.main import main; main()"]
 
 
 @dataclass(frozen=True)
 class Bar:
-    """What must hold of one row of the verdict.
+    """What must hold of one row of the verdict, or of the floor or the time that it took.
 
     ``kind``: ``"alike"`` (inside its null or within a tenth), ``"null"`` (a Wasserstein distance
     within what recordings against recordings give), ``"p"`` (above the limit), ``"auc"`` (at most
-    the limit), ``"floor"`` (an area at most so much above closed-loop tracking), ``"difference"``
-    and ``"relative"`` (of the means, at most the limit).
+    the limit), ``"floor"`` (an area at most so much above closed-loop tracking), ``"tracking"``
+    (the area of this tracking at most the limit, or near that of recordings among themselves),
+    ``"difference"`` and ``"relative"`` (of the means, at most the limit), ``"seconds"`` (of
+    processor time, at most the limit).
     """
 
     measure: str
     kind: str
     limit: float = math.nan
 
-    def met(self, found: Verdict) -> bool | None:
+    def row(self, found: Verdict, seconds: float) -> dict[str, Any] | None:
+        """What it is about, by the verdict's columns; None of an ending that neither side knows."""
+        empty = dict.fromkeys(found.table.columns, math.nan)
+        if self.kind == "tracking":
+            floor = {"recorded": found.among.estimate, "simulated": found.floor.estimate}
+            return empty | floor | {"label": "Closed-loop tracking told apart, the floor (AUC)"}
+        if self.kind == "seconds":
+            return empty | {"label": "Time from file to verdict (s)", "simulated": seconds}
+        return found.row(self.measure) if self.measure in set(found.table["measure"]) else None
+
+    def met(self, found: Verdict, row: Mapping[str, Any]) -> bool | None:
         """Whether it holds; None where that cannot be said."""
-        table = found.table.set_index("measure")
-        if self.measure not in table.index:
-            return True  # an ending that neither side knows
-        row = table.loc[self.measure]
         value, limit = {
             "alike": (0.0 if row["alike"] else 1.0, 0.5),
             "null": (row["distance"], row["recorded_null"]),
             "p": (-row["p"], -self.limit),
             "auc": (row["simulated"], self.limit),
             "floor": (row["simulated"], found.floor.estimate + self.limit),
+            "tracking": (row["simulated"], self.either(row)),
+            "seconds": (row["simulated"], self.limit),
             "difference": (abs(row["difference"]), self.limit),
             "relative": (abs(row["difference"]), self.limit * abs(row["recorded"])),
         }[self.kind]
         return bool(value <= limit) if math.isfinite(value) and math.isfinite(limit) else None
+
+    def either(self, row: Mapping[str, Any]) -> float:
+        """The limit of an area, or near that of recordings where this is needed."""
+        return self.limit if row["simulated"] <= self.limit else row["recorded"] + NEAR
 
     def words(self, found: Verdict) -> str:
         return {
@@ -93,13 +110,16 @@ class Bar:
             "p": f"p > {self.limit:g}",
             "auc": f"at most {self.limit:g}",
             "floor": f"at most {self.limit:g} above the floor, {found.floor.estimate:.3g}",
+            "tracking": f"at most {self.limit:g}, or within {NEAR:g} of recordings",
             "difference": f"within {self.limit:g}",
             "relative": f"within {100 * self.limit:g} %",
+            "seconds": f"at most {self.limit:g} s of processor time",
         }[self.kind]
 
 
 DISTRIBUTIONS = (Bar("duration", "null"), Bar("path_length", "null"))
-AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65))
+TIME = Bar("seconds", "seconds", 240.0)  # of 500 episodes
+AGENTS = (*DISTRIBUTIONS, Bar("outcomes", "p", 0.05), Bar("auc", "auc", 0.65), TIME)
 MOTHS = (
     Bar("reached", "difference", 0.10), *DISTRIBUTIONS, Bar("median_speed", "relative", 0.10),
     Bar("auc", "auc", 0.70),
@@ -107,6 +127,7 @@ MOTHS = (
 WALLED = (
     Bar("leaving", "difference", 0.0), Bar("mean_speed", "relative", 0.15),
     Bar("slow_steps", "difference", 0.08), Bar("auc", "floor", 0.10),
+    Bar("floor", "tracking", 0.75),
 )  # fmt: skip
 PACKAGED = tuple(
     Bar(key, "alike")
@@ -146,7 +167,10 @@ class DataSet:
 
 
 SETS = (
-    *(DataSet(name, PACKAGED) for name in packaged_names()),
+    *(
+        DataSet(name, (*PACKAGED, TIME) if name == "agent" else PACKAGED)
+        for name in packaged_names()
+    ),
     # Ten, twenty and twelve test episodes are few: here every episode is tested once.
     *(DataSet(name + CROSSED, PACKAGED, folds=FOLDS) for name in ("fly", "newt")),
     DataSet("silkmoth" + CROSSED, PACKAGED, folds=5),  # they have searched in five plumes
@@ -210,16 +234,20 @@ def trained(
 
 def judged(
     one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int
-) -> tuple[Verdict, float]:
-    """The verdict of a cell and the processor time from the file to it [s]."""
+) -> tuple[Verdict, float, bool]:
+    """The verdict of a cell, the processor time from the imported file to it [s], and if of all.
+
+    It is not of all where a stopped run or another cell has left run folders.
+    """
     began = time.process_time()
     demos = one.load(out / "imported")
-    parts, used, followed = [], [], {}
+    parts, used, followed, whole = [], [], {}, True
     folds = list(cross_validated(demos, one.folds)) if one.folds > 1 else [demos]
     starts = sum(int((fold.split == split).sum()) for fold in folds)
     repetitions = max(2, math.ceil(rollouts / starts))  # of each start, in whichever fold
     for number, fold in enumerate(folds):
         folder = out / "runs" / f"{one.name}-{algo}-{seed}-{number}"
+        whole &= not folder.exists()
         index = np.flatnonzero(fold.split == split)
         *both, paths = trained(fold, folder, algo, seed, split, repetitions)
         parts.append([replace(r, demo=index[r.demo]) for r in both])
@@ -237,16 +265,15 @@ def judged(
         baselines={"random": random},
         references=demos.select(episodes=others) if len(others) and one.folds == 1 else None,
     )
-    return found, time.process_time() - began
+    return found, time.process_time() - began, whole
 
 
-def bar_rows(one: DataSet, found: Verdict) -> list[dict[str, Any]]:
-    """Every bar of a data set beside what was found."""
-    table, rows = found.table.set_index("measure"), []
+def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[dict[str, Any]]:
+    """Every bar of a data set beside what was found; the seconds of the whole, where known."""
+    rows = []
     for bar in one.bars:
-        if bar.measure in table.index:
-            row = table.loc[bar.measure]
-            met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found)]
+        if (row := bar.row(found, seconds)) is not None:
+            met = {True: "yes", False: "no", None: "cannot be said"}[bar.met(found, row)]
             keys = ("label", "recorded", "simulated", "difference_low", "difference_high",
                     "distance", "null", "recorded_null", "p", "verdict")  # fmt: skip
             rows.append({k: row[k] for k in keys} | {"bar": bar.words(found), "met?": met})
@@ -285,16 +312,19 @@ def main(
         for s in (seed or [0])[: 1 if quick else None]:
             cell = out / "cells" / f"{one.name}-{algo}-{s}-{split}-{number}"
             if not (cell / "cell.json").exists():
-                found, seconds = judged(one, out, algo, s, split, number)
+                found, seconds, whole = judged(one, out, algo, s, split, number)
                 found.save(cell)
+                done = {"seconds": seconds, "whole": whole, "commit": commit()}
                 with write_then_rename(cell / "cell.json") as part:
-                    part.write_text(json.dumps({"seconds": seconds, "commit": commit()}))
+                    part.write_text(json.dumps(done))
             found = Verdict.load(cell)
             done = json.loads((cell / "cell.json").read_text())
             console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")
-            console.print(verdict_table(found))
+            console.print(verdict_table(found, Words.of(one.load(out / "imported"))))
+            whole = done.pop("whole", False)  # older cells do not say
             head = {"set": one.name, "seed": s, "overall": found.overall, **done}
-            lines += [head | row for row in bar_rows(one, found)]
+            took = done["seconds"] if whole else math.nan
+            lines += [head | row for row in bar_rows(one, found, took)]
     if lines:
         table = with_others(pd.DataFrame(lines), out / "faithful.csv")
         write(table, out, split)

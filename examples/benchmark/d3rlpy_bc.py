@@ -1,7 +1,7 @@
 """Discrete behaviour cloning of d3rlpy, from a Minari export, as a row of the benchmark.
 
 d3rlpy asks for an older Gymnasium than AnimaRL has, which its cloning does not use, so that it is
-installed without what it asks for:
+installed without what it asks for, best beside animarl[algos,data] in an environment of its own:
 
 pip install --no-deps d3rlpy gym gym_notices structlog colorama dataclasses-json marshmallow \\
     typing-inspect mypy_extensions

@@ -27,10 +27,15 @@ def make_ppo(setting: MethodSetting) -> PPO:
 
 
 def make_recurrent_ppo(setting: MethodSetting) -> RecurrentPPO:
-    """The same with a memory."""
+    """The same with a memory.
+
+    Its LSTM goes through every minibatch step by step, so that few and large ones save most of the
+    time (80 s of a core, with sb3-contrib's defaults some 600) and bear a larger learning rate.
+    """
     model = RecurrentPPO(
-        "MlpLstmPolicy", setting.environment(), n_steps=64, seed=setting.seed, device="cpu"
-    )
+        "MlpLstmPolicy", setting.environment(), n_steps=64, batch_size=1024, learning_rate=1e-3,
+        policy_kwargs={"lstm_hidden_size": 64}, seed=setting.seed, device="cpu",
+    )  # fmt: skip
     return model.learn(STEPS)
 
 
