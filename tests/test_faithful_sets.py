@@ -34,19 +34,36 @@ def test_every_episode_is_tested_once(one: DataSet, tmp_path: Path) -> None:
     assert np.sort(np.concatenate(tested)).tolist() == list(range(len(demos)))
 
 
-def found(floor: float = 0.6, among: float = 0.5) -> Verdict:
+def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
     """A verdict of one row."""
     row = dict.fromkeys(
         ("recorded", "difference", "difference_low", "difference_high", "distance", "null",
          "recorded_null", "p"), math.nan,
-    ) | {"measure": "auc", "label": "Told apart", "simulated": 0.65, "alike": True}  # fmt: skip
+    ) | {"measure": "auc", "label": "Told apart", "simulated": auc, "alike": True}  # fmt: skip
     words = {"unit": "", "covers": "", "reason": "", "verdict": "hardly told apart"}
     return Verdict(
         table=pd.DataFrame([row | words]), words=("moves like the recordings",), learner="soft-bc",
         starts=5, rollouts=250, importance={},
-        auc=Interval(0.65, 0.6, 0.7), among=Interval(among, 0.4, 0.6),
+        auc=Interval(auc, auc - 0.05, auc + 0.05), among=Interval(among, 0.4, 0.6),
         floor=Interval(floor, floor, floor),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("floor", "auc", "met"),
+    [
+        (0.60, 0.69, "yes"),
+        (0.60, 0.71, "no"),
+        (0.45, 0.64, "yes"),
+        (0.45, 0.66, "no"),
+        (math.nan, 0.5, "cannot be said"),
+    ],
+)
+def test_an_area_is_near_the_floor_or_that_of_somebody_hardly_told_apart(
+    floor: float, auc: float, met: str
+) -> None:
+    row, _ = bar_rows(NAMED["courtship"], found(floor, auc=auc))
+    assert row["met?"] == met
 
 
 @pytest.mark.parametrize("name", ["termites", "fly-groups", "courtship"])
