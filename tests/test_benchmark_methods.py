@@ -19,6 +19,7 @@ from animarl_algos.benchmark.methods import Checked, MethodSetting, parse_method
 from animarl_algos.benchmark.nearest import NEIGHBOURS, SEGMENT, NearestSegment
 from animarl_algos.benchmark.pieces import attempt
 from animarl_algos.benchmark.plan import plan
+from animarl_algos.benchmark.ranks import ranked
 from animarl_algos.benchmark.references import Steering, expert_rollouts, others_as_rollouts
 from animarl_algos.benchmark.scores import first_second, start_energies
 from animarl_algos.evaluation.collect import RandomPolicy
@@ -283,3 +284,18 @@ def test_benchmark_score_survives_json() -> None:
     again = Score.from_json(json.loads(json.dumps(made.to_json(), allow_nan=False)))
     assert again.measures[0].inside and np.isnan(again.measures[0].p)
     assert again.energy_cells.counts.tolist() == [[1.0, 0.0]]
+
+
+def test_benchmark_ranks_what_differs_by_more_than_rounding() -> None:
+    drawn = np.random.default_rng(0).uniform(1.0, 2.0, 12)
+
+    def score(method: str, energies: Any) -> Score:
+        return Score(
+            method=method, seeds=tuple(range(len(energies))), starts=12, rollouts=12, covers="",
+            words="", measures=(), energies=energies,
+        )  # fmt: skip
+
+    rounded = score("rounded", np.tile(drawn + 1e-14, (3, 1)))
+    three = [score("same", drawn[None]), rounded, score("worse", drawn[None] + 0.1)]
+    found = {name: str(rank) for name, rank in ranked(three, 200).items()}
+    assert found == {"same": "1–2", "rounded": "1–2", "worse": "3"}

@@ -19,6 +19,8 @@ from animarl_algos.evaluation.statistics import bootstrap_difference
 
 UNRANKED = ("recordings", "tracking")
 """References that were told where the recordings go."""
+ROUNDING = 1e-9
+"""Differences of energy scores up to it are those of sums in another order, and rank nothing."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def ranked(scores: Sequence[Score], resamples: int) -> dict[str, Rank]:
             gap = bootstrap_difference(
                 first.energy_cells, second.energy_cells, np.random.default_rng(SEED), resamples
             )
-            if gap.excludes_zero:
+            if gap.excludes_zero and abs(gap.estimate) > ROUNDING:
                 winner, loser = (first, second) if gap.high < 0 else (second, first)
                 better[loser.method] += 1
                 worse[winner.method] += 1
