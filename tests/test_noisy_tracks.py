@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import animarl
+from moving_pairs import recorded_pairs
 from small_runs import few
 from thrust_walks import walk
 from typer.testing import CliRunner
@@ -13,6 +16,8 @@ from typer.testing import CliRunner
 from animarl_algos.cli.main import app
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_settings import RunSettings
+from animarl_envs.demos.episode import TIME_OUT
+from animarl_envs.demos.summary import persistence
 from animarl_envs.fitting import fit_joint, fit_locomotion, transitions
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.locomotion import Locomotion
@@ -78,3 +83,29 @@ def test_a_run_takes_it_with_one_thrust(tmp_path: Path) -> None:
     assert fit.method == "noise"
     assert all(one.tracking_noise is not None for one in fit.individuals)
     assert all(one.magnitudes == (1.0,) for one in fit.individuals)
+
+
+def test_persistence_is_one_of_steady_motion_and_minus_one_half_of_noise() -> None:
+    steady = np.linspace(0.0, 1.0, 2001)[:, None] * [0.3, -0.4]
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (2001, 2))
+    still = np.zeros((2001, 2))
+    demos = replace(
+        recorded_pairs(), individuals=("steady", "noisy", "still"), roles=("pursuer",) * 3,
+        positions=np.stack([steady, noise, still], axis=1), lengths=np.array([2001]),
+        initial_velocity=np.zeros((1, 3, 2)), condition=np.zeros(1), outcome=[TIME_OUT],
+        split=np.array(["test"]), recording=np.array(["r"]),
+    )  # fmt: skip
+    assert persistence(demos) == pytest.approx([1.0, -0.5, np.nan], abs=0.05, nan_ok=True)
+
+
+def test_an_import_of_jumping_tracks_hints_at_smoothing(tmp_path: Path) -> None:
+    rng, rows = np.random.default_rng(1), ["frame,id,x,y"]
+    angle = np.linspace(0.0, 20.0, 1500)
+    for name, phase in (("male", 0.0), ("female", 1.0)):
+        path = 400.0 + 150.0 * np.stack([np.cos(angle + phase), np.sin(angle + phase)], axis=1)
+        jumping = path + rng.normal(0.0, 1.5, path.shape)  # a step is 2 px long
+        rows += [f"{t},{name},{x!r},{y!r}" for t, (x, y) in enumerate(jumping.tolist())]
+    (tmp_path / "pair.csv").write_text("\n".join(rows) + "\n")
+    words = ("import", tmp_path / "pair.csv", "--fps", 25, "--target", "female", "--dry-run")
+    assert "smooth it by --smoothing 2" in animarl(*words)
+    assert "smooth it" not in animarl(*words, "--smoothing", 2)

@@ -12,12 +12,13 @@ import numpy as np
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
-from animarl_envs.demos.summary import TRACKING, episode_table, summarise
+from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise
 from animarl_envs.demos.units import unit_of
 from animarl_envs.importing.cleaning import LIKELY
 from animarl_envs.importing.import_recipe import ImportRecipe
 
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
+STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 Row = tuple[str, str]
 _SPLITS = {
@@ -172,7 +173,21 @@ def hints(demos: Demonstrations) -> list[str]:
             f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
             "--max-gap SECONDS"
         )
-    return found + _flags(_cleaning(demos))
+    return found + _flags(_cleaning(demos)) + _jitter(demos)
+
+
+def _jitter(demos: Demonstrations) -> list[str]:
+    if demos.synthetic or 1.0 / demos.dt < OFTEN:
+        return []
+    kept = zip(demos.individuals, persistence(demos))
+    jumpy = [f"{name} {100 * share:.0f} %" for name, share in kept if share < STEADY]
+    if not jumpy:
+        return []
+    return [
+        f"of a step little is made in the next one too ({', '.join(jumpy)}), as where tracks jump "
+        "to and fro; such noise hides how long somebody goes on, and simulated animals slow down: "
+        "smooth it by --smoothing 2, in Hz"
+    ]
 
 
 def found_by_itself(demos: Demonstrations) -> list[str]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED, PURSUER_OUT, TARGET_OUT, TIME_OUT
@@ -70,6 +71,22 @@ def episode_table(demos: Demonstrations) -> list[dict[str, Any]]:
             row["least_distance"] = float(distance.min())
         rows.append(row)
     return rows
+
+
+def persistence(demos: Demonstrations) -> NDArray[np.float64]:
+    """How much of a step is made in the next one too, ``(individuals,)``.
+
+    The slope of the next step on the present one: 1 of steady motion, less of tracks that jump to
+    and fro, -0.5 of somebody at rest whose position is known up to white noise. NaN of somebody who
+    never moves.
+    """
+    onwards = np.zeros(demos.num_individuals)
+    squares = np.zeros(demos.num_individuals)
+    for one in demos:
+        step = np.diff(one.positions, axis=0)
+        onwards += (step[1:] * step[:-1]).sum(axis=(0, 2))
+        squares += (step[:-1] ** 2).sum(axis=(0, 2))
+    return np.divide(onwards, squares, out=np.full_like(squares, np.nan), where=squares > 0)
 
 
 def summarise(demos: Demonstrations) -> dict[str, Any]:
