@@ -227,9 +227,10 @@ def _burn_in(network: StackedQNetwork, batch: SequenceBatch) -> torch.Tensor:
     steps = torch.arange(prefix, device=starts.device)[:, None] + starts[..., None, :]
     steps = steps.clamp(max=prefix - 1).expand(len(state), -1, -1)
     observations = batch.observations[:, :prefix]
-    return network(
+    rebuilt: torch.Tensor = network(
         observations.gather(1, steps[..., None].expand(observations.shape)),
         batch.previous_actions[:, :prefix].gather(1, steps),
         state,
         packing,
     ).final_state
+    return rebuilt

@@ -249,8 +249,8 @@ def drawn_apart(scaled: NDArray[Any], thrust: float, direction: float) -> NDArra
 def _log_sum_exp(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Over the last axis, which stays with length 1."""
     most = values.max(-1, keepdims=True)
-    sums: NDArray[np.float64] = np.log(np.exp(values - most).sum(-1, keepdims=True))
-    return most + sums
+    summed: NDArray[np.float64] = most + np.log(np.exp(values - most).sum(-1, keepdims=True))
+    return summed
 
 
 def boltzmann(scaled: NDArray[Any], draw: NDArray[np.float64]) -> NDArray[np.int64]:
