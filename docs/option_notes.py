@@ -101,6 +101,11 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "`True`, `False`",
         "`'paper'` has the distance from the centre too",
     ),
+    "senses_compass": (
+        "`True`, `False`",
+        "places, velocities and directions in the frame of the arena; without them `'full'` holds "
+        "nothing that depends on where north is",
+    ),
     "senses_course": (
         "`True`, `False`",
         "in which of the directions of actions it goes and thrusts too, by harmonics",

@@ -24,6 +24,7 @@ class ChaseSpecies(Species):
 
     start_half_side: float = 0.5  # starts without a demonstration: uniform in a square, at rest
     senses_centre: bool = False  # of "paper": adds the distance from the arena's centre
+    senses_compass: bool = True  # without it "full" holds nothing that depends on where north is
     senses_time: bool = False  # adds the time since the start, where it tells how one moves
     senses_past: bool = False  # adds own velocity averaged over the last steps
     senses_course: bool = False  # adds in which of the directions of actions it goes and thrusts
@@ -38,8 +39,8 @@ class ChaseSpecies(Species):
             raise InputError("a chase needs at least one pursuer and a target: name them both")
         self._positive("start_half_side")
         self._true_or_false(
-            "senses_centre", "senses_course", "senses_heading", "senses_past", "senses_time",
-            "shared_reward", "lone_pursuer",
+            "senses_centre", "senses_compass", "senses_course", "senses_heading", "senses_past",
+            "senses_time", "shared_reward", "lone_pursuer",
         )  # fmt: skip
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
 

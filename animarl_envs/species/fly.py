@@ -18,6 +18,7 @@ FLY = ChaseSpecies(
     dt=0.1,
     time_limit=500,
     senses_centre=True,
+    senses_compass=False,  # a round dish looks alike from all sides
     senses_course=True,
     version_history=(
         "v0: first release; the arena has walls, which hold who walks into them "

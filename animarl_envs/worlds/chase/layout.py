@@ -23,6 +23,7 @@ ARENA, EGO = "arena", "egocentric, x towards the focus, y to the left"
 WALL = "of the nearest wall, x outwards"
 LENGTH, SPEED = "arena unit", "arena unit / s"
 FULL, PAPER = "full", "paper"
+COMPASS = "senses_compass"
 REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
@@ -39,7 +40,7 @@ class Group(NamedTuple):
     :func:`ranges`. ``seen`` lists the observations that hold the group; ``of_focus`` says whether
     the full one holds it for the focus too, which lies straight ahead by definition,
     ``of_walls`` whether only a field with walls has it, and ``sense`` the field of a species
-    that must be true.
+    that must be true, but for the paper's observation.
     """
 
     entries: tuple[tuple[str, float], ...]
@@ -87,12 +88,12 @@ def _scales(velocity: str, speed: str, sense: str = "") -> tuple[Group, Group, G
 
 
 OWN = (
-    Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL)),
+    Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL), sense=COMPASS),
     Group(_ahead_left("own velocity"), EGO, SPEED, "speed", (PAPER, FULL)),
-    Group(_plane("own velocity"), ARENA, SPEED, "speed"),
+    Group(_plane("own velocity"), ARENA, SPEED, "speed", sense=COMPASS),
     *_scales("own velocity", "own speed"),
     Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration"),
-    Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL)),
+    Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL), sense=COMPASS),
     Group(
         (("log of (1 + steps since the start)", 1.0),), "any", "1", "log steps", sense="senses_time"
     ),
@@ -115,10 +116,10 @@ OTHER = (
     Group((("bearing", -1.0),), EGO, "rad", "angle", (PAPER,)),
     Group((("inverse of (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"),
     Group(_circle("bearing"), EGO, "1", "unit", of_focus=False),
-    Group(_plane("position"), ARENA, LENGTH, "place"),
-    Group(_plane("velocity"), ARENA, SPEED, "speed"),
-    Group(_plane("difference"), ARENA, LENGTH, "offset"),
-    Group(_circle("direction"), ARENA, "1", "unit", of_focus=False),
+    Group(_plane("position"), ARENA, LENGTH, "place", sense=COMPASS),
+    Group(_plane("velocity"), ARENA, SPEED, "speed", sense=COMPASS),
+    Group(_plane("difference"), ARENA, LENGTH, "offset", sense=COMPASS),
+    Group(_circle("direction"), ARENA, "1", "unit", of_focus=False, sense=COMPASS),
     Group(_circle("heading"), EGO, "1", "unit", sense="senses_heading"),
 )
 """Of each other individual: the last one first (the target, or a lone pursuer), then the others by
@@ -172,7 +173,7 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
 
 
 def _sensed(species: ChaseSpecies, group: Group) -> bool:
-    return not group.sense or bool(getattr(species, group.sense))
+    return species.observation == PAPER or not group.sense or bool(getattr(species, group.sense))
 
 
 def past_scales(species: ChaseSpecies) -> int:

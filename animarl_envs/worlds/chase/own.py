@@ -20,10 +20,11 @@ def observe_own(  # type: ignore[no-untyped-def]
     """Own position, velocity on several scales, acceleration, and what a species senses beside."""
     place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
     B = position.shape[2]
-    for x in range(2):
-        for b in range(B):
-            observation[i, place + x, b] = position[i, x, b]
-            observation[i, focus + x, b] = towards[i, x, b]
+    if place != ABSENT:
+        for x in range(2):
+            for b in range(B):
+                observation[i, place + x, b] = position[i, x, b]
+                observation[i, focus + x, b] = towards[i, x, b]
     at = first[0, layout.VELOCITY]
     for b in range(B):
         ahead, left = egocentric(velocity[i, 0, b], velocity[i, 1, b], i, b, towards)

@@ -167,8 +167,9 @@ def _observe_directions(i, seen, others, towards, first, observation):  # type: 
             ey = towards[i, 1, b]
             ux = others[rank, DX, b] / apart if apart > 0.0 else ex
             uy = others[rank, DY, b] / apart if apart > 0.0 else ey
-            observation[i, plane, b] = ux
-            observation[i, plane + 1, b] = uy
+            if plane != ABSENT:
+                observation[i, plane, b] = ux
+                observation[i, plane + 1, b] = uy
             observation[i, circle, b] = ux * ex + uy * ey
             observation[i, circle + 1, b] = uy * ex - ux * ey
 
@@ -183,6 +184,8 @@ def _observe_in_arena(i, seen, position, velocity, others, first, near, observat
         offset = first[who, layout.OFFSET]
         for b in range(others.shape[2]):
             observation[i, inverse, b] = 1.0 / (others[rank, APART, b] + near)
+        if place == ABSENT:
+            continue
         for x in range(2):
             for b in range(others.shape[2]):
                 observation[i, offset + x, b] = others[rank, DX + x, b]
