@@ -84,7 +84,7 @@ def test_an_acting_rule_for_others(rule: str, tmp_path: Path) -> None:
 def test_a_model_of_another_observation() -> None:
     model = SoftBC(env=SlotVecEnv("fly", 2), device="cpu", seed=0)
     paper = SlotVecEnv("fly", 2, observation="paper")
-    with pytest.raises(InputError, match="shows 'other 1 relative position ahead', which this"):
+    with pytest.raises(InputError, match="shows 'own position x', which this"):
         model.set_env(paper)
     before = model.env
     with pytest.raises(InputError, match="is of the species newt, this learner of fly"):

@@ -151,15 +151,20 @@ def test_a_rule_that_a_model_cannot_act_by_is_refused(
 
 
 def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path: Path) -> None:
-    """Flies and newts are called the same and observe the same, each in units of its own."""
+    """Newts without a compass observe what flies do, in units of their own; others observe more."""
     fly = slot_environment("AnimaRL/Fly-v0", 1)
-    newt = slot_environment("AnimaRL/Newt-v0", 1)
+    newt = slot_environment("AnimaRL/Newt-v0", 1, senses_compass=False)
     assert (fly.individuals, fly.observed[1:]) == (newt.individuals, newt.observed[1:])
     RECIPES["dqn"].algorithm("MlpPolicy", fly, offline_epochs=0, buffer_size=5000).save("fly.zip")
-    for command in (["enjoy", "--no-render", "-n", "5", "--model"], ["train", "-i"]):
-        done = zoo(*command, "fly.zip", "--algo=dqn", "--env=AnimaRL/Newt-v0")
+    alike = ("--env-kwargs", "senses_compass:False")
+    for command, why in (
+        (("enjoy", "--no-render", "-n", "5", "--model", "fly.zip"), "3 individuals that observe ("),
+        (("train", "-i", "fly.zip"), "3 individuals that observe ("),
+        (("train", "-i", "fly.zip", *alike), "the environment is of the species newt"),
+    ):
+        done = zoo(*command, "--algo=dqn", "--env=AnimaRL/Newt-v0")
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-        assert "fly.zip: the environment is of the species newt" in done.stderr
+        assert f"fly.zip: {why}" in done.stderr.replace("it was trained with ", "")
     assert not (tmp_path / "logs").exists()
     done = zoo("enjoy", "--no-render", "-n=5", "--model=fly.zip", "--algo=dqn",
                "--env=AnimaRL/Fly-v0")  # fmt: skip

@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from animarl_algos.cli import completion
-from animarl_algos.cli.describing import hints
+from animarl_algos.cli.hints import hints
 from animarl_algos.cli.lazy import SETTINGS
 from animarl_algos.cli.merging import merge_command
 from animarl_algos.cli.showing import report, show, wide_console

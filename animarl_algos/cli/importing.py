@@ -14,7 +14,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from animarl_algos.cli import completion
-from animarl_algos.cli.describing import found_by_itself, hints, understood
+from animarl_algos.cli.describing import understood
+from animarl_algos.cli.hints import found_by_itself, hints
 from animarl_algos.cli.showing import report, show_rows, wide_console
 from animarl_envs.errors import InputError
 from animarl_envs.importing.import_recipe import ImportRecipe
