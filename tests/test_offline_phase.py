@@ -233,12 +233,24 @@ def test_progress_of_before_had_one_best_epoch() -> None:
     assert OfflineProgress.from_json(none) == OfflineProgress()
 
 
+def test_few_demonstrations_have_short_epochs() -> None:
+    settings = OfflineSettings(sequence_length=2, updates_per_epoch=50, passes_per_epoch=4)
+    few, many = 320, 10_000  # steps, in minibatches of 16 windows of 2
+    assert (settings.updates(few, 16), settings.updates(many, 16)) == (40, 50)
+    assert settings.updates(3, 16) == 1
+    unlimited = OfflineSettings(sequence_length=2, updates_per_epoch=50)
+    one_pass = OfflineSettings(sequence_length=2)
+    assert (unlimited.updates(few, 16), one_pass.updates(few, 16)) == (50, 10)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"sequence_length": 0}, "offline_kwargs: sequence_length is 0"),
         ({"burn_in": 3}, "are for windows"),
         ({"updates_per_epoch": 3}, "are for windows"),
+        ({"passes_per_epoch": 4}, "limits updates_per_epoch: give both"),
+        ({"sequence_length": 1, "passes_per_epoch": 0}, "passes_per_epoch is 0"),
         ({"average": 1.0}, "offline_kwargs: average is 1.0"),
         ({"anneal": 1}, "anneal is 1: give true or false"),
         ({"weight_decay": -1}, "weight_decay is -1"),

@@ -189,8 +189,7 @@ def updates_per_epoch(model: OfflineLearner, dataset: OfflineDataset) -> int:
     settings, batch_size = model.offline_settings, model.offline_batch_size
     if settings.sequence_length is None:
         return sum(1 for _ in range(0, dataset.num_episodes, batch_size))
-    steps = batch_size * settings.sequence_length
-    return settings.updates_per_epoch or max(1, round(dataset.num_steps / steps))
+    return settings.updates(dataset.num_steps, batch_size)
 
 
 def _minibatches(

@@ -10,6 +10,7 @@ from typing import Any
 from animarl_algos.ranges import (
     COUNT_OR_NONE,
     NOT_NEGATIVE,
+    POSITIVE_OR_NONE,
     WHOLE,
     Range,
     refuse_unknown,
@@ -31,6 +32,9 @@ class OfflineSettings:
     updates_per_epoch
         Updates between two looks at the validation split; by default one pass over the steps.
         The offline phase is ``offline_epochs`` times as long.
+    passes_per_epoch
+        With ``updates_per_epoch``: no more of them than are so many passes over the steps. Few
+        demonstrations are known by heart before many updates are over.
     warm_up
         Updates over which the learning rate rises linearly to ``offline_learning_rate``.
     anneal
@@ -55,6 +59,7 @@ class OfflineSettings:
     sequence_length: int | None = None
     burn_in: int = 0
     updates_per_epoch: int | None = None
+    passes_per_epoch: float | None = None
     warm_up: int = 0
     anneal: bool = False
     weight_decay: float = 0.0
@@ -66,6 +71,7 @@ class OfflineSettings:
             "sequence_length": COUNT_OR_NONE,
             "burn_in": WHOLE,
             "updates_per_epoch": COUNT_OR_NONE,
+            "passes_per_epoch": POSITIVE_OR_NONE,
             "warm_up": WHOLE,
             "weight_decay": NOT_NEGATIVE,
             "average": Range(most=1.0 - 1e-9),
@@ -83,6 +89,10 @@ class OfflineSettings:
                 "offline_kwargs: burn_in and updates_per_epoch are for windows: give "
                 "sequence_length, or leave them out for whole episodes"
             )
+        if self.passes_per_epoch is not None and self.updates_per_epoch is None:
+            raise InputError(
+                "offline_kwargs: passes_per_epoch limits updates_per_epoch: give both, or neither"
+            )
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> OfflineSettings:
@@ -95,6 +105,15 @@ class OfflineSettings:
         """
         refuse_unknown("offline_kwargs", given, cls)
         return cls(**given)
+
+    def updates(self, steps: int, batch_size: int) -> int:
+        """Updates in an epoch with minibatches of windows of a split that has so many steps."""
+        assert self.sequence_length is not None
+        whole_pass = steps / (batch_size * self.sequence_length)
+        asked = whole_pass if self.updates_per_epoch is None else self.updates_per_epoch
+        if self.passes_per_epoch is not None:
+            asked = min(asked, self.passes_per_epoch * whole_pass)
+        return max(1, round(asked))
 
     def rate_factor(self, update: int, updates: int) -> float:
         """Factor of the learning rate at an update (the first is 0) of so many."""
