@@ -125,7 +125,8 @@ def trained_scores(species: str) -> tuple[dict[bool, float], dict[bool, float]]:
     env_id = environment_id(species)
     model = SoftBC(
         env=slot_environment(env_id, 1), seed=0, device="cpu", offline_epochs=3,
-        offline_batch_size=256, offline_kwargs={"updates_per_epoch": 80},
+        offline_batch_size=256,
+        offline_kwargs={"updates_per_epoch": 80, "passes_per_epoch": None},
         policy_kwargs={"hidden": 64, "depth": 2},
     )  # fmt: skip
     scored = validation_environment(env_id, 16)
