@@ -181,7 +181,7 @@ class Cell:
             repetitions=self.repetitions,
             cue="actual" if model.layout.condition_flag else None,
         )
-        return made, sum(p.numel() for p in model.policy.q_net.parameters())
+        return made, model.policy.q_net.num_parameters
 
     def rollouts(self, out: Path) -> Rollouts:
         return Rollouts.load(self.folder(out) / "rollouts.npz")

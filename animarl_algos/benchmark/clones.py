@@ -83,8 +83,7 @@ class Clone:
         assert settings is not None
         run = opened(settings, self.folder(out), self.cells[0].world_folder(out))
         model = pipeline.learn(run, settings.algo, progress_bar=False)
-        parameters = sum(p.numel() for p in model.policy.q_net.parameters())
-        write_cost(self.folder(out), began, parameters)
+        write_cost(self.folder(out), began, model.policy.q_net.num_parameters)
 
     def cost(self, out: Path) -> dict[str, Any]:
         return cost(self.folder(out))

@@ -29,7 +29,7 @@ def identity(model: SequenceQLearning) -> dict[str, Any]:
         "num_copies": model.layout.num_copies,
         "observation_size": model.observation_size,
         "num_actions": model.policy.num_actions,
-        "parameters": sum(p.numel() for p in model.policy.q_net.parameters()),
+        "parameters": model.policy.q_net.num_parameters,
         "buffer_size": model.buffer_size,
     }
 

@@ -344,6 +344,11 @@ class StackedQNetwork(nn.Module):
         """Every parameter, found once: ``parameters()`` walks all modules anew."""
         return list(self.parameters())
 
+    @property
+    def num_parameters(self) -> int:
+        """Numbers that are learned, of all individuals together."""
+        return sum(parameter.numel() for parameter in self.all_parameters)
+
     @cached_property
     def shared_parameters(self) -> list[nn.Parameter]:
         """Those that are the same for all individuals."""

@@ -125,8 +125,7 @@ def export_run(
         (part / METRICS).write_text(json.dumps(metrics, indent=1) + "\n")
         if with_demonstrations and not packaged:
             shutil.copyfile(run.path / DEMONSTRATIONS, part / DEMONSTRATIONS)
-        parameters = sum(p.numel() for p in network.parameters())
-        card = model_card(run, evaluation, record, parameters, chosen or {})
+        card = model_card(run, evaluation, record, network.num_parameters, chosen or {})
         (part / CARD).write_text(card, encoding="utf-8")
     return out
 
