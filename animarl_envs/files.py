@@ -29,8 +29,14 @@ LARGE_EXPANSION = 16
 ALLOWANCE = 16 * 2**20  # [bytes]
 MOST_MEMBERS = 10_000  # of an archive
 HIGHEST_CHARACTER = 0x10FFFF
+PART = ".part"
 PLAIN_KINDS = "biufSU"  # truth values, whole numbers, floats, bytes, text
 PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # others allocate what a header says
+
+
+def is_part(path: Path) -> bool:
+    """Whether a file is one that :func:`write_then_rename` is at, or was killed at."""
+    return path.name.startswith(".") and PART in path.suffixes
 
 
 @contextmanager
@@ -51,7 +57,7 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.stem}.", suffix=f".part{path.suffix}", delete=False
+            dir=path.parent, prefix=f".{path.stem}.", suffix=f"{PART}{path.suffix}", delete=False
         ) as file:
             part = Path(file.name)
     except OSError as error:

@@ -23,6 +23,7 @@ from animarl_algos.benchmark.pieces import Done, Piece, attempt, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
 
 BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json", "leaderboard.html")
 TINY: dict[str, Any] = {
@@ -189,6 +190,24 @@ def test_benchmark_records_an_error_and_goes_on(finished: Path, tmp_path: Path) 
     assert "## Not there" in (out / "leaderboard.md").read_text()
 
 
+@pytest.mark.parametrize("processes", [1, 2])
+def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
+    processes: int, tmp_path: Path
+) -> None:
+    methods = {name: f"test_benchmark_methods:make_{name}" for name in ("ending", "nothing")}
+    out = tmp_path / "out"
+    told = run_plan(
+        plan(tiny(recipes=[], references=["still"], seeds=[0]), methods), out, processes
+    )
+    assert "method ending: its predict raised SystemExit (0)" in told.errors["agent/ending/0"]
+    said = told.errors["agent/nothing/0"]
+    assert "method nothing: its factory raised ValueError (bad ## fly2 second): mend it" in said
+    content = json.loads((out / "leaderboard.json").read_text())
+    assert [row["method"] for row in content["rows"]] == ["still"]
+    assert "\n## fly2" not in (out / "leaderboard.md").read_text()
+    assert "its factory raised ValueError" in (out / "leaderboard.html").read_text()
+
+
 def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
     asked = plan(tiny(recipes=[]))
     broken = replace(asked.worlds[0], settings=replace(asked.worlds[0].settings, algo="dqn"))
@@ -284,6 +303,8 @@ def test_benchmark_names_the_file_of_refused_settings(
         ("recipes: [bc]\nsettings: {bc: {learning_speed: 3}}", "bc: setting 'learning_speed'"),
         ("recipes: [bc]\nsettings: {dqn: {}}", "settings are given for 'dqn'"),
         ("recipes: []\nreferences: []", "there is nothing to do"),
+        ("recipes: [bc]\nfolds: {agent: 1}", ""),
+        ("recipes: [bc]\nfiles: {mine: none.npz}", ""),
         ("recipes: [bc]\nseeds: [0]\nrecipes: [dqn]", "line 4: key 'recipes' was given in line 2"),
     ):
         file.write_text(f"species: [agent]\n{text}\n")
@@ -309,6 +330,9 @@ def test_benchmark_refuses_other_results(tmp_path: Path) -> None:
     (tmp_path / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')
     with pytest.raises(InputError, match=r"results are of animarl 0\.0\.1"):
         claim_folder(tmp_path)
+    begun = tmp_path / "begun"  # by another command, which is about to mark it
+    with write_then_rename(begun / "benchmark.json"):
+        claim_folder(begun)
     other = tmp_path / "thesis"
     other.mkdir()
     (other / "chapter.txt").write_text("1")
@@ -344,6 +368,8 @@ def test_benchmark_command_lists_and_refuses(
     done = said_by([*asked, "--engine", "local", "--processes", "2"], monkeypatch, capsys)
     assert done.returncode == 0 and "leaderboard.md" in done.stdout
     assert bytes_of(finished) == before
+    part = said_by([*asked, "--only", "agent/soft-bc/1"], monkeypatch, capsys)
+    assert part.returncode == 0 and bytes_of(finished) == before  # the table is of the whole matrix
     other = tmp_path / "other"
     other.mkdir()
     (other / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')

@@ -7,17 +7,26 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from small_runs import few
 
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.measured import Measured, Score
-from animarl_algos.benchmark.methods import Checked, MethodSetting, parse_method, source_of
+from animarl_algos.benchmark.methods import (
+    Checked,
+    MethodSetting,
+    foreign,
+    parameters_of,
+    parse_method,
+    source_of,
+)
 from animarl_algos.benchmark.nearest import NEIGHBOURS, SEGMENT, NearestSegment
-from animarl_algos.benchmark.pieces import attempt
+from animarl_algos.benchmark.pieces import TERMINATED, attempt
 from animarl_algos.benchmark.plan import plan
 from animarl_algos.benchmark.ranks import ranked
 from animarl_algos.benchmark.references import Steering, expert_rollouts, others_as_rollouts
@@ -46,6 +55,19 @@ def make_raising(setting: MethodSetting) -> Callable[[Any], Any]:
     return act
 
 
+def make_ending(setting: MethodSetting) -> Callable[[Any], Any]:
+    """Another, whose method ends the process."""
+
+    def act(observation: Any) -> Any:
+        raise SystemExit(0)
+
+    return act
+
+
+def make_nothing(setting: MethodSetting) -> Any:
+    raise ValueError("bad\n\n## fly2\nsecond")
+
+
 # -- others' methods ------------------------------------------------------------------------------
 
 
@@ -56,6 +78,21 @@ def test_benchmark_asks_predict_or_a_callable() -> None:
     assert Checked("mine", RandomPolicy(0), 13).predict(seen)[0].shape == (3,)
     with pytest.raises(InputError, match="no predict"):
         Checked("mine", 3, 13)
+
+
+def test_benchmark_counts_the_parameters_of_others() -> None:
+    network = torch.nn.Linear(3, 2)
+    assert parameters_of(network) == parameters_of(SimpleNamespace(policy=network)) == 3 * 2 + 2
+    assert parameters_of(len) is None
+
+
+def test_benchmark_lets_signals_through_somebody_elses_code() -> None:
+    for ending in (SystemExit(TERMINATED), KeyboardInterrupt()):
+        with pytest.raises(type(ending)), foreign("it raised", "mend it"):
+            raise ending
+    said = r"it raised SystemExit \(3\): mend it"
+    with pytest.raises(InputError, match=said), foreign("it raised", "mend it"):
+        raise SystemExit(3)
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,7 @@ def damage(path: Path, to: Path, change: Callable[[dict[str, Any]], Any]) -> Pat
         (lambda c: c["rollouts"][1].update(repetition=0), "same demo, seed and repetition"),
         (lambda c: c["rollouts"][0]["positions"][0].pop(), "positions are not"),
         (lambda c: c["rollouts"][0]["positions"][1].__setitem__(0, [np.nan, 0]), "finite"),
+        (lambda c: c["rollouts"][0]["positions"][1].__setitem__(0, ["0.1", 0]), "not all numbers"),
         (lambda c: c["rollouts"][0]["positions"].pop(0), "does not begin where"),
         (lambda c: c["rollouts"][2].update(outcome=9), "outcome 9 is none"),
     ],

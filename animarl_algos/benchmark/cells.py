@@ -17,7 +17,14 @@ from typing import Any
 
 from animarl_algos.benchmark.clones import COMMAND, cloning, opened
 from animarl_algos.benchmark.measured import Score
-from animarl_algos.benchmark.methods import Checked, MethodSetting, load_factory, source_of
+from animarl_algos.benchmark.methods import (
+    Checked,
+    MethodSetting,
+    foreign,
+    load_factory,
+    parameters_of,
+    source_of,
+)
 from animarl_algos.benchmark.pieces import code, cost, hashed, write_cost, write_json
 from animarl_algos.benchmark.references import reference_rollouts
 from animarl_algos.benchmark.scores import crossed_score, score
@@ -158,14 +165,16 @@ class Cell:
             )
             return made, None
         setting = MethodSetting.of(world, self.seed)
-        policy = load_factory(self.factory)(setting)
+        factory = load_factory(self.factory)
+        with foreign(f"method {self.method}: its factory raised", "mend it"):
+            policy = factory(setting)
         made = collect_rollouts(
             partial(make_world, world.scenario("test")),
             Checked(self.method, policy, setting.species.num_actions),
             method=self.method, seed=self.seed, repetitions=self.repetitions,
             cue="actual" if setting.environment().condition_flag else None,
         )  # fmt: skip
-        return made, None
+        return made, parameters_of(policy)
 
     def _trained(
         self, folder: Path, world: RunFolder, clone: RunFolder | None, settings: RunSettings

@@ -19,10 +19,16 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from animarl_algos.benchmark.pieces import Done, Piece, Watch, attempt, record_error
+from animarl_algos.benchmark.pieces import (
+    TERMINATED,
+    Done,
+    Piece,
+    Watch,
+    attempt,
+    record_error,
+)
 from animarl_algos.benchmark.plan import Plan
 
-TERMINATED = 143
 PATIENCE = 5.0  # [s]
 ATTEMPTS = 2  # of a piece whose process died
 

@@ -77,7 +77,7 @@ def write_leaderboard(plan: Plan, out: Path, command: str = "") -> Path:
         text += f"\n## Not there\n\n{listed}\n"
     with write_then_rename(out / "leaderboard.md") as part:
         part.write_text(f"# Leaderboard\n\n{HOW}{text}", encoding="utf-8")
-    page = leaderboard_page(scores, ranks, synthetic, starts, code())
+    page = leaderboard_page(scores, ranks, synthetic, starts, code(), missing)
     with write_then_rename(out / "leaderboard.html") as part:
         part.write_text(page, encoding="utf-8")
     _write_costs(plan, out, command)

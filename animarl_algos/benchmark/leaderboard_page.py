@@ -27,10 +27,10 @@ READING = (
     "With several seeds an interval speaks of training runs like these, with one of this network.",
 )
 CAPTION = (
-    "Dots with 95 % intervals over demonstrations and seeds. Grey bars, of differences to the "
-    "recordings: what chance alone gives in 95 % of cases. Dashed: no difference; for the AUC what "
-    "recordings reach among themselves, for energy scores and DTW what other recordings of the "
-    "same condition come to."
+    "Dots with 95 % intervals over demonstrations and seeds, of the AUC over demonstrations alone. "
+    "Grey bars, of differences to the recordings: what chance alone gives in 95 % of cases. "
+    "Dashed: no difference; for the AUC what recordings reach among themselves, for energy scores "
+    "and DTW what other recordings of the same condition come to."
 )
 
 
@@ -40,6 +40,7 @@ def leaderboard_page(
     synthetic: Mapping[str, bool],
     starts: Mapping[str, str],
     versions: Mapping[str, Any],
+    missing: Sequence[tuple[str, str]] = (),
 ) -> str:
     """The page as HTML; the same scores give the same bytes.
 
@@ -55,10 +56,16 @@ def leaderboard_page(
         By set, from where rollouts began, in words.
     versions
         Of what the numbers depend on.
+    missing
+        Rows that are not there, each with the reason.
     """
     sections = [Section("reading", "How to read it", [Sentences(READING)])]
     for name, some in scores.items():
         sections.append(Section(name, name, list(_blocks(some, ranks[name]))))
+    if missing:
+        lacking = [Row([row, why]) for row, why in missing]
+        listed = Table("Rows that are not there", ["Row", "Why"], [Group("", lacking)], "")
+        sections.append(Section("missing", "Not there", [listed]))
     sections.append(Section("versions", "Versions", [Pairs("Versions", flattened(dict(versions)))]))
     page = Page(
         title="Leaderboard",

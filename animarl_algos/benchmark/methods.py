@@ -6,14 +6,17 @@ import hashlib
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from animarl_algos.benchmark.pieces import TERMINATED, one_line
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_world import of_the_training
@@ -103,7 +106,7 @@ class Checked:
         InputError
             If the method raises, or answers anything but one action per slot.
         """
-        try:
+        with foreign(f"method {self._name}: its predict raised", "mend it"):
             if hasattr(self._policy, "predict"):
                 actions, state = self._policy.predict(
                     observation, state=state, episode_start=episode_start,
@@ -112,10 +115,6 @@ class Checked:
             else:
                 actions = self._policy(observation)
             found = np.asarray(actions)
-        except Exception as error:
-            raise InputError(
-                f"method {self._name}: its predict raised {type(error).__name__} ({error}): mend it"
-            ) from error
         return self._checked(found, len(observation)), state
 
     def _checked(self, found: NDArray[Any], slots: int) -> NDArray[np.int64]:
@@ -135,6 +134,34 @@ class Checked:
                 f"to {self._num_actions - 1}"
             )
         return found.astype(np.int64)
+
+
+@contextmanager
+def foreign(said: str, mend: str) -> Iterator[None]:
+    """Whatever somebody else's code raises, or ends the process with, becomes one sentence.
+
+    Ctrl-C and a signal to end go through.
+
+    Raises
+    ------
+    InputError
+        ``said``, what was raised, and the ``mend``.
+    """
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and error.code == TERMINATED:
+            raise
+        raised = f"{type(error).__name__} ({one_line(error)})"
+        raise InputError(f"{said} {raised}: {mend}") from error
+
+
+def parameters_of(policy: Any) -> int | None:
+    """How many numbers a policy of PyTorch, or a model of SB3 around one, learned; else None."""
+    network = getattr(policy, "policy", policy)
+    if not isinstance(network, torch.nn.Module):
+        return None
+    return sum(parameter.numel() for parameter in network.parameters())
 
 
 def parse_method(given: str) -> tuple[str, str]:
@@ -167,13 +194,8 @@ def load_factory(place: str) -> Callable[[MethodSetting], Any]:
         raise InputError(f"method {place!r}: write module:factory")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.insert(0, here)
-    try:
+    with foreign(f"method {place!r}: it cannot be imported:", "see to its module"):
         found = getattr(importlib.import_module(module), name)
-    except Exception as error:  # whatever a foreign module does when it is imported
-        raise InputError(
-            f"method {place!r}: it cannot be imported ({type(error).__name__}: {error}): see to "
-            "its module"
-        ) from error
     if not callable(found):
         raise InputError(f"method {place!r}: it is no callable: name a factory")
     made: Callable[[MethodSetting], Any] = found

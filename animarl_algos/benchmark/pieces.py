@@ -22,6 +22,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
 ERROR, LOCK = "error.json", ".piece.lock"
+TERMINATED = 143  # a worker ends with it where it was told to end
 
 
 class Piece(Protocol):
@@ -114,11 +115,17 @@ def _performed(piece: Piece, out: Path) -> Done:
             piece.perform(out)
     except Exception as error:  # a failing cell is one line of the results, whatever failed
         said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
+        said = one_line(said)
         record_error(piece, out, said, traceback.format_exc())
         return Done(piece.name, time.monotonic() - began, said)
     if said_by_the_way:
         write_json(folder / "warnings.json", [str(one.message) for one in said_by_the_way])
     return Done(piece.name, time.monotonic() - began)
+
+
+def one_line(text: object) -> str:
+    """What somebody else's code said, without its line ends: they would end a table or a list."""
+    return " ".join(str(text).split())
 
 
 def record_error(piece: Piece, out: Path, said: str, where: str = "") -> None:

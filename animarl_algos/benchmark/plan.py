@@ -20,6 +20,7 @@ from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pipeline import rehearse
 from animarl_algos.runs.run_folder import versions
 from animarl_envs.errors import InputError
+from animarl_envs.files import is_part
 
 FORMAT_VERSION = 1
 MARK = "benchmark.json"
@@ -104,9 +105,11 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
             raise InputError(f"--method {name}: there is a row of that name: choose another")
     worlds: list[World] = []
     cells: list[Cell] = []
+    with _naming(place):
+        recorded = matrix.recorded()
     dealt = [
         (data, number if len(folds) > 1 else None, demos)
-        for data, folds in matrix.recorded().items()
+        for data, folds in recorded.items()
         for number, demos in enumerate(folds)
     ]
     for data, fold, demos in dealt:
@@ -172,7 +175,9 @@ def refuse_other_results(out: Path) -> None:
                 f"{there.get('format') if isinstance(there, dict) else 'unknown'}), this is "
                 f"{own['animarl']} (format {FORMAT_VERSION}): name another --out"
             )
-    elif out.is_dir() and any(out.iterdir()):
+    elif out.is_dir() and any(not is_part(inside) for inside in out.iterdir()):
+        if file.exists():  # another command has marked it meanwhile
+            return refuse_other_results(out)
         raise InputError(f"{out}: it holds something that is no benchmark: name another --out")
 
 

@@ -1,8 +1,8 @@
 """Doing pieces of work on a Ray cluster: its tasks, its retries, its placement.
 
-Every piece is one Ray task of one core that waits for the tasks it needs; Ray chooses the node, and
-repeats what a lost node or process was at, which goes on from its checkpoints. Results lie in a
-folder that all nodes share, so that they are the same to the byte as those of one machine.
+Every piece is one Ray task of one core, handed over when what it needs has ended; Ray chooses the
+node, and repeats what a lost node or process was at, which goes on from its checkpoints. Results
+lie in a folder that all nodes share, so that they are the same to the byte as those of one machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.benchmark.pieces import Done, Piece, Watch, attempt, record_error
+from animarl_algos.benchmark.pieces import (
+    Done,
+    Piece,
+    Watch,
+    attempt,
+    record_error,
+    recorded_error,
+)
 from animarl_algos.benchmark.plan import MARK, Plan
 from animarl_algos.runs.run_folder import versions
 from animarl_envs.errors import InputError, MissingExtraError
@@ -50,29 +57,30 @@ def perform_on_ray(ray: Any, plan: Plan, out: Path, watch: Watch) -> None:
     out = out.resolve()
     watch.at_once(max(1, int(ray.cluster_resources().get("CPU", 1))))
     task = ray.remote(num_cpus=1, max_retries=RETRIES)(_attempt_there)
-    promised: dict[str, Any] = {}
-    waiting: dict[Any, Piece] = {}
-    for stage in plan.stages:
-        for piece in stage:
-            if not piece.finished(out):
-                first = [promised[name] for name in piece.needs if name in promised]
-                promised[piece.name] = task.remote(piece, out, *first)
-                waiting[promised[piece.name]] = piece
-    while waiting:
-        for ended in ray.wait(list(waiting), num_returns=1)[0]:
-            piece = waiting.pop(ended)
+    later = [piece for stage in plan.stages for piece in stage if not piece.finished(out)]
+    left = {piece.name for piece in later}
+    begun: dict[Any, Piece] = {}
+    while later or begun:
+        # A piece begins after what it needs has ended, well or badly: it looks what is there.
+        ready = [piece for piece in later if left.isdisjoint(piece.needs)]
+        later = [piece for piece in later if piece not in ready]
+        begun |= {task.remote(piece, out, versions()): piece for piece in ready}
+        for ended in ray.wait(list(begun), num_returns=1)[0]:
+            piece = begun.pop(ended)
+            left.remove(piece.name)
             try:
                 done = ray.get(ended)
             except ray.exceptions.RayError as error:  # lost more often than it is repeated
                 said = f"Ray gave it up ({type(error).__name__}: {_last_line(str(error))})"
-                record_error(piece, out, said)
                 done = Done(piece.name, 0.0, said)
+            if done.error != recorded_error(piece, out):  # of a node that does not see the folder
+                record_error(piece, out, done.error)
             watch.ended(piece, done)
 
 
-def _attempt_there(piece: Piece, out: Path, *first: Done) -> Done:
-    """On a node, after what comes ``first``."""
-    if unfit := _unfit(out, versions()):
+def _attempt_there(piece: Piece, out: Path, wanted: dict[str, str]) -> Done:
+    """On a node."""
+    if unfit := _unfit(out, wanted):
         return Done(piece.name, 0.0, unfit)
     return attempt(piece, out)
 

@@ -169,9 +169,12 @@ def _checked(one: Any, place: str, test: Demonstrations) -> NDArray[np.float64]:
     species = get_species(test.species)
     most, number = species.time_limit + 1, len(test.individuals)
     try:
-        path = np.array(one["positions"], dtype=np.float64)
+        path = np.array(one["positions"])
     except (ValueError, TypeError, OverflowError):
         path = np.zeros(0)
+    if path.dtype.kind not in "if":
+        raise InputError(f"{place}: positions are not all numbers: see to them")
+    path = path.astype(np.float64)
     if path.ndim != 3 or path.shape[1:] != (number, 2) or not 2 <= len(path) <= most:
         raise InputError(
             f"{place}: positions are not (frames, {number}, 2) with 2 to {most} frames: see to them"

@@ -107,7 +107,8 @@ def benchmark_command(
             files={name: file for name, file in matrix.files.items() if name in species},
         )
     methods = dict(parse_method(given) for given in method or [])
-    asked = plan(matrix, methods, matrix_file(preset, config)).only(only or [])
+    whole = plan(matrix, methods, matrix_file(preset, config))
+    asked = whole.only(only or [])
     refuse_other_results(out)
     console = PlainConsole(least_width=100)
     if show:
@@ -125,7 +126,7 @@ def benchmark_command(
                 perform_all(asked, out, processes, watch)
     for name, error in watch.causes():
         console.print(f"\n{name} failed: {error}", soft_wrap=True)
-    page = write_leaderboard(asked, out, shlex.join(["animarl", *sys.argv[1:]]))
+    page = write_leaderboard(whole, out, shlex.join(["animarl", *sys.argv[1:]]))
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
     if watch.failed:
         raise typer.Exit(1)
