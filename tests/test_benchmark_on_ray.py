@@ -8,9 +8,11 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,6 +21,7 @@ from test_benchmark_clones import alike
 
 from animarl_algos.benchmark import ray_engine
 from animarl_algos.benchmark.leaderboard import write_leaderboard
+from animarl_algos.benchmark.pieces import Done, Piece
 from animarl_algos.benchmark.plan import claim_folder, plan
 from animarl_envs.errors import InputError, MissingExtraError
 
@@ -125,3 +128,55 @@ def test_where_no_cluster_runs_ray_starts_one(
         ray_engine.perform_on_ray(connected, asked, tmp_path, told)
     assert not told.errors and all(cell.finished(tmp_path) for cell in asked.cells)
     assert not ray.is_initialized()
+
+
+class OneNode:
+    """In Ray's place: does each piece when it is asked for, and loses whatever ``lost`` says."""
+
+    exceptions = SimpleNamespace(RayError=RuntimeError)
+
+    def __init__(self, lost: Callable[[Piece], bool], **versions: str) -> None:
+        self._lost, self._versions = lost, versions
+
+    def cluster_resources(self) -> dict[str, float]:
+        return {"CPU": 1.0}
+
+    def remote(self, **_: Any) -> Callable[..., Any]:
+        def task(function: Callable[..., Done]) -> Any:
+            return SimpleNamespace(remote=lambda *given: partial(self._do, function, *given))
+
+        return task
+
+    def _do(
+        self, function: Callable[..., Done], piece: Piece, out: Path, wanted: dict[str, str]
+    ) -> Done:
+        if self._lost(piece):
+            raise RuntimeError("its worker died")
+        return function(piece, out, wanted | self._versions)
+
+    def wait(self, begun: list[Any], num_returns: int) -> tuple[list[Any], list[Any]]:
+        return begun[:num_returns], begun[num_returns:]
+
+    def get(self, promised: Callable[[], Done]) -> Done:
+        return promised()
+
+
+def test_cells_whose_clone_ray_lost_train_by_themselves(tmp_path: Path) -> None:
+    matrix = alike(("soft-bc", "dqaas"))
+    asked, told, out = plan(matrix), Told(), tmp_path / "ray"
+    claim_folder(out)
+    ray_engine.perform_on_ray(OneNode(lambda piece: "/clone/" in piece.name), asked, out, told)
+    assert list(told.errors) == [one.name for one in asked.clones]
+    assert "Ray gave it up (RuntimeError: its worker died)" in str(told.errors)
+    write_leaderboard(asked, out)
+    assert not run(matrix, tmp_path / "alone").errors
+    assert bytes_of(out) == bytes_of(tmp_path / "alone")
+
+
+def test_a_node_found_unfit_later_is_named_in_the_leaderboard(tmp_path: Path) -> None:
+    asked, told = plan(tiny(recipes=[], references=["still"])), Told()
+    claim_folder(tmp_path)
+    ray_engine.perform_on_ray(OneNode(lambda _: False, torch="0.1"), asked, tmp_path, told)
+    write_leaderboard(asked, tmp_path)
+    [row] = json.loads((tmp_path / "leaderboard.json").read_text())["missing"]
+    assert "has torch" in row["why"] and "this machine 0.1" in row["why"]
