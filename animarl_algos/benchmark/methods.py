@@ -157,7 +157,10 @@ def foreign(said: str, mend: str) -> Iterator[None]:
 
 
 def parameters_of(policy: Any) -> int | None:
-    """How many numbers a policy of PyTorch, or a model of SB3 around one, learned; else None."""
+    """Parameters of a policy of PyTorch, or of a model of SB3 around one; None of anything else.
+
+    Those of a target network, where the policy has one, are among them.
+    """
     network = getattr(policy, "policy", policy)
     if not isinstance(network, torch.nn.Module):
         return None
