@@ -198,6 +198,29 @@ def null(experiments: int) -> None:
     show(f"Perfect simulators called different, {experiments:,} experiments", heading, rows)
 
 
+def copies(experiments: int) -> None:
+    """Simulators that do the same from a start however often, five rollouts of each start."""
+    rows = []
+    for counted in (False, True):
+        for starts in (10, 20, 50):
+            rng, demo = np.random.default_rng([5, starts]), np.repeat(np.arange(starts), 5)
+            repeats = None if counted else np.tile(np.arange(5) > 0, starts)
+            alarms = np.zeros(3, dtype=int)
+            for _ in range(experiments):
+                centre = rng.normal(size=starts)
+                recorded, simulated = centre + rng.normal(size=(2, starts))
+                both = np.concatenate([recorded, simulated[demo]])
+                exchanges = Exchanges.draw(demo, starts, rng, 400, copies=repeats)
+                kinds = np.digitize(both, [-1.5, 0.0, 1.5])
+                found = (exchanges.wasserstein(both), exchanges.difference(both),
+                         exchanges.chi_squared(kinds))  # fmt: skip
+                alarms += [not one.inside for one in found]
+            name = "five rollouts" if counted else "one"
+            rows.append([name, str(starts), *(percent(n, experiments) for n in alarms)])
+    heading = ["copies count as", "starts", "Wasserstein", "difference of means", "chi-squared"]
+    show(f"Simulators without chance called different, {experiments:,} experiments", heading, rows)
+
+
 def gate(experiments: int) -> None:
     rng, rows = np.random.default_rng(3), []
     for sizes in ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10)):
@@ -284,6 +307,7 @@ SECTIONS: dict[str, tuple[Callable[[int], None], int]] = {
     "intervals": (intervals, 4000),
     "energy": (energy, 1000),
     "null": (null, 400),
+    "copies": (copies, 400),
     "gate": (gate, 4000),
     "classifier": (classifier, 200),
     "speed": (speed, 1),

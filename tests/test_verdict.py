@@ -222,6 +222,50 @@ def test_a_perfect_simulator_falls_inside_its_null_in_95_percent(shared: float) 
     assert (share[:2] <= 0.985).all()  # counts tie, so the test of shares may be more careful
 
 
+@pytest.mark.parametrize("count_copies", [False, True])
+def test_what_always_does_the_same_is_one_rollout_a_start(count_copies: bool) -> None:
+    rng = np.random.default_rng(7)
+    starts, each, experiments = 20, 5, 300
+    demo = np.repeat(np.arange(starts), each)
+    copies = None if count_copies else np.tile(np.arange(each) > 0, starts)
+    outside = np.zeros(3)
+    for _ in range(experiments):
+        centre = rng.normal(size=starts)  # what a start decides of the value
+        recorded, simulated = centre + rng.normal(size=(2, starts))
+        both = np.concatenate([recorded, simulated[demo]])
+        exchanges = Exchanges.draw(demo, starts, rng, 99, copies=copies)
+        outside += [
+            not exchanges.wasserstein(both).inside,
+            not exchanges.difference(both).inside,
+            not exchanges.chi_squared(np.digitize(both, [-1.0, 1.0])).inside,
+        ]
+    share = outside / experiments
+    assert (share > 0.2).all() if count_copies else (share <= 0.08).all()
+
+
+def test_copies_are_of_one_policy_and_one_start() -> None:
+    demos = recorded_pairs()
+    recorded = Rollouts.from_demonstrations(demos)
+    twice = Rollouts.concatenate([recorded, replace(recorded, repetition=recorded.repetition + 1)])
+    count = len(recorded)
+    assert twice.copies.tolist() == [False] * count + [True] * count
+    another = Rollouts.concatenate([recorded, replace(recorded, seed=recorded.seed + 1)])
+    assert not another.copies.any()
+    moved = Rollouts.concatenate([recorded, replace(recorded, positions=recorded.positions + 1e-9)])
+    assert not moved.copies.any()
+
+
+def test_the_null_of_a_verdict_does_not_count_copies() -> None:
+    demos = recorded_pairs()
+    once = simulated_pairs(demos, "true", each=1)
+    again = [replace(once, repetition=once.repetition + i) for i in range(5)]
+    tables = [verdict(demos, one, seed=0).table for one in (once, Rollouts.concatenate(again))]
+    motion = tables[0]["measure"] != "auc"
+    for column in ("distance", "null", "p"):
+        one, five = (table.loc[motion, column].to_numpy(float) for table in tables)
+        np.testing.assert_allclose(five, one, rtol=1e-12)
+
+
 def test_a_collapsed_simulator_falls_outside() -> None:
     rng = np.random.default_rng(8)
     demo = np.repeat(np.arange(40), 2)

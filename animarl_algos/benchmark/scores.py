@@ -114,7 +114,8 @@ def _score(
         measures.append(_of(name, "recorded SD", mean, null=pooled_score(true)))
     measures.append(_endings(found))
     measures += _closeness(counted, test, beside, draws)
-    exchanges = Exchanges.draw(counted.demo, len(test), rng_null, resamples)
+    copies = counted.copies
+    exchanges = Exchanges.draw(counted.demo, len(test), rng_null, resamples, copies=copies)
     for key in DIFFERENCES:
         gap = _difference(simulated[key], counted, recorded[key], draws)
         tested = exchanges.difference(np.concatenate([recorded[key], simulated[key]]))

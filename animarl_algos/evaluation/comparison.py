@@ -11,6 +11,7 @@ from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_algos.evaluation.distances import (
     DISTANCE_RESAMPLES,
@@ -65,6 +66,11 @@ def factual(metrics: pd.DataFrame) -> pd.DataFrame:
 def counted_metrics() -> list[tuple[Metric, str]]:
     """Every metric with every rule of what counts; a share among captures would say nothing."""
     return [(m, rule) for m in METRICS for rule in COUNTING if rule == "all" or not m.share]
+
+
+def copies(rows: pd.DataFrame) -> NDArray[np.bool_]:
+    """Rows whose every metric repeats one of the same policy from the same start."""
+    return rows.drop(columns="repetition").duplicated().to_numpy(dtype=bool)
 
 
 def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:
@@ -123,7 +129,7 @@ def comparison_table(
     draws = Draws.by(rng, resamples)
     by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
     exchanges = {
-        name: Exchanges.draw(rows["demo"], num_demos, rng, distance_resamples)
+        name: Exchanges.draw(rows["demo"], num_demos, rng, distance_resamples, copies=copies(rows))
         for name, rows in by_method.items()
         if name != RECORDED
     }

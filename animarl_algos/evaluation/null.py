@@ -5,8 +5,10 @@ episodes from that start might as well have been the recorded one. So the null o
 found by exchanging, start by start, the recording with one of the episodes from there. That is an
 exact permutation test: a perfect simulator falls inside 95 % of its null in 95 % of experiments,
 whatever starts have in common and however values are distributed (checked in
-``tests/test_verdict.py``). What recordings against recordings give, drawn from each other without
-regard to their starts, is :func:`animarl_algos.evaluation.distances.null_distances`.
+``tests/test_verdict.py``). Who acts by a fixed rule in a world without chance does the same from a
+start however often it is let go: such copies are one rollout, and counting them would make the null
+too narrow. What recordings against recordings give, drawn from each other without regard to their
+starts, is :func:`animarl_algos.evaluation.distances.null_distances`.
 """
 
 from __future__ import annotations
@@ -65,7 +67,7 @@ class Exchanges:
 
     Both are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth. Episodes
     are the recordings in their order, then the rollouts in theirs. Recordings that no rollout
-    started from are in neither.
+    started from are in neither, nor are copies of a rollout.
     """
 
     recorded: Floats
@@ -73,9 +75,18 @@ class Exchanges:
 
     @classmethod
     def draw(
-        cls, demo: ArrayLike, starts: int, rng: np.random.Generator, exchanges: int = EXCHANGES
+        cls,
+        demo: ArrayLike,
+        starts: int,
+        rng: np.random.Generator,
+        exchanges: int = EXCHANGES,
+        *,
+        copies: ArrayLike | None = None,
     ) -> Exchanges:
         """Exchanges for rollouts from the starts ``demo`` ``(rollouts,)``.
+
+        ``copies`` ``(rollouts,)`` marks those that repeat an earlier one, see
+        :attr:`~animarl_algos.evaluation.rollouts.Rollouts.copies`; by default none does.
 
         Raises
         ------
@@ -88,8 +99,11 @@ class Exchanges:
         start = np.concatenate([np.arange(starts), demo])
         recorded, simulated = np.zeros((2, 1 + exchanges, len(start)))
         rows = np.arange(1 + exchanges)
+        counts = np.ones(len(start), dtype=bool)
+        if copies is not None:
+            counts[starts:] = ~np.asarray(copies)
         for one in np.unique(demo):
-            members = np.flatnonzero(start == one)  # the recording is the first
+            members = np.flatnonzero((start == one) & counts)  # the recording is the first
             chosen = rng.integers(len(members), size=1 + exchanges)
             chosen[0] = 0
             simulated[:, members] = 1.0

@@ -122,6 +122,17 @@ class Rollouts:
         return np.asarray(self.outcome > 0)
 
     @property
+    def copies(self) -> NDArray[np.bool_]:
+        """Whether the same policy did the same from the same start before: ``(rollouts,)``."""
+        seen: set[tuple[int, int, bytes]] = set()
+        found = np.zeros(len(self), dtype=bool)
+        for i, (demo, seed) in enumerate(zip(self.demo.tolist(), self.seed.tolist())):
+            one = (demo, seed, self.path(i).tobytes())
+            found[i] = one in seen
+            seen.add(one)
+        return found
+
+    @property
     def movers(self) -> NDArray[np.int64]:
         """Individuals whose paths are measured: pursuers, or the searcher."""
         return np.array([i for i, role in enumerate(self.roles) if role != "target"])

@@ -62,7 +62,7 @@ class Verdict:
     learner
         The method.
     starts, rollouts
-        How many count.
+        How many count; a rollout that repeats another does not.
     smoothing
         Frames of the moving average that both sides went through.
     auc, among, floor, perturbed, ceiling
@@ -204,7 +204,7 @@ def verdict(
         words=words,
         learner=rollouts.method,
         starts=len(np.unique(counted.demo)),
-        rollouts=len(counted),
+        rollouts=int(np.count_nonzero(~counted.copies)),
         smoothing=smoothing,
         auc=comparison.simulated.auc,
         among=comparison.among,
