@@ -31,7 +31,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 FOLDS = 5
-DEALS = 2  # the folds are dealt anew so many times, and the answers joined
+DEALS = 2  # the folds are dealt anew so many times, at least, and the answers joined
+DEALT = 100  # ... and as often as it takes until so many demonstrations were asked about
 NULL_HALVES = 3
 MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
 BOOTSTRAP = 1000
@@ -77,7 +78,7 @@ def tell_apart(
     second: Windows,
     rng: np.random.Generator,
     *,
-    deals: int = DEALS,
+    deals: int | None = None,
     importance: bool = False,
 ) -> Telling:
     """Area under the ROC curve of a cross-fitted classifier, ``second`` against ``first``.
@@ -89,7 +90,8 @@ def tell_apart(
     rng
         Deals the folds, thins, shuffles and resamples.
     deals
-        How often the folds are dealt.
+        How often the folds are dealt; by default until ``DEALT`` demonstrations were asked about,
+        for of few the answer depends on how they are dealt.
     importance
         Whether to shuffle features too, one kind after the other.
     """
@@ -102,6 +104,8 @@ def tell_apart(
     sizes = (len(first), len(second))
     if folds < 2:
         return Telling(UNDEFINED, sizes)
+    if deals is None:
+        deals = max(DEALS, math.ceil(DEALT / len(names)))
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}

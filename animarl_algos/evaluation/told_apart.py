@@ -102,9 +102,7 @@ class Classified:
             drawn = prepared.filtered(factual(random, demos))
             ceiling = tell_apart(own, windows(drawn), rng, deals=1).auc
         if floor is not None:
-            tracked = tell_apart(
-                own, windows(prepared.filtered(followed(demos, floor))), rng, deals=1
-            ).auc
+            tracked = tell_apart(own, windows(prepared.filtered(followed(demos, floor))), rng).auc
         if perturbed is not None:
             other = windows(prepared.filtered(followed(demos, perturbed)))
             shaken = tell_apart(own, other, rng, deals=1).auc
