@@ -7,8 +7,9 @@
 
 Every cell (data set and seed) is imported, fitted, trained with the default preset and rolled out
 by the functions of the pipeline; then comes the verdict on the validation split. ``--test`` asks
-about the test split, once, at the end. Finished cells are kept under ``--out`` and not made again;
-rows of other sets and seeds that stand in the table of ``--out`` stay, with the commit of each.
+about the test split, once, at the end. Finished cells are kept under ``--out`` and not made again,
+each with its recordings and rollouts for whoever wants to ask something else of them; rows of other
+sets and seeds that stand in the table of ``--out`` stay, with the commit of each.
 The recordings lie in $ANIMARL_DATA (by default ../shared/data); those that are not there are left
 out and named.
 """
@@ -233,13 +234,32 @@ def trained(
     )
 
 
-def judged(
-    one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int
-) -> tuple[Verdict, float, bool]:
-    """The verdict of a cell, the processor time from the imported file to it [s], and if of all.
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A cell: its verdict, the evaluated recordings and the rollouts from their starts.
 
-    It is not of all where a stopped run or another cell has left run folders.
+    ``seconds`` is the processor time from the imported file to the verdict, of all of it if it is
+    ``whole``: not where a stopped run or another cell has left run folders.
     """
+
+    verdict: Verdict
+    recorded: Demonstrations
+    rollouts: Rollouts
+    seconds: float
+    whole: bool
+
+    def save(self, folder: Path) -> None:
+        """Everything, and last what says that the cell is finished."""
+        self.verdict.save(folder)
+        self.recorded.save(folder / "recorded.npz")
+        self.rollouts.save(folder / "rollouts.npz")
+        done = {"seconds": self.seconds, "whole": self.whole, "commit": commit()}
+        with write_then_rename(folder / "cell.json") as part:
+            part.write_text(json.dumps(done))
+
+
+def judged(one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: int) -> Judged:
+    """Train a cell, roll it out and judge it."""
     began = time.process_time()
     demos = one.load(out / "imported")
     parts, used, followed, whole = [], [], {}, True
@@ -258,15 +278,16 @@ def judged(
     joined = [Rollouts.concatenate(list(side)) for side in zip(*parts)]
     ours, random = (replace(r, demo=np.searchsorted(kept, r.demo)) for r in joined)
     others = np.setdiff1d(np.flatnonzero(demos.split != "test"), kept)
+    recorded = demos.select(episodes=kept)
     found = verdict(
-        demos.select(episodes=kept),
+        recorded,
         ours,
         seed=seed,
         floor=Followed(np.concatenate([followed[episode] for episode in kept.tolist()])),
         baselines={"random": random},
         references=demos.select(episodes=others) if len(others) and one.folds == 1 else None,
     )
-    return found, time.process_time() - began, whole
+    return Judged(found, recorded, ours, time.process_time() - began, whole)
 
 
 def bar_rows(one: DataSet, found: Verdict, seconds: float = math.nan) -> list[dict[str, Any]]:
@@ -313,11 +334,7 @@ def main(
         for s in (seed or [0])[: 1 if quick else None]:
             cell = out / "cells" / f"{one.name}-{algo}-{s}-{split}-{number}"
             if not (cell / "cell.json").exists():
-                found, seconds, whole = judged(one, out, algo, s, split, number)
-                found.save(cell)
-                done = {"seconds": seconds, "whole": whole, "commit": commit()}
-                with write_then_rename(cell / "cell.json") as part:
-                    part.write_text(json.dumps(done))
+                judged(one, out, algo, s, split, number).save(cell)
             found = Verdict.load(cell)
             done = json.loads((cell / "cell.json").read_text())
             console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")

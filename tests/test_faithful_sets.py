@@ -114,7 +114,13 @@ def test_the_time_of_a_cell_that_found_networks_is_not_of_all(
     monkeypatch.setattr(faithful, "trained", trained)
     monkeypatch.setattr(faithful, "verdict", lambda *given, **named: found())
     asked = (NAMED["fly"], tmp_path, "soft-bc", 0, "val", 10)
-    assert [faithful.judged(*asked)[2] for _ in range(2)] == [True, False]
+    cells = [faithful.judged(*asked) for _ in range(2)]
+    assert [cell.whole for cell in cells] == [True, False]
+    cells[0].save(tmp_path / "cell")
+    recorded, rollouts = (tmp_path / "cell" / f"{name}.npz" for name in ("recorded", "rollouts"))
+    assert Demonstrations.load(recorded).fingerprint() == cells[0].recorded.fingerprint()
+    assert Rollouts.load(rollouts).lengths.tolist() == cells[0].recorded.lengths.tolist()
+    assert json.loads((tmp_path / "cell" / "cell.json").read_text())["whole"]
 
 
 @pytest.mark.parametrize(
