@@ -105,7 +105,8 @@ def tell_apart(
     if folds < 2:
         return Telling(UNDEFINED, sizes)
     if deals is None:
-        deals = max(DEALS, math.ceil(DEALT / len(names)))
+        one_each = len(names) <= folds  # there is but one way to deal them
+        deals = 1 if one_each else max(DEALS, math.ceil(DEALT / len(names)))
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}
