@@ -32,7 +32,8 @@ Ints = NDArray[np.int64]
 
 FOLDS = 5
 DEALS = 2  # the folds are dealt anew so many times, at least, and the answers joined
-DEALT = 100  # ... and as often as it takes until so many demonstrations were asked about
+DEALT = 100  # ... and as often as it takes until so many demonstrations were asked about,
+FEWEST_DEALT = 8  # from so many on: fewer leave an interval that is wider than any deal moves it
 NULL_HALVES = 3
 MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
 BOOTSTRAP = 1000
@@ -105,8 +106,8 @@ def tell_apart(
     if folds < 2:
         return Telling(UNDEFINED, sizes)
     if deals is None:
-        one_each = len(names) <= folds  # there is but one way to deal them
-        deals = 1 if one_each else max(DEALS, math.ceil(DEALT / len(names)))
+        wanted = math.ceil(DEALT / len(names)) if len(names) >= FEWEST_DEALT else DEALS
+        deals = max(DEALS, wanted)
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}
