@@ -253,6 +253,8 @@ def test_copies_are_of_one_policy_and_one_start() -> None:
     assert not another.copies.any()
     moved = Rollouts.concatenate([recorded, replace(recorded, positions=recorded.positions + 1e-9)])
     assert not moved.copies.any()
+    by_chance = Rollouts.concatenate([twice, moved.select(np.arange(len(moved)) == count)])
+    assert not by_chance.copies.any()  # it may do otherwise, so that each counts
 
 
 def test_the_null_of_a_verdict_does_not_count_copies() -> None:

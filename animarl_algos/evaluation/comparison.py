@@ -11,7 +11,6 @@ from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.distances import (
     DISTANCE_RESAMPLES,
@@ -22,7 +21,7 @@ from animarl_algos.evaluation.distances import (
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_cells, pooled_score
 from animarl_algos.evaluation.metrics import DURATION, METRICS, RETURN, Metric
 from animarl_algos.evaluation.null import Exchanges, NullDistances
-from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED
+from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, copies
 from animarl_algos.evaluation.statistics import (
     RESAMPLES,
     UNDEFINED,
@@ -68,9 +67,10 @@ def counted_metrics() -> list[tuple[Metric, str]]:
     return [(m, rule) for m in METRICS for rule in COUNTING if rule == "all" or not m.share]
 
 
-def copies(rows: pd.DataFrame) -> NDArray[np.bool_]:
-    """Rows whose every metric repeats one of the same policy from the same start."""
-    return rows.drop(columns="repetition").duplicated().to_numpy(dtype=bool)
+def _done(rows: pd.DataFrame) -> list[tuple[Any, ...]]:
+    """What each rollout did, as far as its metrics say."""
+    measured = rows.drop(columns=["method", "seed", "demo", "repetition"])
+    return list(measured.itertuples(index=False, name=None))
 
 
 def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:
@@ -129,7 +129,13 @@ def comparison_table(
     draws = Draws.by(rng, resamples)
     by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
     exchanges = {
-        name: Exchanges.draw(rows["demo"], num_demos, rng, distance_resamples, copies=copies(rows))
+        name: Exchanges.draw(
+            rows["demo"],
+            num_demos,
+            rng,
+            distance_resamples,
+            copies=copies(rows["demo"].tolist(), rows["seed"].tolist(), _done(rows)),
+        )
         for name, rows in by_method.items()
         if name != RECORDED
     }

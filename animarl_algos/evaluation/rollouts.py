@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,22 @@ _PER_ROLLOUT = {
     "lengths": np.int64, "outcome": np.int8, "condition": np.int8, "cue": np.int8,
     "demo": np.int64, "seed": np.int64, "repetition": np.int64,
 }  # fmt: skip
+
+
+def copies(demo: Sequence[int], seed: Sequence[int], did: Sequence[Hashable]) -> NDArray[np.bool_]:
+    """Whether a policy did the same from a start before: ``(rollouts,)``.
+
+    Only where all policies (``seed``) always do the same from a start (``demo``). Who acts by
+    chance may repeat itself too, as an animal that rests; there each rollout counts, or what is
+    seldom done would weigh more than it should.
+    """
+    seen: set[tuple[int, int, Hashable]] = set()
+    repeats = np.zeros(len(demo), dtype=bool)
+    for i, one in enumerate(zip(demo, seed, did, strict=True)):
+        repeats[i] = one in seen
+        seen.add(one)
+    without_chance = len(seen) == len(set(zip(demo, seed)))
+    return repeats & without_chance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,14 +139,9 @@ class Rollouts:
 
     @property
     def copies(self) -> NDArray[np.bool_]:
-        """Whether the same policy did the same from the same start before: ``(rollouts,)``."""
-        seen: set[tuple[int, int, bytes]] = set()
-        found = np.zeros(len(self), dtype=bool)
-        for i, (demo, seed) in enumerate(zip(self.demo.tolist(), self.seed.tolist())):
-            one = (demo, seed, self.path(i).tobytes())
-            found[i] = one in seen
-            seen.add(one)
-        return found
+        """Those to leave out of a null, see :func:`copies`: ``(rollouts,)``."""
+        paths = [self.path(i).tobytes() for i in range(len(self))]
+        return copies(self.demo.tolist(), self.seed.tolist(), paths)
 
     @property
     def movers(self) -> NDArray[np.int64]:
