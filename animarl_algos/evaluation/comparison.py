@@ -67,10 +67,10 @@ def counted_metrics() -> list[tuple[Metric, str]]:
     return [(m, rule) for m in METRICS for rule in COUNTING if rule == "all" or not m.share]
 
 
-def _done(rows: pd.DataFrame) -> list[tuple[Any, ...]]:
+def _done(rows: pd.DataFrame) -> list[bytes]:
     """What each rollout did, as far as its metrics say."""
     measured = rows.drop(columns=["method", "seed", "demo", "repetition"])
-    return list(measured.itertuples(index=False, name=None))
+    return [row.tobytes() for row in measured.to_numpy(dtype=np.float64)]
 
 
 def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:
