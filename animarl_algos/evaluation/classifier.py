@@ -32,8 +32,8 @@ Ints = NDArray[np.int64]
 
 FOLDS = 5
 DEALS = 2  # the folds are dealt anew so many times, at least, and the answers joined
-DEALT = 100  # ... and as often as it takes until so many demonstrations were asked about,
-FEWEST_DEALT = 8  # from so many on: fewer leave an interval that is wider than any deal moves it
+DEALT = 100  # ... and as often as it takes until so many demonstrations were asked about
+FEWEST_DEALT = 8  # demonstrations; fewer leave an interval that is wider than any deal moves it
 NULL_HALVES = 3
 MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
 BOOTSTRAP = 1000
@@ -91,8 +91,9 @@ def tell_apart(
     rng
         Deals the folds, thins, shuffles and resamples.
     deals
-        How often the folds are dealt; by default until ``DEALT`` demonstrations were asked about,
-        for of few the answer depends on how they are dealt.
+        How often the folds are dealt; by default ``DEALS`` times and, of ``FEWEST_DEALT``
+        demonstrations and more, until ``DEALT`` were asked about, for of few the answer depends on
+        how they are dealt.
     importance
         Whether to shuffle features too, one kind after the other.
     """
@@ -106,8 +107,8 @@ def tell_apart(
     if folds < 2:
         return Telling(UNDEFINED, sizes)
     if deals is None:
-        wanted = math.ceil(DEALT / len(names)) if len(names) >= FEWEST_DEALT else DEALS
-        deals = max(DEALS, wanted)
+        few = len(names) < FEWEST_DEALT
+        deals = DEALS if few else max(DEALS, math.ceil(DEALT / len(names)))
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}

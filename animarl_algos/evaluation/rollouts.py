@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +138,7 @@ class Rollouts:
         """Whether a pursuer reached the target, or the searcher the source: ``(rollouts,)``."""
         return np.asarray(self.outcome > 0)
 
-    @property
+    @cached_property
     def copies(self) -> NDArray[np.bool_]:
         """Those to leave out of a null, see :func:`copies`: ``(rollouts,)``."""
         paths = [self.path(i).tobytes() for i in range(len(self))]

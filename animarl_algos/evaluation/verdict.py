@@ -62,7 +62,7 @@ class Verdict:
     learner
         The method.
     starts, rollouts
-        How many count; a rollout that repeats another does not.
+        How many count; of a policy that always does the same, one rollout a start.
     smoothing
         Frames of the moving average that both sides went through.
     auc, among, floor, perturbed, ceiling

@@ -40,8 +40,8 @@ def rows_of(
 ) -> list[dict[str, Any]]:
     """The rows of endings and of motion."""
     starts = np.unique(counted.demo)
-    num_demos, copies = prepared.demos.num_episodes, counted.copies
-    exchanges = Exchanges.draw(counted.demo, num_demos, rng, copies=copies)
+    num_demos = prepared.demos.num_episodes
+    exchanges = Exchanges.draw(counted.demo, num_demos, rng, copies=counted.copies)
     true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
     ends = [ending(one) for one in (prepared.recorded, counted)]
     rows = [_outcome_row(exchanges.chi_squared(np.concatenate(ends)))]
