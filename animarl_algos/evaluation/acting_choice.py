@@ -38,7 +38,7 @@ NEAR = 0.3
 """Mismatch up to which nothing further is tried: rollouts take time."""
 MARGIN = 0.1
 """Mismatch by which another must beat the first: rollouts anew move it by some hundredths."""
-MOST_STARTS, ROLLOUTS = 200, 200
+MOST_STARTS, ROLLOUTS = 200, 400
 SPEEDS = 400  # quantiles by which two distributions of speed are compared
 
 
