@@ -5,16 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from animarl_algos.data.focal import FocalPolicy
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.learner.evaluating import evaluate_individuals
 from animarl_algos.recipes.dqn import DQN
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import NEWT
+from animarl_envs.views.parallel import AnimalParallelEnv
+from animarl_envs.views.single import AnimalEnv
+from animarl_envs.views.vector import AnimalVectorEnv
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.executed import ExecutedActions
 
@@ -82,3 +87,50 @@ def test_rollouts_tell_a_policy_what_was_executed() -> None:
         frames = NEWTS.offsets[:-1] + np.arange(steps)[:, None]
         expected = SHOWN[frames][:, :, individuals].reshape(steps, -1)
         np.testing.assert_array_equal(np.stack(told), expected)
+
+
+def test_all_views_say_what_was_executed() -> None:
+    demo = 4
+    shown = SHOWN[NEWTS.offsets[demo] :][: NEWT.warmup]
+    options: dict[str, Any] = {"demos": NEWTS, "split": None}
+    newt = NEWTS.individuals[1]
+    single = AnimalEnv(NEWT, focal=newt, **options)
+    several = AnimalVectorEnv(NEWT, 2, focal=newt, **options)
+    everyone = AnimalParallelEnv(NEWT, **options)
+    for env in (single, several, everyone):
+        env.reset(seed=0, options={"demo": demo})
+    for t in range(NEWT.warmup + 1):
+        expected = shown[t] if t < NEWT.warmup else np.full(3, 7)
+        assert single.step(7)[4]["executed"] == expected[1]
+        assert several.step(np.array([7, 7]))[4]["executed"].tolist() == [expected[1]] * 2
+        infos = everyone.step(dict.fromkeys(NEWTS.individuals, 7))[4]
+        assert [info["executed"] for info in infos.values()] == expected.tolist()
+
+
+def test_a_learner_in_a_single_environment_holds_what_was_executed() -> None:
+    env = AnimalEnv(NEWT, focal=NEWTS.individuals[1], demos=NEWTS, split=None)
+    model = DQN("GruPolicy", env, seed=0, buffer_size=4000, learning_starts=10**6, device="cpu")
+    model.learn(NEWT.warmup)
+    assert model.replay_buffer is not None
+    staged = model.replay_buffer.staging.frames.actions.ravel()[: NEWT.warmup]
+    first = NEWTS.offsets[env.world.demo.item()]
+    assert staged.tolist() == SHOWN[first : first + NEWT.warmup, 1].tolist()
+
+
+def test_an_evaluation_tells_a_policy_what_was_executed(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = SlotVecEnv(NEWT, 2, demos=NEWTS, dtw=None, time_limit=20)
+    model = DQN("GruPolicy", env, seed=0, buffer_size=4000, device="cpu")
+    told = []
+    kept = model.policy.remember
+    monkeypatch.setattr(
+        model.policy, "remember", lambda state, done: told.append(done) or kept(state, done)
+    )
+    evaluate_individuals(model, env, 2)
+    inferred = demonstrated_actions(env.scenario.demos, NEWT.locomotion)
+    possible = {
+        tuple(row)
+        for first in env.scenario.demos.offsets[:-1]
+        for row in inferred[first : first + NEWT.warmup].tolist()
+    }
+    first_steps = np.stack(told[: NEWT.warmup]).reshape(-1, 3).tolist()
+    assert {tuple(row) for row in first_steps} <= possible

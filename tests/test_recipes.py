@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 import toys
-from pair_learners import SETTINGS, make_pair_learner, weights
+from pair_learners import SETTINGS, demonstrations, make_pair_learner, weights
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger, configure
 
@@ -114,6 +114,15 @@ def test_inputs_are_standardised_by_what_is_held_at_the_first_update(policy: str
     assert torch.equal(model.policy.q_net_target.input_sd, network.input_sd)
     model.learn(200, reset_num_timesteps=False)
     np.testing.assert_allclose(network.input_sd[:, 0], sd)  # and stay
+
+
+def test_inputs_that_an_offline_phase_left_as_they_were_stay_so_online() -> None:
+    """Other units under trained weights would be another network."""
+    raw: dict[str, Any] = {"offline_epochs": 2, "offline_kwargs": {"standardise": False}}
+    raw["demonstrations"] = demonstrations()
+    model = make_pair_learner("dqdil", standardise_inputs=True, **raw).learn(200)
+    assert model.offline_progress.done and model._n_updates > 0
+    assert torch.isinf(model.policy.q_net.input_limit).all()
 
 
 def test_steps_are_counted_in_the_world() -> None:

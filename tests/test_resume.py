@@ -70,9 +70,12 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert straight._n_updates == resumed._n_updates > 0
 
 
-def test_the_offline_phase_resumes_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+@pytest.mark.parametrize("average", [0.0, 0.9])
+def test_the_offline_phase_resumes_too(average: float, device: str, tmp_path: Path) -> None:
     data = demonstrations()
-    offline = {"demonstrations": data, "offline_epochs": 5}
+    offline = {"demonstrations": data, "offline_epochs": 5, "device": device}
+    offline["offline_kwargs"] = {"average": average}
     straight = make(**offline).learn(100)
 
     class Stop(CheckpointCallback):

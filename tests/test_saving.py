@@ -17,6 +17,7 @@ from gymnasium.envs.classic_control import CartPoleEnv
 from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
 
 import animarl_algos.learner.offline
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.recipes.dqdil import DQDIL
 from animarl_algos.recipes.dqn import DQN
 from animarl_envs.errors import InputError
@@ -87,6 +88,29 @@ def test_an_environment_that_does_not_fit_is_refused(
         with pytest.raises(InputError, match=words) as caught:
             model.set_env(other())
         assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: Strangers(2), "the individuals owl, mouse and no condition flag"),
+        (lambda: FlaggedPair(2), r"Observation spaces do not match.*: give the environment it was"),
+    ],
+)
+def test_an_environment_that_does_not_fit_is_refused_by_load_too(
+    other: Callable[[], Any], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        DQN.load(saved(tmp_path), env=other(), device="cpu")
+
+
+def test_an_individual_is_not_loaded_as_another(tmp_path: Path) -> None:
+    """Networks of a predator and of the prey have the same sizes."""
+    DQN("MlpPolicy", SlotVecEnv("agent", 2, focal="predator_1"), device="cpu").save(tmp_path / "m")
+    with pytest.raises(InputError, match=r"individuals prey .*, this learner .*predator_1"):
+        DQN.load(tmp_path / "m", env=SlotVecEnv("agent", 2, focal="prey"), device="cpu")
+    again = SlotVecEnv("agent", 3, focal="predator_1")
+    assert DQN.load(tmp_path / "m", env=again, device="cpu").layout.num_copies == 3
 
 
 def test_a_replay_memory_keeps_its_copies() -> None:

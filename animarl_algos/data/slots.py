@@ -150,6 +150,11 @@ class Feedback:
             return None
         return np.array([info[name] for info in self._infos])
 
+    def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
+        """The actions ``(slots,)`` of the last step: a warm-up replays others than asked for."""
+        replayed = self.get("executed")
+        return actions if replayed is None else replayed
+
     def truncated(self, done: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which copies ended by a time-out rather than by termination; ``done`` ``(copies,)``."""
         out = np.zeros(len(done), dtype=bool)

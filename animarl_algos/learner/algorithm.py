@@ -33,11 +33,7 @@ from stable_baselines3.common.type_aliases import (
 from stable_baselines3.common.utils import configure_logger
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import (
-    SlotLayout,
-    refuse_other_actions,
-    refuse_other_observation,
-)
+from animarl_algos.data.slots import SlotLayout, refuse_other_actions
 from animarl_algos.learner import checks, making, online, saving
 from animarl_algos.learner.collecting import Collector, Memory
 from animarl_algos.learner.demonstrations import (
@@ -219,7 +215,6 @@ class SequenceQLearning(OffPolicyAlgorithm):
         self.exploration_rate = self.exploration_initial_eps
         self.offline_progress = OfflineProgress()
         self.best_weights = self.average_weights = None
-        self.layout = SlotLayout(1, ("agent",), condition_flag=False)
         self.acting_rule: dict[str, Any] = {}
         if _init_setup_model:
             checks.refuse_what_does_not_go_together(self)
@@ -233,7 +228,10 @@ class SequenceQLearning(OffPolicyAlgorithm):
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         if self.env is not None:
-            self.layout = SlotLayout.of(self.env)
+            layout = SlotLayout.of(self.env)
+            if (learned := vars(self).get("layout")) is not None:  # a file's
+                making.refuse_other_slots(layout, learned)
+            self.layout = layout
             self.episode_limit = longest_episode(self.env, self.max_episode_steps)
         self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
         self.root_seed = making.root_seed(self.seed)
@@ -268,8 +266,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         """
         slots = self._wrap_env(env, self.verbose)
         layout = SlotLayout.of(slots)
-        making.refuse_other_individuals(layout, self.layout)
-        refuse_other_observation(self.layout.observed, layout.observed)
+        making.refuse_other_slots(layout, self.layout)
         if isinstance(slots.action_space, Discrete):
             refuse_other_actions(self.policy.num_actions, int(slots.action_space.n))
         new, copies = self.replay_buffer is None, self.n_envs
@@ -469,7 +466,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         state: tuple[NDArray[Any], ...] | None = None,
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[Any], tuple[NDArray[Any], ...] | None]:
+    ) -> tuple[NDArray[Any], Memory]:
         """Actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
         return self.policy.predict(observation, state, episode_start, deterministic)
 
@@ -511,7 +508,7 @@ class SequenceQLearning(OffPolicyAlgorithm):
         Raises
         ------
         InputError
-            If another class saved it.
+            If another class saved it, or ``env`` has other individuals or shows other things.
         """
         with saving.found_where_they_stood(), saving.only_of(cls, path):
             return super().load(path, *arguments, **keywords)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import SlotLayout
+from animarl_algos.data.slots import Feedback, SlotLayout
 from animarl_algos.ranges import COUNT
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ def evaluate_individuals(
     done = np.zeros(copies, dtype=np.int64)
     total, steps = np.zeros((copies, K)), np.zeros(copies, dtype=np.int64)
     returns, lengths = [], []
+    feedback = Feedback(env)
     observation = env.reset()
     state, starts = None, np.ones(env.num_envs, dtype=bool)
     while (done < wanted).any():
@@ -68,7 +69,9 @@ def evaluate_individuals(
             starts,
             deterministic,
         )
-        observation, rewards, starts, _ = env.step(actions)
+        observation, rewards, starts, infos = env.step(actions)
+        feedback.update(infos)
+        state = model.remember(state, feedback.executed(actions))
         total += rewards.reshape(copies, K)
         steps += 1
         for b in np.flatnonzero(starts.reshape(copies, K)[:, 0]):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animarl_algos.data.slots import SlotLayout
+from animarl_algos.data.slots import SlotLayout, refuse_other_observation
 from animarl_algos.learner.presets import constructor_settings
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import GruPolicy
@@ -79,19 +79,20 @@ def make_replay_buffer(model: SequenceQLearning) -> SequenceReplayBuffer:
     )
 
 
-def refuse_other_individuals(there: SlotLayout, here: SlotLayout) -> None:
+def refuse_other_slots(there: SlotLayout, here: SlotLayout) -> None:
     """Refuse the slots of an environment that are not those a learner was made for.
 
     Raises
     ------
     InputError
-        If the names or the condition flag differ.
+        If the names, the condition flag or what is observed differ.
     """
     if _described(there) != _described(here):
         raise InputError(
             f"the environment has {_described(there)}, this learner {_described(here)}: give "
             "one with the same individuals"
         )
+    refuse_other_observation(here.observed, there.observed)
 
 
 def _described(layout: SlotLayout) -> str:

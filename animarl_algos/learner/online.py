@@ -145,11 +145,12 @@ def train_as_due(model: SequenceQLearning) -> None:
 def standardise(model: SequenceQLearning) -> None:
     """Let the networks see inputs in units of what the memory holds now, once for all.
 
-    What was standardised before, in the offline phase too, stays.
+    What was standardised before, in the offline phase too, stays, and so do the inputs that a
+    network has learned from in an offline phase as they were.
     """
     assert model.replay_buffer is not None
     policy = model.policy
-    if torch.isfinite(policy.q_net.input_limit).all():
+    if model.offline_progress.done or torch.isfinite(policy.q_net.input_limit).all():
         return
     mean, sd = (torch.from_numpy(each) for each in model.replay_buffer.moments())
     for network in (policy.q_net, policy.q_net_target):

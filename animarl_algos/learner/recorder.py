@@ -124,9 +124,8 @@ class Recorder:
         return ended
 
     def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
-        """The actions ``(S,)`` of the step just recorded: a warm-up replays others than asked."""
-        replayed = self._feedback.get("executed")
-        return actions if replayed is None else replayed
+        """The actions ``(S,)`` of the step just recorded; see :meth:`.slots.Feedback.executed`."""
+        return self._feedback.executed(actions)
 
     def _ended(self, dones: NDArray[np.bool_]) -> Ended:
         if not dones.any():

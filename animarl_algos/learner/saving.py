@@ -100,7 +100,8 @@ def only_of(learner: type[SequenceQLearning], path: Place) -> Iterator[None]:
     Raises
     ------
     InputError
-        If it is of another recipe or another kind of values, or of no learner of this project.
+        If it is of another recipe or another kind of values, or of no learner of this project, or
+        the environment it is to learn in has other spaces.
     """
     found = _settings_in(path)
     if found is None or "offline_epochs" not in found:
@@ -120,6 +121,10 @@ def only_of(learner: type[SequenceQLearning], path: Place) -> Iterator[None]:
             f"{path}: its networks are not those of {learner.__name__} "
             f"({str(error).splitlines()[0]}): load it with the class that saved it"
         ) from error
+    except ValueError as error:
+        if "spaces do not match" not in str(error):
+            raise
+        raise InputError(f"{path}: {error}: give the environment it was trained in") from error
 
 
 def _settings_in(path: Place) -> dict[str, Any] | None:

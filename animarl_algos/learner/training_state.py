@@ -85,7 +85,8 @@ def restore_training_state(
     model.policy.q_net_target.load_state_dict(tensors["q_net_target"])
     model.policy.optimizer.load_state_dict(tensors["optimizer"])
     model.best_weights = tensors["best_weights"]
-    model.average_weights = tensors.get("average_weights")
+    average = tensors.get("average_weights")  # follows the networks, where they are
+    model.average_weights = average and {k: v.to(model.device) for k, v in average.items()}
     model._last_obs = None
     if "last_observation" in arrays:
         env_state = {key[4:]: value for key, value in arrays.items() if key[:4] == "env/"}

@@ -282,7 +282,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         state: tuple[NDArray[Any], ...] | None = None,
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], tuple[NDArray[Any], ...]]:
+    ) -> tuple[NDArray[np.int64], State]:
         """Choose an action per slot.
 
         Parameters

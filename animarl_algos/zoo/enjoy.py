@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from animarl_algos.cli.watch import play
 from animarl_algos.cli.watch_actors import trained_actor
 from animarl_algos.data.focal import FocalPolicy
+from animarl_algos.data.slots import Feedback
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.networks.acting_rule import Acting, Kind
@@ -58,12 +59,15 @@ def enjoy(arguments: list[str]) -> None:
 def run(model: SequenceQLearning, env: VecEnv, steps: int, seed: int) -> None:
     """Act for so many steps, and say how episodes ended."""
     env.seed(seed)
+    feedback = Feedback(env)
     observation = env.reset()
     state, starts = None, np.ones(env.num_envs, dtype=bool)
     returns: list[float] = []
     for _ in range(steps):
         actions, state = model.predict(observation, state, starts)  # type: ignore[arg-type]
         observation, _, starts, infos = env.step(actions)
+        feedback.update(infos)
+        state = model.remember(state, feedback.executed(actions))
         episode = infos[0].get("episode")
         if episode is not None:
             returns.append(float(episode["r"]))

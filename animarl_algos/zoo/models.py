@@ -9,13 +9,9 @@ from pathlib import Path
 from gymnasium.spaces import Discrete
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import (
-    SlotLayout,
-    refuse_other_actions,
-    refuse_other_observation,
-)
+from animarl_algos.data.slots import SlotLayout, refuse_other_actions
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.making import refuse_other_individuals
+from animarl_algos.learner.making import refuse_other_slots
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs.errors import InputError
 
@@ -70,8 +66,7 @@ def check_fit(model: SequenceQLearning, env: VecEnv, path: Path) -> None:
             "--env and --algo it was trained with"
         )
     try:
-        refuse_other_individuals(layout, learned)
-        refuse_other_observation(learned.observed, layout.observed)
+        refuse_other_slots(layout, learned)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if isinstance(env.action_space, Discrete):

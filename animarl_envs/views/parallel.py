@@ -27,6 +27,7 @@ from animarl_envs.views.common import (
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
+from animarl_envs.worlds.executed import ExecutedActions
 
 Observations = dict[str, NDArray[np.float32]]
 
@@ -83,6 +84,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
         self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
         self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
+        self._executed = ExecutedActions(self.world)
         self._started = False
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -145,6 +147,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
                 )
             self._actions[0, i] = action
         warming = world.warming.item()
+        executed = self._executed(self._actions)[0].tolist()
         world.step(self._actions)
         cut_after(world, self.max_cycles)
         if self.render_mode is not None:
@@ -155,6 +158,8 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         terminated, truncated = world.terminated.item(), world.truncated.item()
         agents = self.agents
         observations, infos = self._observations(), self._infos(warming=warming)
+        for agent, action in zip(agents, executed, strict=True):
+            infos[agent]["executed"] = action
         if terminated or truncated:
             for info in infos.values():
                 info["TimeLimit.truncated"] = truncated

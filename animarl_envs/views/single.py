@@ -25,6 +25,7 @@ from animarl_envs.views.common import (
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
+from animarl_envs.worlds.executed import ExecutedActions
 
 KEYS = {
     "w": 0, "wa": 30, "q": 60, "a": 90, "z": 120, "sa": 150,
@@ -56,7 +57,8 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
     -----
     ``info`` holds ``demo`` (index of the paired demonstration in the chosen split, -1 without),
     ``condition``, ``step``, ``warmup`` (the step was replayed from the demonstration, so the action
-    had no effect), each reward component under its own name, ``outcome`` (k above 0: contact by
+    had no effect), after a step ``executed`` (the action that had: the demonstrated one in a
+    warm-up), each reward component under its own name, ``outcome`` (k above 0: contact by
     individual k - 1; 0: time limit, and as long as the episode goes on; -1: the target left the
     arena; -2: a pursuer left it), and at reset ``scenario``. ``reset(options={"demo": 3})`` starts
     from demonstration 3.
@@ -98,6 +100,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._picture.frame_rate}
         self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
+        self._executed = ExecutedActions(self.world)
         self._running = False
 
     @property
@@ -161,6 +164,8 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._actions[0, i] = action
         for j, policy in self._policies.items():
             self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
+        executed = self._executed(self._actions) if warming else self._actions
+        done = executed.item(0, i)
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
@@ -168,7 +173,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
             self._picture.follow()
             if self.render_mode == "human":
                 self.render()
-        info = self._info(warming)
+        info = self._info(warming) | {"executed": done}
         return self._observation(), world.reward.item(i), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]

@@ -31,6 +31,7 @@ from animarl_envs.views.common import (
 )
 from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
+from animarl_envs.worlds.executed import ExecutedActions
 
 
 class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]):
@@ -108,6 +109,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.reset_by_step = np.zeros(num_envs, dtype=bool)
         self._ended = np.ones(num_envs, dtype=bool)
+        self._executed = ExecutedActions(self.world)
         self._started = False
         self._actions = np.zeros((num_envs, self.world.num_individuals), dtype=np.int64)
         self._all = np.ones(num_envs, dtype=bool)
@@ -192,7 +194,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
                     "reset(options={'reset_mask': ...}) before the next step"
                 )
             streams = world.random_state[due]
-        warming = world.warming.copy()
+        warming, executed = world.warming.copy(), self._executed(self._actions)[:, i].copy()
         world.step(self._actions)
         self.reset_by_step = due
         if due.any():
@@ -204,7 +206,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
         ended = world.terminated | world.truncated
         reward = world.reward[:, i].copy()
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
-        infos = self._masked(self._infos() | {"warmup": warming})
+        infos = self._masked(self._infos() | {"warmup": warming, "executed": executed})
         self._ended = ended
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
             if ended.any():

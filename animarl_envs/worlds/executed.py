@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,17 +20,22 @@ class ExecutedActions:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        demos, species = world.demos, world.scenario.species
-        self._demonstrated: NDArray[np.int64] | None = None
-        if demos is not None and world.scenario.paired and species.warmup > 0:
-            self._demonstrated = demonstrated_actions(demos, species.locomotion).astype(np.int64)
-            self._first = demos.offsets[:-1]
+        scenario = world.scenario
+        self._replays = world.demos is not None and scenario.paired and scenario.species.warmup > 0
+
+    @cached_property
+    def _demonstrated(self) -> NDArray[np.int64]:
+        """The actions of all recorded frames, ``(frames, K)``; worked out once one is replayed."""
+        assert self._world.demos is not None
+        acted = demonstrated_actions(self._world.demos, self._world.scenario.species.locomotion)
+        return acted.astype(np.int64)
 
     def __call__(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
         """``actions`` ``(B, K)``, with the demonstrated ones in copies that are warming up."""
         warming = self._world.warming
-        if self._demonstrated is None or not warming.any():
+        if not self._replays or not warming.any():
             return actions
-        frame = self._first[self._world.demo] + self._world.step_count
+        assert self._world.demos is not None
+        frame = self._world.demos.offsets[:-1][self._world.demo] + self._world.step_count
         shown = self._demonstrated[np.where(warming, frame, 0)]
         return np.where(warming[:, None], shown, actions)
