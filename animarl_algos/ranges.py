@@ -50,7 +50,7 @@ class Range:
     def __str__(self) -> str:
         kind = "a whole number" if self.whole else "a number"
         low = f"of at least {self.least:g}" if self.above is None else f"above {self.above:g}"
-        high = "" if self.most == math.inf else f" and at most {self.most:g}"
+        high = "" if self.most == math.inf else f" and at most {self.most:.10g}"
         return f"{kind} {low}{high}" + (", or none" if self.optional else "")
 
 
@@ -61,6 +61,7 @@ NOT_NEGATIVE = Range()
 POSITIVE = Range(above=0.0)
 PROBABILITY = Range(most=1.0)
 POSITIVE_OR_NONE = replace(POSITIVE, optional=True)
+SEED = Range(most=2**32 - 1, whole=True)
 SHARE = Range(above=0.0, most=1.0)
 
 

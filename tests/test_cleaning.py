@@ -195,6 +195,36 @@ def test_event_tables(tmp_path: Path) -> None:
         cut_episodes(approach_path(), CHASE, 10.0, settings, "r")
 
 
+def test_events_of_unknown_recordings_are_warned_of_and_refused_alone(tmp_path: Path) -> None:
+    table = tmp_path / "events.csv"
+    recipe = ImportRecipe(cutting=Cutting(mode="events", events=str(table)))
+    table.write_text("recording,start,end\n\nR,1,2\n")
+    with pytest.raises(InputError, match=r"events.csv: line 3 is of .* 'R' and no line .*\(r\): m"):
+        demonstrations_from_tracks([tracks(wave(0.2, 30.0))], recipe)
+    table.write_text("recording,start,end\nr,0,1\nR,1,2\n")
+    with pytest.warns(UserWarning, match=r"1 of 2 events are of rec.* line 3 \('R'; imported: r\)"):
+        demos = demonstrations_from_tracks([tracks(wave(0.2, 30.0))], recipe)
+    assert len(demos) == 1
+
+
+@pytest.mark.parametrize(
+    ("lost", "says"),
+    [
+        (np.s_[:, 1], "animal_1 is never tracked in recording r"),
+        (np.s_[1::2, 0], "no two frames in a row have all individuals"),
+        (np.s_[:0], "the cut leaves no episode"),
+    ],
+)
+def test_why_there_is_no_episode_is_said(lost: tuple[slice, int] | slice, says: str) -> None:
+    path = np.concatenate([wave(0.2, 30.0), wave(0.3, 30.0)], axis=1)
+    path[lost] = np.nan
+    recipe = ImportRecipe(cutting=Cutting(shortest=99.0))
+    with pytest.raises(InputError, match=f"tracks: {says}"):
+        demonstrations_from_tracks([tracks(path)], recipe)
+    with pytest.raises(InputError, match="its recordings have one frame each"):
+        demonstrations_from_tracks([tracks(path[:1, :1])], recipe)
+
+
 def test_the_one_who_is_approached_is_the_target() -> None:
     rng = np.random.default_rng(2)
     target = np.cumsum(rng.normal(0, 0.05, (400, 2)), axis=0)

@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import sys
+import warnings
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -315,6 +316,14 @@ def test_bad_files_are_refused_in_one_sentence(
         (["train", "--set", "replay_buffer_kwargs={colour: red}"], "'colour'"),
         (["train", "--set", "gamma=1.5"], "gamma is 1.5"),
         (["train", "--set", "buffer_size=10"], "buffer_size 10 cannot hold"),
+        (["train", "--seed", "-1"], "seed is -1"),
+        (["fit", "agent", "--seed", "-1"], "seed is -1: give a whole number of at least 0"),
+        (["watch", "AnimaRL/Agent-v0", "--seed", "-1", "--out", "w.gif"], "seed is -1"),
+        (["watch", "AnimaRL/Agent-v0", "--seed", "9" * 20, "--out", "w.gif"], "most 4294967295"),
+        (["data", "split", "agent", "--seed", "-1", "--out", "y.npz"], "is -1: give zero or more"),
+        (["fit", "agent", "--split", "foo"], "'foo': choose one of train, val, test, all"),
+        (["watch", "AnimaRL/Fly-v0", "--split", "foo", "--out", "w.gif"], "train, val, test, all"),
+        (["data", "check", "agent", "--out", "episodes.txt"], "ends in .csv"),
     ],
 )
 def test_bad_options_are_refused_in_one_sentence(
@@ -324,6 +333,73 @@ def test_bad_options_are_refused_in_one_sentence(
     assert done.returncode == 2
     assert word in done.stderr and "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_input_is_written_over(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    table = tmp_path / "table.csv"
+    assert animarl("data", "convert", str(small), "--out", str(table)).returncode == 0
+    before = table.read_bytes()
+    for command in (["data", "check"], ["data", "convert"], ["fit"]):
+        done = animarl(*command, str(table), "--out", "../" + tmp_path.name + "/table.csv")
+        assert done.returncode == 2 and "it is the file that is read" in done.stderr
+    copy = Path(shutil.copy(small, tmp_path))
+    done = animarl("data", "merge", str(copy), str(small), "--out", str(copy))
+    assert done.returncode == 2 and "it is the file that is read" in done.stderr
+    assert table.read_bytes() == before and copy.read_bytes() == small.read_bytes()
+    done = animarl("data", "check", str(small), "--out", "episodes.csv")
+    assert "Wrote episodes.csv" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["fit"],
+        ["run"],
+        ["data", "show"],
+        ["watch", "AnimaRL/Custom-v0", "--out", "w.gif", "--demos"],
+    ],
+)
+def test_what_only_an_import_can_be_told_is_said_with_it(
+    command: list[str], animarl: Callable[..., Done], tmp_path: Path
+) -> None:
+    table = tmp_path / "good tracks.csv"
+    table.write_text("frame,id,x,y\n" + "".join(f"{f},a,{f}.0,1.0\n" for f in range(20)))
+    done = animarl(*command, table.name)
+    assert done.returncode == 2 and done.stderr.startswith(f"animarl: {table.name}: ")
+    assert f"'animarl import '{table.name}' --fps ... --out demos.npz'" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [table]
+
+
+def test_a_source_is_asked_for_where_the_command_takes_one(
+    animarl: Callable[..., Done], tmp_path: Path
+) -> None:
+    (tmp_path / "tracks.xyz").write_text("1 2 3\n")
+    shown, fitted = (animarl(*words, "tracks.xyz").stderr for words in (["data", "show"], ["fit"]))
+    assert "name its --source" in fitted and "animarl import" not in fitted
+    assert "'animarl import tracks.xyz --source ... --out demos.npz'" in shown
+
+
+def test_a_file_is_no_run_folder(animarl: Callable[..., Done], small: Path) -> None:
+    done = animarl("report", str(small))
+    assert done.returncode == 2 and "it is not a run folder" in done.stderr
+
+
+def test_warnings_are_sentences_on_the_command_line_only(
+    animarl: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warned(*_: object) -> list[object]:
+        warnings.warn("the clone of prey\nknows nothing", stacklevel=1)
+        return []
+
+    monkeypatch.setattr("animarl_algos.cli.showing.demonstrations_at_a_glance", warned)
+    assert animarl("data", "show", str(small)).stderr == (
+        "Warning: the clone of prey knows nothing\n"
+    )
+    with pytest.warns(UserWarning, match="the clone of prey"):
+        warned()
 
 
 def test_help_teaches_by_example(animarl: Callable[..., Done]) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
@@ -349,6 +350,36 @@ def test_exports_that_are_not_clear_are_refused_with_the_command(kind: str, tmp_
     assert part in said and f"animarl import '{tmp_path}/un clear.csv'" in said
     for column in text.split("\n")[0].split(","):
         assert column in said
+
+
+def test_exports_with_letters_for_animals_are_told_from_units(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    letters = wide(frame="frame", x0="x_m", y0="y_m", x1="x_f", y1="y_f")
+    for table in (letters, letters.assign(recording="r")):  # where a long table might be seen
+        table.to_csv(path, index=False)
+        (tracks,) = read_tracks(path)
+        assert tracks.individuals == ("m", "f") and tracks.unit == "px"
+    wide(frame="frame", x0="x_m", y0="y_m").to_csv(path, index=False)
+    (tracks,) = read_tracks(path)
+    assert tracks.individuals == ("individual_0",) and tracks.unit == "m"
+
+
+@pytest.mark.parametrize("recording", [{}, {"recording": "r"}])
+@pytest.mark.parametrize("first", ["x_mm,y_mm", "x,y", "X (cm),Y (cm)"])
+def test_exports_with_a_pair_left_over_are_refused(
+    first: str, recording: dict[str, str], tmp_path: Path
+) -> None:
+    path, (x, y) = tmp_path / "t.csv", first.split(",")
+    table = wide(frame="frame", x0=x, y0=y, x1="x_f", y1="y_f").assign(**recording)
+    table.to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"t\.csv: columns 'x_f' and 'y_f' are left over") as said:
+        read_tracks(path)
+    columns = yaml.safe_load(str(said.value).partition("'columns=")[2].partition("'")[0])
+    (tracks,) = read_tracks(path, "wide-table", columns=columns)
+    np.testing.assert_array_equal(tracks.bodies, BODIES)
+    moving = {"x_f": "velocity_x", "y_f": "velocity_y"}
+    table.rename(columns=moving).to_csv(path, index=False)
+    assert read_tracks(path)[0].individuals == ("individual_0",)
 
 
 def test_exports_with_a_wrong_cell_are_refused_by_line_and_column(tmp_path: Path) -> None:

@@ -173,8 +173,10 @@ def test_onset_bootstrap_equals_numpy_on_each_resample() -> None:
 
 def test_onset_fit_without_an_onset_says_so() -> None:
     demos, _ = simulate(np.random.default_rng(10), episodes=5)
-    with pytest.raises(InputError, match=r"never crosses .*onset_threshold or use method 'joint'"):
-        fit_locomotion(demos, "onset", onset_threshold=1e-6, split=None)
+    for threshold, mend in ((1e-6, "raise"), (1e6, "lower")):
+        words = rf"never crosses .*: {mend} onset_threshold or use method 'joint'"
+        with pytest.raises(InputError, match=words):
+            fit_locomotion(demos, "onset", onset_threshold=threshold, split=None)
 
 
 def test_an_individual_that_never_moves_is_refused() -> None:

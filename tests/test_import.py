@@ -51,6 +51,69 @@ def test_import_of_several_files_of_one_recording(tmp_path: Path) -> None:
     assert Demonstrations.load(tmp_path / "fish.npz").num_individuals == 2
 
 
+def test_sessions_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    files = []
+    for name in ("s1", "s2"):
+        (tmp_path / name).mkdir()
+        files.append(write_long(tmp_path / name))
+    words = ("--fps", 20, "--target", "female", "--out", tmp_path / "demos.npz")
+    animarl("import", *files, *words)
+    stem = files[0].stem
+    known = [f"s1/{stem}", f"s2/{stem}"]
+    assert np.unique(Demonstrations.load(tmp_path / "demos.npz").recording).tolist() == known
+    for rows in ("s1/NAME,0\ns2/NAME,1", "s1/NAME.csv,0\n/far/s2/NAME.csv,1"):
+        table = tmp_path / "m.csv"
+        table.write_text("recording,condition\n" + rows.replace("NAME", stem) + "\n")
+        animarl("import", *files, *words, "--metadata", table)
+        for one in Demonstrations.load(tmp_path / "demos.npz"):
+            assert one.condition == known.index(one.recording)
+
+
+def test_animals_of_one_recording_in_several_folders_are_put_together(tmp_path: Path) -> None:
+    files = []
+    for name in ("male", "female"):
+        files.append(tmp_path / name / "r.csv")
+        files[-1].parent.mkdir()
+        files[-1].write_text(
+            "frame,id,x,y\n" + "".join(f"{t},{name},{t},{len(name)}\n" for t in range(99))
+        )
+    animarl("import", *files, "--fps", 20, "--out", tmp_path / "demos.npz")
+    demos = Demonstrations.load(tmp_path / "demos.npz")
+    assert demos.num_individuals == 2 and set(demos.recording) == {"r"}
+
+
+def test_a_recording_that_is_given_twice_is_refused(tmp_path: Path) -> None:
+    table = write_long(tmp_path)
+    again = tmp_path / ".." / tmp_path.name / table.name
+    with pytest.raises(InputError, match=f"{table.name}: it is given twice"):
+        animarl("import", table, again, "--fps", 20, "--dry-run")
+    rows = table.read_text().splitlines()
+    for name in ("mon.csv", "tue.csv"):
+        lines = [f"{'recording' if i == 0 else 'r'},{row}" for i, row in enumerate(rows)]
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+    days = [tmp_path / "mon.csv", tmp_path / "tue.csv"]
+    with pytest.raises(InputError, match=r"mon\.csv and .*tue\.csv: both have .* of recording r:"):
+        animarl("import", *days, "--fps", 20, "--dry-run")
+
+
+def test_options_without_effect_on_finished_demonstrations_are_refused(tmp_path: Path) -> None:
+    native, out = write_native(tmp_path), tmp_path / "out.npz"
+    words = ("--fps", 5, "--target", "male", "--keep-jumps", "--out", out)
+    with pytest.raises(InputError, match=r"no effect on them \(--fps, --target, --keep-jumps\)"):
+        animarl("import", native, *words)
+    assert not out.exists()
+
+
+def test_import_names_the_file_of_a_recording_with_a_fault(tmp_path: Path) -> None:
+    table = write_long(tmp_path)
+    with pytest.raises(InputError, match=f"{table}: {table.stem}: there is no individual 'ghost'"):
+        animarl("import", table, "--fps", 20, "--individuals", "ghost", "--dry-run")
+
+
+def test_the_help_of_import_shows_a_whole_pattern() -> None:
+    assert "(?P<condition>sham|drug)" in animarl("import", "--help")
+
+
 def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
     table, out = write_long(tmp_path), tmp_path / "demos.npz"
     for words, message in (

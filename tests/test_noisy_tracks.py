@@ -13,6 +13,7 @@ from small_runs import few
 from thrust_walks import walk
 from typer.testing import CliRunner
 
+from animarl_algos.cli.hints import hints
 from animarl_algos.cli.main import app
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_settings import RunSettings
@@ -109,3 +110,14 @@ def test_an_import_of_jumping_tracks_hints_at_smoothing(tmp_path: Path) -> None:
     words = ("import", tmp_path / "pair.csv", "--fps", 25, "--target", "female", "--dry-run")
     assert "smooth it by --smoothing 2" in animarl(*words)
     assert "smooth it" not in animarl(*words, "--smoothing", 2)
+
+
+def test_smoothed_tracks_are_not_advised_to_be_smoothed_so_again() -> None:
+    rng = np.random.default_rng(0)
+    demos = recorded_pairs()
+    demos = replace(demos, positions=demos.positions + rng.normal(0, 0.1, demos.positions.shape))
+    for cutoff, advised in ((None, True), (8.0, True), (2.0, False)):
+        done = {"smoothing": {"cutoff_hz": cutoff}} if cutoff else {}
+        told = {**demos.provenance, "synthetic": False, "cleaning": {"r": done}}
+        found = hints(replace(demos, provenance=told))
+        assert any("--smoothing 2" in hint for hint in found) == advised

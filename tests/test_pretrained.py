@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,48 @@ def test_what_cannot_be_exported_says_why(run: RunFolder, tmp_path: Path) -> Non
         export_run(run, tmp_path / "thesis")
     with pytest.raises(InputError, match="no packaged model of that name"):
         load_pretrained("cat")
+
+
+def test_no_run_is_written_over(run: RunFolder, tmp_path: Path) -> None:
+    other = tmp_path / "run"
+    shutil.copytree(run.path, other)
+    before = (other / "settings.json").read_bytes()
+    for exported in (run, RunFolder(other)):
+        with pytest.raises(InputError, match="it is a run folder"):
+            export_run(exported, other)
+    assert (other / "settings.json").read_bytes() == before
+    model = export_run(run, tmp_path / "model")
+    assert export_run(run, model) == model
+
+
+def test_a_model_without_its_recordings_is_watched_with_their_file(
+    run: RunFolder, tmp_path: Path
+) -> None:
+    out = export_run(run, tmp_path / "model")
+    for given in ({}, {"demos": "agent"}, {"demos": None}):
+        with pytest.raises(InputError, match="by --demos, or export it again --with-demonst"):
+            prepare("AnimaRL/Agent-v0", model=out, **given)
+    world, _ = prepare("AnimaRL/Agent-v0", model=out, demos=run.path / "demonstrations.npz")
+    own, _ = prepare("AnimaRL/Agent-v0", model=run.path)
+    assert world.scenario.species == own.scenario.species
+
+
+@pytest.mark.parametrize("order", [[1, 0, 2], [0, 2]])
+def test_recordings_of_other_individuals_are_refused(
+    order: list[int], run: RunFolder, tmp_path: Path
+) -> None:
+    names = [run.demos.individuals[i] for i in order]
+    other = replace(
+        run.demos,
+        individuals=tuple(names),
+        roles=tuple(run.demos.roles[i] for i in order),
+        positions=run.demos.positions[:, order],
+        initial_velocity=run.demos.initial_velocity[:, order],
+    )
+    file = other.save(tmp_path / "other.npz")
+    words = f"other.npz: it shows {names[0]} .pursuer., .* learned from predator_0 .pursuer., pred"
+    with pytest.raises(InputError, match=words):
+        prepare("AnimaRL/Agent-v0", model=run.path, demos=file)
 
 
 def said_by(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> tuple[int, str]:

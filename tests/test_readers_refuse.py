@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from refusals import refused
 
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import read, read_tracks
 from animarl_envs.importing.readers.unpickle import load_object_npy, load_plain
-from tools.fuzz.layouts import agents_arrays, write_native, write_npy
+from tools.fuzz.layouts import agents_arrays, write_mothvr, write_native, write_npy, write_wide
 
 
 def _spoilt(tmp_path: Path, **changes: Any) -> Path:
@@ -75,6 +76,30 @@ def test_readers_refuse_text_truncation_folders_and_absence(tmp_path: Path) -> N
         read(whole, "nonsense")
     with pytest.raises(InputError, match="holds no episode"):
         read(whole).select(split="train", condition=1)
+
+
+@pytest.mark.parametrize("source", [None, "animarl"])
+def test_readers_say_what_is_empty_cut_short_or_a_folder(
+    source: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.npz"
+    path.touch()
+    assert "a.npz: it is empty" in refused(path, source)
+    path.write_bytes(write_native(tmp_path).read_bytes()[:-200])
+    assert "a.npz: it is not a plain npz archive, or damaged or cut short" in refused(path, source)
+    assert f"{tmp_path}: it is a folder" in refused(tmp_path, source)
+
+
+def test_readers_name_the_line_where_time_is_uneven(tmp_path: Path) -> None:
+    path = write_mothvr(tmp_path)
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:3] + lines[4:]))
+    assert "line 4: Time does not run at 30 frames a second" in refused(path)
+    path = write_wide(tmp_path)
+    lines = ["n,recording," + path.read_text().splitlines()[0]]
+    lines += [f"{t},{name},1,2,3,4" for name in "ab" for t in (0, 1, 3)]
+    path.write_text("\n".join(lines).replace("n,", "frame,", 1) + "\n")
+    assert "line 4 is of frame 3 after 1" in refused(path, frame_rate=20.0)
 
 
 def test_readers_refuse_headers_that_ask_for_too_much(tmp_path: Path) -> None:
@@ -142,12 +167,18 @@ BAD_TABLES = {
     "letters": ("frame,id,x,y\n0,a,1,2\n1,a,oops,2\n", "cannot be read"),
     "duplicate": ("frame,id,x,y\n0,a,1,2\n0,a,1,2\n", "frame 0, a has two rows"),
     "no rows": ("frame,id,x,y\n", "no rows"),
-    "negative": ("frame,id,x,y\n-1,a,1,2\n", "whole numbers from 0"),
+    "negative": (
+        "frame,id,x,y\n0,a,1,2\n\n-1,a,1,2\n",
+        "line 4, column 'frame' holds -1: give whole numbers",
+    ),
+    "fraction": ("frame,id,x,y\n0.5,a,1,2\n", "line 2, column 'frame' holds 0.5"),
+    "far": ("frame,id,x,y\n0,a,1,2\n1000000000,a,1,2\n", "line 3 is of frame 1000000000"),
+    "huge": ("recording,frame,x,y\nr,0,1,2\nr,1,1e300,2\n", r"bad\.csv: r, frame 1, individual_0"),
     "columns": ("frame,who,x,y\n0,a,1,2\n", "0 columns 'id'"),
     "short line": ("frame,id,x,y\n0,a,1,2\n1,a,1\n", "line 3 has 3 cells, the header 4"),
     "long line": ("frame,id,x,y\n0,a,1,2\n1,a,1,2,3\n", "line 3 has 5 cells, the header 4"),
     "cut last line": ("frame,id,x,y\n0,a,1,2\n1,a", "line 3 has 2 cells"),
-    "nameless": ("frame,id,x,y\n0,a,1,2\n1,,1,2\n", "row 2 has no id"),
+    "nameless": ("frame,id,x,y\n0,a,1,2\n1,,1,2\n", "line 3 has no id"),
     "quote": ('frame,id,x,y\n0,"a,1,2\n1,a,1,2\n', "a quote is never closed"),
     "returns": ("frame,id,x,y\n0,a,1,2\r1,a,1,2\n", "carriage return stands alone"),
     "binary": ("frame,id,x,y\n0,a,1,2\0\n", "NUL bytes"),
@@ -183,11 +214,11 @@ def test_lines_are_counted_across_blocks_quotes_and_line_ends(tmp_path: Path) ->
 
 
 BAD_TIMES = {
-    "missing": ("t,id,x,y\n0,a,1,2\n,a,1,2\n", "row 2 has no time"),
+    "missing": ("t,id,x,y\n0,a,1,2\n,a,1,2\n", "line 3 has no time"),
     "one": ("t,id,x,y\n0,a,1,2\n0,b,1,2\n", "all rows have the same time"),
     "between": (
         "t,id,x,y\n0,a,1,2\n0.1,a,1,2\n0.2,a,1,2\n0.35,a,1,2\n0.45,a,1,2\n",
-        "time of row 4 lies between frames at 10 Hz",
+        "time of line 5 lies between frames at 10 Hz",
     ),
 }
 

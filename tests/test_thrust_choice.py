@@ -7,7 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.thrust_choice import choose_thrusts, tracking_floor
+from animarl_algos.evaluation.thrust_choice import (
+    choose_thrusts,
+    thrusts_and_reason,
+    tracking_floor,
+)
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -43,6 +47,7 @@ def test_too_few_to_say_get_as_many_as_recorded_animals_ask_for(chases: Demonstr
     floor = tracking_floor(newts, joint_locomotion(newts))
     assert floor.estimate <= 2 / 3 and floor.high - floor.low > 1 / 3
     assert choose_thrusts(newts) == 3
+    assert "too few to tell" in thrusts_and_reason(newts)[1]
     assert choose_thrusts(chases.select(episodes=np.arange(3))) == 1
 
 

@@ -276,7 +276,7 @@ def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
         np.testing.assert_allclose(found, truth.thrust * np.array(truth.magnitudes), rtol=1e-4)
         assert float(row["tracking_error"]) < 1e-3 < float(rows[0]["tracking_error"])
         assert float(row["floor"]) < float(rows[0]["floor"]) - GAIN
-    assert "Chosen on training episodes: 3" in result.output
+    assert "Chosen on training episodes: 3, the fewest whose floor (" in result.output
 
 
 def test_numbers_of_magnitudes_are_read_from_either_form() -> None:

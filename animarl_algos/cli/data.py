@@ -14,16 +14,16 @@ from animarl_algos.cli import completion
 from animarl_algos.cli.hints import hints
 from animarl_algos.cli.lazy import SETTINGS
 from animarl_algos.cli.merging import merge_command
+from animarl_algos.cli.reading import SOURCE, load, refuse_overwriting
 from animarl_algos.cli.showing import report, show, wide_console
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import episode_table, summarise
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.minari_io import export_minari
-from animarl_envs.importing.readers import available_readers, read
+from animarl_envs.importing.readers import available_readers
 
 app = typer.Typer(
     epilog="For example: animarl data show agent. COMMAND --help gives more.",
@@ -84,6 +84,10 @@ def check_command(
 
       animarl data check demos.npz --out episodes.csv
     """
+    if out is not None:
+        if out.suffix != ".csv":
+            raise InputError(f"{out}: a table of episodes ends in .csv: rename it")
+        refuse_overwriting(out, file)
     demos = load(file)
     rows = episode_table(demos)
     console = wide_console()
@@ -97,6 +101,7 @@ def check_command(
             writer = csv.DictWriter(target, fieldnames=list(rows[0]))
             writer.writeheader()
             writer.writerows(rows)
+        console.print(f"Wrote {out}", highlight=False, soft_wrap=True)
     console.print(f"{file}: {len(rows)} episodes, all valid.", highlight=False, soft_wrap=True)
 
 
@@ -145,7 +150,8 @@ def convert_command(
 
       animarl data convert demos.npz --out courtship-v0
     """
-    demos = load(file, source)
+    refuse_overwriting(out, file)
+    demos = load(file, source, takes=(SOURCE,))
     if out.suffix == ".npz":
         demos.save(out)
     elif out.suffix == ".csv":
@@ -169,18 +175,6 @@ def plot_command(file: DemosArgument, out: OutOption) -> None:
         raise InputError(f"{out}: a figure ends in .png, .svg or .pdf: rename it")
     plot_summary(load(file), out)
     wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
-
-
-def load(file: str, source: str | None = None) -> Demonstrations:
-    """A packaged set by name, or a file."""
-    if file in packaged_names() and not Path(file).exists():
-        return load_packaged(file)
-    if not Path(file).exists():
-        raise InputError(
-            f"{file}: there is no such file, and packaged are {', '.join(packaged_names())}: check "
-            "the path"
-        )
-    return read(file, source)
 
 
 def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:

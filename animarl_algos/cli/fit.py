@@ -13,8 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from animarl_algos.cli import completion
-from animarl_algos.cli.data import load
+from animarl_algos.cli.reading import SOURCE, load, named_split, refuse_overwriting
 from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.ranges import SEED
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.units import RECORDED_SCALE, unit_of
@@ -98,12 +99,14 @@ def fit_command(
     """
     if out is not None and out.suffix not in {".csv", ".json"}:
         raise InputError(f"{out}: the suffix says how to save: use .csv or .json")
+    if out is not None:
+        refuse_overwriting(out, file)
+    seed, chosen = SEED.check("seed", seed), named_split(split)
     compared = _compared(file, numbers or [], thrusts or [], method)
-    demos = load(file, source)
+    demos = load(file, source, takes=(SOURCE,))
     if species is not None and onset_threshold is None:
         onset_threshold = get_species(species).recording.onset_threshold
     console = PlainConsole(least_width=TABLE_WIDTH)
-    chosen = None if split == "all" else split
     if compared:
         compare_thrusts(demos, compared, chosen, seed, console, out)
         return
@@ -165,7 +168,7 @@ def compare_thrusts(
     Also says which number ``animarl run`` chooses, among those that it tries.
     """
     from animarl_algos.cli.thrusts import format_thrust_table, save_thrust_rows, thrust_rows
-    from animarl_algos.evaluation.thrust_choice import choose_thrusts
+    from animarl_algos.evaluation.thrust_choice import thrusts_and_reason
 
     if out is not None and out.suffix == ".json" and len(numbers) > 1:
         raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
@@ -177,8 +180,10 @@ def compare_thrusts(
     rows = thrust_rows(fits, seen, seed=seed)
     console.print(format_thrust_table(rows, seen, split or "all"))
     if len(numbers) > 1:
-        chosen = choose_thrusts(demos, seed=seed)
-        console.print(f"Chosen on training episodes: {chosen}", highlight=False)
+        chosen, reason = thrusts_and_reason(demos, seed=seed)
+        console.print(
+            f"Chosen on training episodes: {chosen}, {reason}", highlight=False, soft_wrap=True
+        )
     if out is not None:
         if out.suffix == ".json":
             fits[0].save(out)

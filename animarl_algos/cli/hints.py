@@ -14,6 +14,7 @@ from animarl_envs.demos.summary import persistence
 
 UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
 STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
+SMOOTH = 2.0  # cutoff against such noise [Hz]
 FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
@@ -48,7 +49,9 @@ def hints(demos: Demonstrations) -> list[str]:
 
 
 def _jitter(demos: Demonstrations) -> list[str]:
-    if demos.synthetic or 1.0 / demos.dt < OFTEN:
+    smoothing = [one.get("smoothing", {}) for one in _cleaning(demos).values()]
+    smoothed = any(one.get("cutoff_hz", np.inf) <= SMOOTH for one in smoothing)
+    if demos.synthetic or smoothed or 1.0 / demos.dt < OFTEN:
         return []
     kept = zip(demos.individuals, persistence(demos))
     jumpy = [f"{name} {100 * share:.0f} %" for name, share in kept if share < STEADY]
@@ -57,7 +60,7 @@ def _jitter(demos: Demonstrations) -> list[str]:
     return [
         f"of a step little is made in the next one too ({', '.join(jumpy)}), as where tracks jump "
         "to and fro; such noise hides how long somebody goes on, and simulated animals slow down: "
-        "smooth it by --smoothing 2, in Hz"
+        f"smooth it by --smoothing {SMOOTH:g}, in Hz"
     ]
 
 

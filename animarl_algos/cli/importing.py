@@ -24,9 +24,11 @@ from animarl_envs.importing.roles import AUTO
 
 SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
 NOBODY = "none"  # is the target
+OF_FINISHED = {"files", "source", "out", "dry_run", "condition", "option"}  # what they go with
 
 
 def import_command(
+    context: typer.Context,
     files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
     source: Annotated[
         str | None,
@@ -65,7 +67,8 @@ def import_command(
     name_pattern: Annotated[
         str | None,
         typer.Option(
-            help="The same from names of recordings: '(?P<condition>sham|drug)_(?P<split>train)'."
+            help=r"The same by groups in names of recordings: (?P\<condition>sham|drug) or "
+            r"(?P\<split>train|test)."
         ),
     ] = None,
     keypoint: Annotated[str | None, typer.Option(help="Body part, or centroid.")] = None,
@@ -164,6 +167,7 @@ def import_command(
     if reader.read_demonstrations is not None:
         if len(files) > 1:
             raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
+        _refuse_beside_finished(files[0], context)
         finished = read(files[0], reader.name, **_options(option))
         if condition is not None:
             finished = replace(finished, condition=np.full(len(finished), condition, dtype=np.int8))
@@ -223,6 +227,20 @@ def import_command(
         console.print(f"hint: {hint}", highlight=False, soft_wrap=True)
     if dry_run:
         console.print("Dry run: nothing was written.")
+
+
+def _refuse_beside_finished(file: Path, context: typer.Context) -> None:
+    """Refuse options that say how episodes are made, of a file that holds them made."""
+    idle = [
+        (own.secondary_opts if context.params[own.name] is False else own.opts)[0]
+        for own in context.command.params
+        if own.name not in OF_FINISHED and context.params.get(own.name or "") is not None
+    ]
+    if idle:
+        raise InputError(
+            f"{file}: it holds finished demonstrations: leave out what has no effect on them "
+            f"({', '.join(idle)}), or import the tracks anew"
+        )
 
 
 def _heading(given: str | None) -> list[str] | None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import sys
+import warnings
+from typing import Any
 
 from animarl_envs.checks import printable
 from animarl_envs.errors import InputError, MissingExtraError
@@ -37,11 +39,19 @@ def animarl() -> None:
     """Recorded animals become a simulator: fit, train, evaluate, report."""
 
 
+def say_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """A warning as one line, without the place in the source that Python would add."""
+    sentence = printable(" ".join(str(message).split()))
+    print(f"Warning: {sentence}", file=sys.stderr)
+
+
 def main() -> None:
     """Entry point of the ``animarl`` script."""
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
     try:
-        app()
+        with warnings.catch_warnings():
+            warnings.showwarning = say_warning
+            app()
     except (InputError, MissingExtraError) as error:
         print(f"animarl: {printable(str(error))}", file=sys.stderr)
         sys.exit(2)

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from animarl_algos.cli.reading import refuse_overwriting, said_with_import
 from animarl_algos.cli.showing import report
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.joining import join
@@ -35,7 +36,10 @@ def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstratio
     """
     if len(files) < 2:
         raise InputError(f"{files[0]}: there is nothing to merge it with: give two files or more")
-    parts = [read(file) for file in files]
+    parts = []
+    for file in files:
+        with said_with_import(file):
+            parts.append(read(file))
     if conditions is None:
         return join(parts, " and ".join(map(str, files)))
     words = [word.strip() for word in conditions.split(",")]
@@ -75,4 +79,5 @@ def merge_command(
     """
     if out.suffix != ".npz":
         raise InputError(f"{out}: demonstrations end in .npz: rename it")
+    refuse_overwriting(out, *files)
     report(merged(files, conditions), out, None)

@@ -16,6 +16,7 @@ import yaml
 from rich.text import Text
 
 from animarl_algos.cli import completion
+from animarl_algos.cli.reading import SOURCE, said_with_import
 from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.errors import InputError
@@ -154,7 +155,8 @@ def _open(given: dict[str, Any]) -> RunFolder:
 
     file, source = given["file"], given["source"]
     species = asked_species(given["env"], given["species"])
-    demos = pipeline.load_demonstrations(file, source, species)
+    with said_with_import(file, takes=(SOURCE,)):
+        demos = pipeline.load_demonstrations(file, source, species)
     if species is None:
         species = demos.species if demos.species in SPECIES else CUSTOM
     overrides = parse_settings(given["settings"])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from animarl_algos.cli import completion
+from animarl_algos.cli.reading import load, named_split
 from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.cli.watch_actors import (
     Actor,
@@ -24,10 +25,12 @@ from animarl_algos.cli.watch_actors import (
     trained_environment,
 )
 from animarl_algos.cli.watch_beside import HOLD, play_beside
+from animarl_algos.ranges import SEED
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import make_scenario
+from animarl_envs.scenario import PACKAGED, make_scenario
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
@@ -129,9 +132,10 @@ def watch_command(
         raise InputError("--focal names whom the model drives, but there is no model: give --model")
     if beside and (model is None or out is None):
         raise InputError("--beside is a clip of a model and its recording: give --model and --out")
+    seed = SEED.check("seed", seed)
     options = {
         "demos": None if demos == "none" else demos,
-        "split": None if split == "all" else split,
+        "split": named_split(split),
         "condition": "demo" if condition is ConditionChoice.demo else int(condition.value),
     }
     world, actor = prepare(
@@ -208,17 +212,21 @@ def prepare(
         kwargs.pop(key, None)
     species = kwargs.pop("species")
     options = kwargs | options
+    demos = options.get("demos", PACKAGED)
+    if isinstance(demos, str | Path):
+        demos = options["demos"] = demos if str(demos) == PACKAGED else load(str(demos))
     policy = None
     if model is not None:
         name = species if isinstance(species, str) else species.name
-        trained = load_trained(model, name, seed, acting)
+        given = demos if isinstance(demos, Demonstrations) else None
+        trained = load_trained(model, name, seed, acting, given)
         policy, species, learned = trained.policy, trained.species, trained.focal
         if learned is not None and focal not in (None, learned):
             raise InputError(
                 f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
             )
         focal = focal or learned
-        if options.get("demos", "packaged") == "packaged":
+        if demos is not None:
             options["demos"] = trained.demos
         options = trained.senses | options
     plain = make_scenario(species, **options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 import animarl_envs
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import Scenario
+from animarl_envs.scenario import PACKAGED, Scenario
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.executed import ExecutedActions
+
+if TYPE_CHECKING:
+    from animarl_algos.runs.run_folder import RunFolder
 
 Actor = Callable[[World, bool], NDArray[np.integer]]
 """From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
@@ -37,15 +40,22 @@ class Trained:
     senses: dict[str, Any]
 
 
-def load_trained(model: str | Path, species: str, seed: int, acting: str | None = None) -> Trained:
+def load_trained(
+    model: str | Path,
+    species: str,
+    seed: int,
+    acting: str | None = None,
+    given: Demonstrations | None = None,
+) -> Trained:
     """The trained policy of a run's folder or of a packaged model, and the world it learned in.
 
-    It acts as it does in tests.
+    It acts as it does in tests. The demonstrations are those ``given``, or else the run's own.
 
     Raises
     ------
     InputError
-        If the folder holds no trained policy, or one of another species.
+        If the folder holds no trained policy, or one of another species or of other individuals
+        than those given, or lacks its demonstrations.
     """
     from animarl_algos.data.focal import FocalPolicy
     from animarl_algos.runs.acting import acting_of
@@ -55,7 +65,7 @@ def load_trained(model: str | Path, species: str, seed: int, acting: str | None 
 
     folder = model_folder(model)
     run = RunFolder(folder, acting)
-    settings, recorded = run.settings, run.demos
+    settings = run.settings
     if settings.species != species:
         raise InputError(
             f"{folder}: it was trained as {settings.species}, not as {species}: watch "
@@ -63,6 +73,8 @@ def load_trained(model: str | Path, species: str, seed: int, acting: str | None 
         )
     if not run.has_policy(settings.algo):
         raise InputError(f"{folder}: there is no trained policy yet: let 'animarl train' finish")
+    recorded = _recordings(run, given)
+    shown = recorded if given is None else _of_same_animals(given, recorded, run)
     fitted = run.species(recorded, run.fit)
     learner = run.learner(settings.algo, run.environment(fitted, recorded))
     run.load_policy(settings.algo, learner)
@@ -72,7 +84,43 @@ def load_trained(model: str | Path, species: str, seed: int, acting: str | None 
     if settings.focal is not None:
         policy = FocalPolicy(learner, fitted.individuals, settings.focal)
     senses = in_the_world(run.environment_options)
-    return Trained(policy, fitted, recorded, settings.focal, senses)
+    return Trained(policy, fitted, shown, settings.focal, senses)
+
+
+def _recordings(run: RunFolder, given: Demonstrations | None) -> Demonstrations:
+    """What the run learned from; a model that was exported without them is given the same."""
+    from animarl_algos.runs.run_folder import DEMONSTRATIONS
+    from animarl_algos.runs.run_world import of_those_who_move
+
+    file = run.settings.file
+    if file == PACKAGED or (run.path / DEMONSTRATIONS).exists():
+        return run.demos
+    if given is None or given.fingerprint() != run.record["fingerprint"]:
+        other = "" if given is None else f", and {given.name} holds others"
+        raise InputError(
+            f"{run.path}: the demonstrations that it learned from ({file}) are not in it{other}: "
+            "give their file by --demos, or export it again --with-demonstrations"
+        )
+    return of_those_who_move(given, run.environment_options)
+
+
+def _of_same_animals(
+    given: Demonstrations, recorded: Demonstrations, run: RunFolder
+) -> Demonstrations:
+    """The given ones, of those who move in the run; refused if these are not who learned."""
+    from animarl_algos.runs.run_world import of_those_who_move
+
+    given = of_those_who_move(given, run.environment_options)
+    shown, learned = (
+        ", ".join(f"{name} ({role})" for name, role in zip(d.individuals, d.roles))
+        for d in (given, recorded)
+    )
+    if shown != learned:
+        raise InputError(
+            f"{given.name}: it shows {shown}, but {run.path} learned from {learned}: give --demos "
+            "of the same individuals, in this order"
+        )
+    return given
 
 
 def trained_environment(model: str | Path) -> str:

@@ -28,7 +28,7 @@ TRIED = (1, 2, 3, 5, 8)
 LOW = 2 / 3  # a floor that needs no further magnitude
 GAIN = 0.05  # by which the floor must fall to be worth more actions
 UNSURE = 1 / 3  # a wider interval of the floor tells nothing: it reaches from not told to told
-RECORDED = 3  # then as many as recorded moths, termites and flies ask for
+RECORDED = 3  # then a guess between one (artificial chasers) and five (recorded moths, flies)
 FEW = 10  # with fewer demonstrations, parts of them are dealt to the classifier's folds
 
 
@@ -64,14 +64,23 @@ def choose_thrusts(demos: Demonstrations, *, seed: int = 0) -> int:
     does not fall by another ``GAIN``. Where the episodes are too few to say what the floor is,
     ``RECORDED`` are taken: one would be what artificial chasers have, and is no safer a guess.
     """
+    return thrusts_and_reason(demos, seed=seed)[0]
+
+
+def thrusts_and_reason(demos: Demonstrations, *, seed: int = 0) -> tuple[int, str]:
+    """The number that :func:`choose_thrusts` gives, and what decided it, in a few words."""
     seen = demos.select(split="train") if (demos.split == "train").any() else demos
     floors: dict[int, float] = {}
     for thrusts in TRIED:
         floor = tracking_floor(seen, joint_locomotion(seen, thrusts), seed=seed)
         if np.isnan(floor.high - floor.low) or floor.high - floor.low > UNSURE:
-            return RECORDED
+            return RECORDED, "a guess, since these are too few to tell"
         floors[thrusts] = floor.estimate
         if floors[thrusts] <= LOW:
             break
     lowest = min(floors.values())
-    return next(m for m, floor in floors.items() if floor <= lowest + GAIN)
+    chosen = next(m for m, floor in floors.items() if floor <= lowest + GAIN)
+    return chosen, (
+        f"the fewest whose floor ({floors[chosen]:.2f}) is within {GAIN:g} of the lowest "
+        f"({lowest:.2f}) of {', '.join(map(str, floors))}"
+    )

@@ -18,6 +18,7 @@ from animarl_algos.ranges import (
     COUNT_OR_NONE,
     NOT_NEGATIVE,
     POSITIVE,
+    SEED,
     SHARE,
     WHOLE,
     Range,
@@ -47,7 +48,7 @@ LEARNER = {
     "offline_epochs": WHOLE,
     "offline_patience": COUNT_OR_NONE,
     "_stats_window_size": COUNT,
-    "seed": Range(most=2**32 - 1, whole=True, optional=True),
+    "seed": replace(SEED, optional=True),
 }
 """Settings of :class:`.algorithm.SequenceQLearning`, beside those of its phases."""
 SET_BY_LEARNER = {

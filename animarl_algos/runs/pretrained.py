@@ -20,6 +20,7 @@ from animarl_algos.report.provenance import flattened
 from animarl_algos.report.verdict_section import COLUMNS, verdict_lines, verdict_sentence
 from animarl_algos.report.words import Words
 from animarl_algos.runs.acting import acting_file
+from animarl_algos.runs.evaluating import refuse_run_folder
 from animarl_algos.runs.rolling_out import trained_model
 from animarl_algos.runs.run_folder import DEMONSTRATIONS, RunFolder
 from animarl_algos.runs.weights import GIVEN, write_weights
@@ -105,8 +106,10 @@ def export_run(
         raise InputError(
             f"{run.path}: a model card needs its evaluation: 'animarl evaluate {run.path}'"
         )
-    if out.is_dir() and any(out.iterdir()) and not (out / "settings.json").is_file():
-        raise InputError(f"{out}: it holds something that is no model: name another --out")
+    if not all((out / name).is_file() for name in ("settings.json", METRICS)):
+        refuse_run_folder(out)
+        if out.is_dir() and any(out.iterdir()):
+            raise InputError(f"{out}: it holds something that is no model: name another --out")
     evaluation = Evaluation.load(run.path / "evaluation")
     packaged = _is_packaged(run)
     # A path says more of somebody's disk than of the model.

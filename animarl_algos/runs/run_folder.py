@@ -113,7 +113,7 @@ class RunFolder:
             if not isinstance(record, dict):
                 raise ValueError("it is no table")
             return record
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise InputError(
                 f"{self.path}: it is not a run folder (settings.json is missing): "
                 "make one with 'animarl run' or 'animarl train'"

@@ -68,9 +68,11 @@ def fit_onset(demos: Demonstrations, individual: int, onset_threshold: float) ->
     data = onset_data(demos, individual, onset_threshold)
     name = demos.individuals[individual]
     if len(data.onset_speed) == 0:
+        threshold = onset_threshold * demos.dt
+        mend = "lower" if data.speed.max(initial=0.0) < threshold else "raise"
         raise InputError(
-            f"{demos.name}: {name} never crosses {onset_threshold * demos.dt:.3g} from below, so "
-            "the onset fit has nothing to measure: raise onset_threshold or use method 'joint'"
+            f"{demos.name}: {name} never crosses {threshold:.3g} from below, so "
+            f"the onset fit has nothing to measure: {mend} onset_threshold or use method 'joint'"
         )
     weights = np.ones((1, data.num_episodes))
     damping, thrust = _resampled(data, weights)[0]

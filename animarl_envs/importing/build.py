@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import clean, resample, resample_index, runs
 from animarl_envs.importing.contacts import found_contact
 from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, Cutting, cut_episodes, in_pieces
+from animarl_envs.importing.events import check_recordings
 from animarl_envs.importing.headings import in_arena_frame, resample_headings
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.roles import named, roles_of, with_faced
@@ -39,6 +41,10 @@ def demonstrations_from_tracks(
     """
     if not recordings:
         raise InputError(f"{name}: there is no recording in it: give at least one")
+    if all(len(tracks) < 2 for tracks in recordings):
+        raise InputError(
+            f"{name}: its recordings have one frame each, an episode needs two or more: check it"
+        )
     sessions = sessions_of(recordings, recipe.metadata, recipe.name_pattern)
     cleaned, done = [], {}
     for tracks in recordings:
@@ -56,6 +62,8 @@ def demonstrations_from_tracks(
     if all(tracks.outcome is None for tracks in cleaned):
         contact = _contact(bodies, roles, recipe.cutting)
     touching = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
+    if recipe.cutting.mode == "events" and recipe.cutting.events is not None:
+        check_recordings(Path(recipe.cutting.events), [tracks.recording for tracks in cleaned])
     episodes = []
     for tracks, body, cuts in zip(
         cleaned, bodies, _cuts(cleaned, bodies, roles, touching), strict=True
@@ -66,9 +74,7 @@ def demonstrations_from_tracks(
         episodes += [_episode(tracks, body, cut, order, recipe) for cut in cuts]
     episodes = [one for one in episodes if len(one["positions"]) >= 2]
     if not episodes:
-        raise InputError(
-            f"{name}: the cut leaves no episode: loosen the distances or the length limits"
-        )
+        raise InputError(f"{name}: {_why_none(cleaned)}")
     recording = np.array([one["recording"] for one in episodes])
     rate = recipe.decision_rate or cleaned[0].frame_rate
     assert rate is not None
@@ -109,6 +115,29 @@ def demonstrations_from_tracks(
             **sessions.told(),
         },
         name=name,
+    )
+
+
+def _seen(tracks: Tracks) -> NDArray[np.bool_]:
+    """Who is tracked in which frame, ``(frames, individuals)``."""
+    return np.asarray(np.isfinite(tracks.bodies).all(axis=2))
+
+
+def _why_none(cleaned: Sequence[Tracks]) -> str:
+    """Why there is no episode, and what to do."""
+    for tracks in cleaned:
+        if any(stop - start > 1 for start, stop in runs(_seen(tracks).all(axis=1))):
+            return "the cut leaves no episode: loosen the distances or the length limits"
+    for tracks in cleaned:
+        for who, name in enumerate(tracks.individuals):
+            if not _seen(tracks)[:, who].any():
+                return (
+                    f"{name} is never tracked in recording {tracks.recording}: leave it out by "
+                    "--individuals, or see to --min-confidence"
+                )
+    return (
+        "no two frames in a row have all individuals: choose some by --individuals, or fill gaps "
+        "by --max-gap"
     )
 
 

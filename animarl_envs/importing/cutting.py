@@ -5,7 +5,6 @@ All distances are in arena units, after scaling; cuts and outcomes are decided a
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.files import refuse_unfinished
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import runs
+from animarl_envs.importing.events import event_rows
 
 FEWEST_PIECES = 10
 ROUNDING = 1e-9  # relative difference of distances that a change of unit makes
@@ -220,15 +219,7 @@ def _from_table(
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
-    refuse_unfinished(path)
-    try:
-        with path.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: the event table cannot be read ({error}): check it") from None
-    if rows and not {"recording", "start", "end"} <= set(rows[0]):
-        raise InputError(f"{path}: it lacks a column recording, start or end: add them")
-    for number, row in enumerate(rows, start=2):
+    for number, row in event_rows(path):
         if row["recording"] != recording:
             continue
         try:

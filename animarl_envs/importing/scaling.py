@@ -123,7 +123,10 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
         [tracks.bodies[np.isfinite(tracks.bodies).all(axis=2)] for tracks in recordings]
     )
     if len(points) == 0:
-        raise InputError(f"{first.recording}: no individual was ever tracked: check the file")
+        raise InputError(
+            f"{first.recording}: no individual was ever tracked: check the file, "
+            "or see to --min-confidence"
+        )
     low, high = points.min(axis=0), points.max(axis=0)
     middle = (low + high) / 2
     centre = settings.centre or (float(middle[0]), float(middle[1]))

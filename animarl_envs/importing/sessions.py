@@ -70,6 +70,9 @@ class Sessions:
         for name in (recording, recording.partition("DLC_")[0], recording.rpartition("/")[2]):
             if name in self.by_recording:
                 return self.by_recording[name]
+        ending = [one for key, one in self.by_recording.items() if key.endswith(f"/{recording}")]
+        if len(ending) == 1:
+            return ending[0]
         raise InputError(
             f"{self.place}: nothing is said of recording {recording!r}: add a row for it, or leave "
             "its file out"
@@ -272,5 +275,5 @@ def _united(before: Session, now: Session, place: str) -> Session:
 
 def _without_ending(name: str) -> str:
     """The name of a recording, where a file's name stands for it."""
-    path = Path(name)
-    return path.stem if re.fullmatch(r"\.[A-Za-z]\w{0,4}", path.suffix) else name
+    suffix = Path(name).suffix
+    return name.removesuffix(suffix) if re.fullmatch(r"\.[A-Za-z]\w{0,4}", suffix) else name

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -177,6 +179,42 @@ def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
     return [
         replace(part, recording=recording, individuals=(name,))
         for part, name in zip(parts, names, strict=True)
+    ]
+
+
+def told_apart(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tracks]]:
+    """The same, named by folder where files of one name in several folders have the same animals.
+
+    Other files that share a recording hold different animals of it.
+    """
+    groups: dict[str, list[tuple[Path, Tracks]]] = {}
+    for file, tracks in parts:
+        groups.setdefault(tracks.recording, []).append((file, tracks))
+    folders: dict[tuple[str, Path], str] = {}
+    for recording, group in groups.items():
+        having: dict[str, list[Path]] = {}
+        for file, tracks in group:
+            for name in tracks.individuals:
+                having.setdefault(name, []).append(file)
+        twice = [(name, files) for name, files in having.items() if len(set(files)) > 1]
+        if not twice:
+            continue
+        files = {file for file, _ in group}
+        if len({file.name for file in files}) > 1:
+            name, (first, *others) = twice[0]
+            second = next(file for file in others if file != first)
+            raise InputError(
+                f"{first} and {second}: both have {name} of recording {recording}: leave one out, "
+                "or give different recordings different names"
+            )
+        above = os.path.commonpath([file.parent.resolve() for file in files])
+        for file in files:
+            folders[recording, file] = file.parent.resolve().relative_to(above).as_posix()
+    return [
+        (file, replace(tracks, recording=f"{folder}/{tracks.recording}"))
+        if (folder := folders.get((tracks.recording, file), ".")) != "."
+        else (file, tracks)
+        for file, tracks in parts
     ]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.importing.readers.guards import Place, row_of
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame
 LARGEST_FRAME = 2**31
@@ -21,7 +22,7 @@ IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2})?([.,]\d+)?")
 
 
-def even_rate(path: Path, time: NDArray[np.float64]) -> float:
+def even_rate(path: Path, time: NDArray[np.float64], place: Place = row_of) -> float:
     """Frame rate [Hz] of times [s] that must rise evenly from row to row."""
     step = np.diff(time)
     if len(step) == 0 or not np.isfinite(step).all() or not (step > 0).all():
@@ -30,19 +31,19 @@ def even_rate(path: Path, time: NDArray[np.float64]) -> float:
     if np.abs(step - usual).max() > 0.5 * usual:
         at = int(np.abs(step - usual).argmax())
         raise InputError(
-            f"{path}: the time step at row {at + 2} is {step[at]:.4g} s, not {usual:.4g} s: "
+            f"{path}: the time step at {place(at + 1)} is {step[at]:.4g} s, not {usual:.4g} s: "
             "fill missing rows, or use a long table with frame numbers"
         )
     return round(1.0 / float(step.mean()), 6)
 
 
-def refuse_uneven_frames(path: Path, frames: NDArray[np.float64]) -> None:
+def refuse_uneven_frames(path: Path, frames: NDArray[np.float64], place: Place = row_of) -> None:
     """Refuse frame numbers that do not rise by one from row to row."""
     wrong = np.flatnonzero(np.diff(frames) != 1)  # NaN too
     if len(wrong):
         row = int(wrong[0])
         raise InputError(
-            f"{path}: row {row + 2} is of frame {frames[row + 1]:g} after {frames[row]:g}: give "
+            f"{path}: {place(row + 1)} is of frame {frames[row + 1]:g} after {frames[row]:g}: give "
             "every frame in order, or make a long table, where frames may be missing"
         )
 
@@ -52,6 +53,7 @@ def frames_at(
     time: NDArray[np.float64],
     rate: float | None,
     group: NDArray[np.integer] | None = None,
+    place: Place = row_of,
 ) -> tuple[float, NDArray[np.int32]]:
     """Frame rate [Hz] and frame number ``(rows,)`` of times [s] in any order, repeats allowed.
 
@@ -59,8 +61,8 @@ def frames_at(
     times give it: the median, made exact by all steps of few frames, whole where that fits.
     """
     if not np.isfinite(time).all():
-        row = int((~np.isfinite(time)).argmax()) + 1
-        raise InputError(f"{path}: row {row} has no time: fill it in, or leave the row out")
+        row = int((~np.isfinite(time)).argmax())
+        raise InputError(f"{path}: {place(row)} has no time: fill it in, or leave the row out")
     group = np.zeros(len(time), dtype=np.int64) if group is None else group
     first = np.full(int(group.max()) + 1, np.inf)
     np.minimum.at(first, group, time)
@@ -82,10 +84,9 @@ def frames_at(
         off = np.abs(since * rate - numbers)
         if rate > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
             return rate, numbers.astype(np.int32)
-    row = int(off.argmax()) + 1
     raise InputError(
-        f"{path}: the time of row {row} lies between frames at {rate:g} Hz: mend it, or give "
-        "the right --option fps=..."
+        f"{path}: the time of {place(int(off.argmax()))} lies between frames at {rate:g} Hz: mend "
+        "it, or give the right --option fps=..."
     )
 
 

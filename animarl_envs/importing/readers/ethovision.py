@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from animarl_envs.importing.readers.layouts import Layout, layout_of
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.sheets import is_workbook, sheet_names
 from animarl_envs.importing.readers.tables import EXTENSIONS
-from animarl_envs.importing.readers.tabular import pieces
+from animarl_envs.importing.readers.tabular import line_of, pieces
 from animarl_envs.importing.tracks import Tracks
 
 FIRST_CELL = "Number of header lines:"
@@ -77,7 +78,7 @@ def _read(path: Path, layout: Layout, progress: Progress) -> Tracks:
         individuals=(said.get("subject name") or layout.sheet or "subject",),
         keypoints=tuple(points),
         positions=positions[:, None],
-        frame_rate=even_rate(path, table[clock]),
+        frame_rate=even_rate(path, table[clock], partial(line_of, path, layout)),
         start=float(table[clock][0]),
         unit=units.pop() or "px",
         provenance={"file": path.name, "tracker": "EthoVision", "read_as": layout.words},

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import LONGEST_NAME
+from animarl_envs.checks import LONGEST_NAME, printable
 from animarl_envs.errors import InputError, MissingExtraError
 
+Place = Callable[[int], str]  # what messages call a row, counted from 0
 
-def refuse_empty(path: Path, column: str, empty: NDArray[np.bool_], first_row: int) -> None:
-    """Refuse a table whose text ``column`` is empty somewhere; rows are counted from 1."""
+
+def row_of(row: int) -> str:
+    """What messages call a row, counted from 0, where lines are not known."""
+    return f"row {row + 1}"
+
+
+def refuse_empty(
+    path: Path, column: str, empty: NDArray[np.bool_], first_row: int, place: Place = row_of
+) -> None:
+    """Refuse a table whose text ``column`` is empty somewhere."""
     if empty.any():
         raise InputError(
-            f"{path}: row {first_row + int(empty.argmax()) + 1} has no {column}: fill it in, or "
+            f"{path}: {place(first_row + int(empty.argmax()))} has no {column}: fill it in, or "
             "leave the row out"
         )
 
@@ -32,12 +41,28 @@ def refuse_long(path: Path, column: str, length: int) -> None:
 
 
 @contextlib.contextmanager
+def naming(files: Mapping[str, Path]) -> Iterator[None]:
+    """Put the file before what is said of a recording, each by its name."""
+    try:
+        yield
+    except InputError as error:
+        for recording, file in files.items():
+            if str(error).startswith((f"{recording}: ", f"{recording}, ")):
+                raise InputError(f"{file}: {error}") from None
+        raise
+
+
+@contextlib.contextmanager
 def refusing(path: Path, source: str) -> Iterator[None]:
     """Turn what a library raises over a damaged file into one sentence."""
     try:
         yield
-    except (InputError, MissingExtraError):
+    except MissingExtraError:
         raise
+    except InputError as error:
+        if printable(str(path)) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from None
     except MemoryError:
         raise InputError(
             f"{path}: reading it as {source} needs more memory than there is: cut it in parts"

@@ -43,6 +43,7 @@ HABITS: dict[str, tuple[tuple[str, ...], ...]] = {
 _WORDS = r"pos|position|coord|coordinate|centroid|center|centre|loc|location|wcentroid"
 _AXIS = re.compile(rf"(?:(?:{_WORDS}|c)?[xy]|[xy](?:{_WORDS}|c)?)")
 EXACT = ("x", "y")
+MOTION = ("vel", "speed", "acc")  # how names of pairs begin that are no positions
 
 
 @dataclass(frozen=True)
@@ -84,16 +85,54 @@ class Columns:
 
 def named(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
     """The columns' names and units; a unit stands in brackets, behind a slash, last, or below."""
-    found = []
+    found, pairs = [], pairs_of(names)
+    letters = [who for who in pairs if len(who) == 1 and who.lower() not in UNIT_NAMES]
     for at, name in enumerate(names):
         below = units[at] if at < len(units) else ""
         match = re.fullmatch(r"(.*?)[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*", name) or re.fullmatch(
             r"(.+?)(?:_|\s*/\s*|\s+)([A-Za-zµ]+)", name
         )
         unit = bare_unit(match[2]) if match and match[2].lower() in UNIT_NAMES else ""
+        letter = match[2] if match and len(match[2]) == 1 else ""
+        if name in pairs.get(letter, ()) and any(
+            pairs[one][0][:2] == pairs[letter][0][:2] for one in letters
+        ):
+            unit = ""  # but an animal: x_m and y_m beside x_f and y_f
         bare = match[1] if match and unit else name
         found.append(Named(name, bare.strip(), unit or below))
     return found
+
+
+def pairs_of(names: Sequence[str]) -> dict[str, list[str]]:
+    """Pairs of columns that differ in an x and a y, by what else is in their names."""
+    found: dict[str, list[str]] = {}
+    known = set(names)
+    for name in names:
+        for pattern in (r"^([xX])[_ .]?(.+)$", r"^(.+)[_ .]([xX])$"):
+            match = re.match(pattern, name)
+            if match is None:
+                continue
+            first = pattern.startswith("^([xX])")
+            axis, who = (match[1], match[2]) if first else (match[2], match[1])
+            other = "y" if axis == "x" else "Y"
+            partner = other + name[1:] if first else name[:-1] + other
+            if partner in known and partner != name:
+                found[who] = [name, partner]
+                break
+    return found
+
+
+def refuse_left_over(path: Path, names: Sequence[str], habit: Columns) -> None:
+    """Refuse a table of one animal, by habit, with another pair that may be of a second one."""
+    column = {one.bare: one.column for one in named(names)}
+    for who, (x, y) in pairs_of(list(column)).items():
+        if column[x] != habit.x and not who.lower().startswith(MOTION):
+            raise InputError(
+                f"{path}: columns {column[x]!r} and {column[y]!r} are left over beside "
+                f"{habit.x!r} and {habit.y!r}: name the pair of each individual by --source "
+                f"wide-table --option 'columns={{a: [{habit.x}, {habit.y}], "
+                f"b: [{column[x]}, {column[y]}]}}', or of the only one"
+            )
 
 
 def columns_by_habit(names: Sequence[str], units: Sequence[str] = ()) -> Columns:

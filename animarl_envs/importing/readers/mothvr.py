@@ -17,7 +17,7 @@ import numpy as np
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, read_columns
+from animarl_envs.importing.readers.tabular import column_names, line_of, plain_layout, read_columns
 from animarl_envs.importing.tracks import Tracks
 
 HEADER = ("Time", "X", "Y", "Theta", "Odor", "Wind")
@@ -54,8 +54,13 @@ def read_mothvr(path: Path) -> list[Tracks]:
     """
     table = read_columns(path, HEADER, text=("Odor", "Wind"))
     time = np.asarray(table["Time"], dtype=np.float64)
-    if len(time) < 2 or np.abs(np.diff(time) - 1 / FRAME_RATE).max() > 1e-3:
-        raise InputError(f"{path}: Time does not run at {FRAME_RATE:g} frames a second: check it")
+    uneven = ~(np.abs(np.diff(time) - 1 / FRAME_RATE) <= 1e-3)
+    if len(time) < 2 or uneven.any():
+        row = int(uneven.argmax()) + 1 if len(time) > 1 else 0
+        raise InputError(
+            f"{path}: {line_of(path, plain_layout(path), row)}: Time does not run at "
+            f"{FRAME_RATE:g} frames a second: check it"
+        )
     signals = {}
     for column, codes in (("Odor", ODOUR), ("Wind", WIND)):
         unknown = set(table[column].tolist()) - set(codes)

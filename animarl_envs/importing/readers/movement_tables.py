@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import mmap
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.tabular import (
     check_header,
     column_names,
+    line_of,
+    plain_layout,
     read_columns,
     separator_of,
 )
@@ -117,4 +120,5 @@ def _check(path: Path, software: str) -> None:
     check_header(path, header)
     check_lines(path, separator_of(path), len(header))
     if software in FRAMES:
-        refuse_uneven_frames(path, read_columns(path, [FRAMES[software]])[FRAMES[software]])
+        frames = read_columns(path, [FRAMES[software]])[FRAMES[software]]
+        refuse_uneven_frames(path, frames, partial(line_of, path, plain_layout(path)))

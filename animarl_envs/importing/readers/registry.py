@@ -15,13 +15,13 @@ from typing import Any
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import refuse_special
+from animarl_envs.files import check_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers.guards import refusing
+from animarl_envs.importing.readers.guards import naming, refusing
 from animarl_envs.importing.readers.habits import what_to_type
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
-from animarl_envs.importing.tracks import Tracks, merge, one_per_individual
+from animarl_envs.importing.tracks import Tracks, merge, one_per_individual, told_apart
 
 ReadDemonstrations = Callable[..., Demonstrations]
 ReadTracks = Callable[..., list[Tracks]]
@@ -114,11 +114,16 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
     path = Path(path)
     if not path.is_dir():  # of Minari datasets
         refuse_special(path)
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: it is empty: copy the file again")
     if source is not None:
         return get_reader(source)
     for reader in sorted(available_readers(), key=lambda reader: reader.generic):
         if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
             return reader
+    refuse_special(path)
+    if path.suffix.lower() == ".npz":
+        check_npz(path)  # says so if it is damaged
     if is_hdf(path):
         open_hdf(path).close()  # says so if the extra is missing or the file is damaged
     if path.suffix.lower() in TABLES and (words := what_to_type(path)):
@@ -199,14 +204,23 @@ def follow(
     """
     if not files:
         raise InputError("no file was given: name at least one")
-    parts: list[Tracks] = []
+    seen: set[Path] = set()
+    parts: list[tuple[Path, Tracks]] = []
     for number, file in enumerate(files):
+        if file.resolve() in seen:
+            raise InputError(f"{file}: it is given twice: name it once")
+        seen.add(file.resolve())
         told = _part_of(progress, number, len(files))
-        parts += read_tracks(file, recipe.source, progress=told, **recipe.options)
+        found = read_tracks(file, recipe.source, progress=told, **recipe.options)
+        parts += [(file, tracks) for tracks in found]
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
     if recipe.merge_individuals:
-        parts = one_per_individual(parts)
-    return demonstrations_from_tracks(merge(parts), recipe, name)
+        return demonstrations_from_tracks(
+            merge(one_per_individual([tracks for _, tracks in parts])), recipe, name
+        )
+    parts = told_apart(parts)
+    with naming({tracks.recording: file for file, tracks in parts}):
+        return demonstrations_from_tracks(merge([tracks for _, tracks in parts]), recipe, name)
 
 
 def _check_options(reader: Reader, options: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,15 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError
-from animarl_envs.files import check_size
+from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing.headings import radians_per_unit
 from animarl_envs.importing.readers.clocks import check_rate, frames_at, rate_of_frames, seconds
-from animarl_envs.importing.readers.habits import columns_by_habit, what_to_type
+from animarl_envs.importing.readers.guards import Place
+from animarl_envs.importing.readers.habits import columns_by_habit, refuse_left_over, what_to_type
 from animarl_envs.importing.readers.layouts import Layout, layout_of, names_by_look
 from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import numbered, pieces
+from animarl_envs.importing.readers.tabular import line_of, numbered, pieces
 from animarl_envs.importing.tracks import Tracks
 
 LONE = "individual_0"  # of a table with one x and one y
@@ -97,6 +99,8 @@ def read_long_table(
         words := what_to_type(path)
     ):
         raise InputError(f"{path}: {words}")
+    if habit.x is not None and not (individual or habit.individual or x or y):
+        refuse_left_over(path, layout.names, habit)
     x, y = x or habit.x or "x", y or habit.y or "y"
     recording = recording or habit.recording
     confidence = confidence or habit.confidence
@@ -111,6 +115,7 @@ def read_long_table(
     text = [name for name in (individual, recording) if name]
     text += [clock] if clock is not None and words_of_time else []
     codes: dict[tuple[str, str], int] = {}
+    place = partial(line_of, path, layout)
     parts: list[_Part] = []
     times: list[NDArray[Any]] = []
     for piece in pieces(path, columns, text, progress, layout):
@@ -123,7 +128,7 @@ def read_long_table(
         angle = piece[heading] * to_radians if heading is not None else None
         when: NDArray[Any] = np.zeros(rows, dtype=np.int32)
         if frame is not None:
-            when = _frame_numbers(path, frame, piece[frame])
+            when = _frame_numbers(path, frame, piece[frame], sum(len(p[0]) for p in parts), place)
         if clock is not None:
             times.append(piece[clock])
         parts.append((when, which, values, weight, angle))
@@ -139,7 +144,7 @@ def read_long_table(
         if frame is not None:
             fps = rate_of_frames(path, np.concatenate([part[0] for part in parts]), every, group)
         else:
-            fps, numbers = frames_at(path, every, fps, group)
+            fps, numbers = frames_at(path, every, fps, group, place)
             starts = {name: float(every[group == i].min()) for name, i in sets_of.items()}
             edges = np.cumsum([len(part[0]) for part in parts])[:-1]
             parts = [
@@ -148,15 +153,19 @@ def read_long_table(
         if not words_of_time and time is None and time_unit is None:
             check_rate(path, clock, fps)
     return _spread(
-        path, codes, parts, fps, unit or habit.unit or "px", y_down, layout.words, starts
+        path, codes, parts, fps, unit or habit.unit or "px", y_down, layout.words, starts, place
     )
 
 
-def _frame_numbers(path: Path, column: str, frames: NDArray[np.float64]) -> NDArray[np.int32]:
+def _frame_numbers(
+    path: Path, column: str, frames: NDArray[np.float64], first_row: int, place: Place
+) -> NDArray[np.int32]:
     bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < 2**31))
     if bad.any():
+        at = int(bad.argmax())
         raise InputError(
-            f"{path}: column {column!r} holds {frames[bad.argmax()]:g}: give whole numbers from 0"
+            f"{path}: {place(first_row + at)}, column {column!r} holds {frames[at]:g}: give whole "
+            "numbers from 0"
         )
     return frames.astype(np.int32)
 
@@ -194,6 +203,7 @@ def _spread(
     y_down: bool,
     read_as: str,
     starts: dict[str, float],
+    place: Place,
 ) -> list[Tracks]:
     """Rows to arrays ``(frames, individuals, 1, 2)``, a Tracks per recording."""
     count = len(codes)
@@ -205,7 +215,15 @@ def _spread(
         own = {who: code for (recording, who), code in codes.items() if recording == name}
         individuals = tuple(sorted(own, key=_natural))
         frames_total = int(max(last[code] for code in own.values())) + 1
-        check_size(path, frames_total * len(own) * 16, f"recording {name}")
+        size = frames_total * len(own) * 16
+        if size > allowed_bytes(path.stat().st_size):
+            frames, which = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+            latest = (frames == frames_total - 1) & np.isin(which, list(own.values()))
+            raise InputError(
+                f"{path}: {place(int(latest.argmax()))} is of frame {frames_total - 1}, with which "
+                f"recording {name} would take {size / 2**20:,.0f} MiB, more than {EXPANSION} times "
+                "the file: mend it"
+            )
         column = np.full(count, -1)
         column[[own[who] for who in individuals]] = np.arange(len(own))
         positions = np.full((frames_total, len(own), 1, 2), np.nan)

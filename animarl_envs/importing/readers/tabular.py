@@ -8,6 +8,7 @@ import io
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import refuse_special
 from animarl_envs.importing.readers.encodings import UTF_8
-from animarl_envs.importing.readers.guards import refuse_empty, refuse_long
+from animarl_envs.importing.readers.guards import refuse_empty, refuse_long, row_of
 from animarl_envs.importing.readers.layouts import LONGEST_LINE, Layout, is_number, split_cells
 from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
 from animarl_envs.importing.readers.parquet import is_parquet, parquet_names, parquet_pieces
@@ -98,6 +99,18 @@ def pieces(
         yield from _text_pieces(path, columns, text, progress, layout or plain_layout(path))
 
 
+def line_of(path: Path, layout: Layout, row: int) -> str:
+    """What messages call a row of numbers, counted from 0: its line, of Parquet the row."""
+    if is_parquet(path):
+        return row_of(row)
+    line = layout.first
+    with contextlib.closing(layout.open(path)) as file:
+        while row >= 0 and (text := file.readline(LONGEST_LINE)):
+            line += 1
+            row -= bool(text.strip())  # blank lines are no rows
+    return f"line {line}"
+
+
 def plain_layout(path: Path) -> Layout:
     """Of a table as programs write it: UTF-8, its names on the first line."""
     names = tuple(column_names(path))
@@ -148,7 +161,8 @@ def _text_pieces(
             ) as reader:  # fmt: skip
                 for piece in reader:
                     for name in text:
-                        refuse_empty(path, name, piece[place[name]].isna().to_numpy(), row)
+                        empty = piece[place[name]].isna().to_numpy()
+                        refuse_empty(path, name, empty, row, partial(line_of, path, layout))
                         lengths = piece[place[name]].str.len()
                         refuse_long(path, name, int(lengths.max()) if len(piece) else 0)
                     row += len(piece)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.clocks import even_rate
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, read_columns
+from animarl_envs.importing.readers.tabular import column_names, line_of, plain_layout, read_columns
 from animarl_envs.importing.readers.unpickle import load_object_npy
 from animarl_envs.importing.tracks import Tracks
 
@@ -126,7 +127,8 @@ def _idtracker_csv(path: Path) -> tuple[NDArray[np.float64], float | None]:
     columns = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
     table = read_columns(path, ["time", *columns])
     values = np.column_stack([table[name] for name in columns])
-    return values.reshape(len(values), count, 2), even_rate(path, table["time"])
+    rate = even_rate(path, table["time"], partial(line_of, path, plain_layout(path)))
+    return values.reshape(len(values), count, 2), rate
 
 
 def _number(value: Any) -> float | None:

@@ -16,12 +16,18 @@ from animarl_envs.importing.readers.clocks import (
     refuse_uneven_frames,
     seconds,
 )
-from animarl_envs.importing.readers.habits import Columns, columns_by_habit, named
+from animarl_envs.importing.readers.habits import (
+    Columns,
+    columns_by_habit,
+    named,
+    pairs_of,
+    refuse_left_over,
+)
 from animarl_envs.importing.readers.layouts import names_by_look
 from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.tables import EXTENSIONS, LONE, Progress, table_layout
-from animarl_envs.importing.readers.tabular import MOST_COLUMNS, check_header, pieces
+from animarl_envs.importing.readers.tabular import MOST_COLUMNS, check_header, line_of, pieces
 from animarl_envs.importing.tracks import Tracks
 
 
@@ -63,8 +69,11 @@ def read_wide_table(
     check_header(path, header)
     habit = columns_by_habit(header, layout.units)
     found = columns or wide_columns(header, habit)
-    if columns is None and (habit.x is None or len(found) > 1):
-        _refuse_lone(path, [one.bare for one in named(header)])
+    if columns is None:
+        if habit.x is None:
+            _refuse_lone(path, [one.bare for one in named(header)])
+        else:
+            refuse_left_over(path, header, habit)
     if not found or any(len(pair) != 2 for pair in found.values()):
         raise InputError(
             f"{path}: it has no pairs of x and y columns: name them, such as "
@@ -90,13 +99,18 @@ def read_wide_table(
     names = table[recording] if recording else np.full(len(bodies), path.stem, dtype=object)
     for name in dict.fromkeys(names.tolist()):
         mine = names == name
+        rows = np.flatnonzero(mine)
+
+        def place(row: int, rows: NDArray[np.intp] = rows) -> str:
+            return line_of(path, layout, int(rows[row]))
+
         rate, start = fps, 0.0
         if frame is not None:
-            refuse_uneven_frames(path, table[frame][mine])
+            refuse_uneven_frames(path, table[frame][mine], place)
         if clock is not None and (time is not None or fps is None):
             stated = time_unit or (habit.time_unit if by_habit else "") or None
             when = seconds(path, clock, table[clock][mine], stated)
-            rate, start = fps or even_rate(path, when), float(when[0])
+            rate, start = fps or even_rate(path, when, place), float(when[0])
             if by_habit and stated is None and not words_of_time:
                 check_rate(path, clock, rate)
         tracks.append(
@@ -118,13 +132,13 @@ def wide_columns(names: list[str], habit: Columns) -> dict[str, list[str]]:
     known = {one.bare: one.column for one in named(names)}
     if len(known) < len(names):
         known = {name: name for name in names}
-    return {who: [known[x], known[y]] for who, (x, y) in _pairs(list(known)).items()}
+    return {who: [known[x], known[y]] for who, (x, y) in pairs_of(list(known)).items()}
 
 
 def _refuse_lone(path: Path, names: list[str]) -> None:
     """Refuse an x without its y, whose animal would be left out silently."""
     known = set(names)
-    pairs = _pairs(names).values()
+    pairs = pairs_of(names).values()
     joined = any(re.match(r"x[^\W\d_]", x) for x, _ in pairs)  # as xmale, ymale
     after = r"(?=.)" if joined else r"(?=[_ .]|\d+$)"
     for name in names:
@@ -142,21 +156,3 @@ def _lone(path: Path, name: str, partner: str) -> InputError:
         f"{path}: it has a column {name!r} and no {partner!r}: mend the header, or name the pairs "
         "by the option columns"
     )
-
-
-def _pairs(names: list[str]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
-    known = set(names)
-    for name in names:
-        for pattern in (r"^([xX])[_ .]?(.+)$", r"^(.+)[_ .]([xX])$"):
-            match = re.match(pattern, name)
-            if match is None:
-                continue
-            first = pattern.startswith("^([xX])")
-            axis, who = (match[1], match[2]) if first else (match[2], match[1])
-            other = "y" if axis == "x" else "Y"
-            partner = other + name[1:] if first else name[:-1] + other
-            if partner in known and partner != name:
-                found[who] = [name, partner]
-                break
-    return found
