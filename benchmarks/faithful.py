@@ -367,8 +367,6 @@ def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
 def write(table: pd.DataFrame, out: Path, split: str) -> None:
     """The table as CSV, JSON with all that repeats it, and Markdown."""
     command = shlex.join(["python", *sys.argv])
-    with write_then_rename(out / "faithful.csv") as part:
-        table.to_csv(part, index=False)
     rows = [[asdict(bar) for bar in one.bars] for one in SETS]
     record = {
         "command": command, "split": split, "commit": commit(), "versions": versions(),
@@ -376,6 +374,8 @@ def write(table: pd.DataFrame, out: Path, split: str) -> None:
         "bars": dict(zip((one.name for one in SETS), rows)),
         "rows": json.loads(table.to_json(orient="records")),
     }  # fmt: skip
+    with write_then_rename(out / "faithful.csv") as part:
+        table.to_csv(part, index=False)
     with write_then_rename(out / "faithful.json") as part:
         part.write_text(json.dumps(record, indent=2) + "\n")
     found = ", ".join(f"{name} {number}" for name, number in record["versions"].items())
