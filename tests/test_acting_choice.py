@@ -17,6 +17,7 @@ from animarl_algos.evaluation.acting_choice import (
     COOLER,
     MARGIN,
     NEAR,
+    ROLLOUTS,
     Candidate,
     candidate_rules,
     choice_episodes,
@@ -41,11 +42,13 @@ from animarl_envs.worlds import make_world
 
 
 class Repeats:
-    """Takes the demonstrated actions again; one copy per episode, in their order."""
+    """Takes the demonstrated actions again; so many copies per episode, in their order."""
 
     def __init__(self, demos: Demonstrations, locomotion: Any) -> None:
         self.actions = demonstrated_actions(demos, locomotion)
-        self.first, self.last = demos.offsets[:-1], demos.offsets[1:] - 2
+        each = ROLLOUTS // demos.num_episodes
+        self.first = np.repeat(demos.offsets[:-1], each)
+        self.last = np.repeat(demos.offsets[1:] - 2, each)
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None,
