@@ -10,12 +10,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from animarl_algos.cli.reading import refuse_overwriting, said_with_import
+from animarl_algos.cli.reading import load, refuse_overwriting
 from animarl_algos.cli.showing import report
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers import read
 from animarl_envs.importing.sessions import conditions_of
 
 
@@ -36,10 +35,7 @@ def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstratio
     """
     if len(files) < 2:
         raise InputError(f"{files[0]}: there is nothing to merge it with: give two files or more")
-    parts = []
-    for file in files:
-        with said_with_import(file):
-            parts.append(read(file))
+    parts = [load(str(file)) for file in files]
     if conditions is None:
         return join(parts, " and ".join(map(str, files)))
     words = [word.strip() for word in conditions.split(",")]

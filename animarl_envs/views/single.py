@@ -164,8 +164,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._actions[0, i] = action
         for j, policy in self._policies.items():
             self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
-        executed = self._executed(self._actions) if warming else self._actions
-        done = executed.item(0, i)
+        done = self._executed(self._actions).item(0, i) if warming else int(action)
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
@@ -173,7 +172,8 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
             self._picture.follow()
             if self.render_mode == "human":
                 self.render()
-        info = self._info(warming) | {"executed": done}
+        info = self._info(warming)
+        info["executed"] = done
         return self._observation(), world.reward.item(i), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]

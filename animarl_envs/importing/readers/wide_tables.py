@@ -69,11 +69,10 @@ def read_wide_table(
     check_header(path, header)
     habit = columns_by_habit(header, layout.units)
     found = columns or wide_columns(header, habit)
-    if columns is None:
-        if habit.x is None:
-            _refuse_lone(path, [one.bare for one in named(header)])
-        else:
-            refuse_left_over(path, header, habit)
+    if columns is None and habit.x is not None:
+        refuse_left_over(path, header, habit)
+    if columns is None and (habit.x is None or len(found) > 1):
+        _refuse_lone(path, [one.bare for one in named(header)])
     if not found or any(len(pair) != 2 for pair in found.values()):
         raise InputError(
             f"{path}: it has no pairs of x and y columns: name them, such as "
