@@ -1,0 +1,621 @@
+# ruff: noqa: E501  (a case a line)
+"""Small foreign files of every format, made the same each time, for the golden table of readers.
+
+:func:`cases` gives each a name, a function that writes it into an empty folder and returns its
+path, and what the reader is told. Results of them are in
+``tables.json``; see ``golden_tables``.
+"""
+
+from __future__ import annotations
+
+import datetime
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tools.fuzz.layouts import (
+    BODIES,
+    KINDS,
+    NAMES,
+    POSE,
+    agents_arrays,
+    dlc_frame,
+    write_analysis,
+    write_authors_silkmoth,
+    write_dlc_csv,
+    write_dlc_h5,
+    write_idtracker_h5,
+    write_mat,
+    write_mothvr,
+    write_slp,
+)
+
+FRAMES = 20
+ROUNDED = np.round(BODIES[:FRAMES], 4)
+RATE = 25.0
+Write = Callable[[Path], Path]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One file; ``whole``: it is imported to the end by a recipe with these entries."""
+
+    name: str
+    write: Write
+    source: str | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    whole: bool = False
+
+
+def text(content: str | bytes, name: str = "t.csv", encoding: str = "utf-8") -> Write:
+    def write(folder: Path) -> Path:
+        raw = content if isinstance(content, bytes) else content.encode(encoding)
+        (folder / name).write_bytes(raw)
+        return folder / name
+
+    return write
+
+
+def number(value: float, decimal: str) -> str:
+    return repr(float(value)).replace(".", decimal)
+
+
+def long_rows(
+    clock: Callable[[int], str] = str, names: tuple[str, str] = NAMES, decimal: str = "."
+) -> list[list[str]]:
+    return [
+        [clock(t), who, *(number(v, decimal) for v in ROUNDED[t, i])]
+        for t in range(FRAMES)
+        for i, who in enumerate(names)
+    ]
+
+
+def wide_rows(clock: Callable[[int], str] = str, decimal: str = ".") -> list[list[str]]:
+    return [[clock(t), *(number(v, decimal) for v in ROUNDED[t].ravel())] for t in range(FRAMES)]
+
+
+def joined(header: list[str], rows: list[list[str]], separator: str = ",") -> str:
+    def cell(word: str) -> str:
+        return f'"{word}"' if separator in word and separator.strip() else word
+
+    return "".join(separator.join(map(cell, row)) + "\n" for row in [header, *rows])
+
+
+LONG, WIDE = ["frame", "id", "x", "y"], ["frame", "x_male", "y_male", "x_female", "y_female"]
+SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "blanks": "  "}
+ENCODINGS = {
+    "utf-8": "Käfer", "utf-8-sig": "Käfer", "utf-16": "Käfer", "utf-16-le": "Käfer",
+    "utf-16-be": "Käfer", "utf-32": "Käfer", "latin-1": "Käfer", "cp1252": "Käfer",
+    "mac_roman": "Käfer", "cp1251": "самец", "shift_jis": "オス", "gb18030": "雄性",
+}  # fmt: skip
+
+
+def of_text() -> Iterator[Case]:
+    for encoding, name in ENCODINGS.items():
+        content = joined(LONG, long_rows(names=(name, "b")))
+        yield Case(f"encoding {encoding}", text(content, encoding=encoding))
+        named = {"encoding": encoding}
+        yield Case(
+            f"encoding {encoding} named", text(content, encoding=encoding), "long-table", named
+        )
+    for word, separator in SEPARATORS.items():
+        for decimal in ".,":
+            for shape, header, rows in (
+                ("long", LONG, long_rows(decimal=decimal)), ("wide", WIDE, wide_rows(decimal=decimal))
+            ):  # fmt: skip
+                content = joined(header, rows, separator)
+                yield Case(f"{shape}, {word}, decimal {decimal}", text(content))
+    yield Case("trailing separators", text(joined(LONG, long_rows(), ";").replace("\n", ";\n")))
+    yield Case("windows line ends", text(joined(LONG, long_rows()).replace("\n", "\r\n")))
+    yield Case("old mac line ends", text(joined(LONG, long_rows()).replace("\n", "\r")))
+    yield Case("no last line end", text(joined(LONG, long_rows()).rstrip("\n")))
+    yield Case("blank lines", text(joined(LONG, long_rows()).replace("\n", "\n\n")))
+    yield Case("two header rows", text(joined(LONG, [["#", "", "px", "px"], *long_rows()])))
+    yield Case("units below", text(joined(LONG, [["", "", "mm", "mm"], *long_rows()])))
+    yield Case("remarks above", text("# a tracker\nfps: 25\n\n" + joined(LONG, long_rows())))
+    yield Case("no header", text(joined(LONG, long_rows()).partition("\n")[2]))
+    yield Case("damaged utf-8", text(joined(LONG, long_rows()).encode() + b"9,\xed\xa0\x80,1,2\n"))
+    yield Case(
+        "quoted numbers", text(joined(LONG, [[r[0], r[1], f'"{r[2]}"', r[3]] for r in long_rows()]))
+    )
+
+
+def clock(seconds: float, point: str = ".", hours: bool = True) -> str:
+    minutes, rest = divmod(round(seconds * 1000), 60_000)
+    whole = f"{minutes // 60}:{minutes % 60:02d}" if hours else f"{minutes}"
+    return f"{whole}:{rest // 1000:02d}{point}{rest % 1000:03d}"
+
+
+def iso(t: float, start: str = "2024-05-01T10:00:00", ending: str = "") -> str:
+    moment = datetime.datetime.fromisoformat(start) + datetime.timedelta(seconds=t)
+    return moment.isoformat(sep=" ", timespec="milliseconds") + ending
+
+
+TIMES: dict[str, tuple[str, Callable[[int], str]]] = {
+    "seconds": ("time", lambda t: repr(t / RATE)),
+    "seconds from 1000": ("time", lambda t: repr(1000 + t / RATE)),
+    "seconds, three digits": ("time", lambda t: f"{t / 30:.3f}"),
+    "milliseconds": ("t [ms]", lambda t: str(40 * t)),
+    "milliseconds of no unit": ("time", lambda t: str(40 * t)),
+    "minutes": ("time (min)", lambda t: repr(t / RATE / 60)),
+    "microseconds": ("time_us", lambda t: str(40_000 * t)),
+    "clock": ("time", lambda t: clock(t / RATE)),
+    "clock, decimal comma": ("time", lambda t: clock(t / RATE, ",")),
+    "clock, minutes": ("time", lambda t: clock(t / RATE, hours=False)),
+    "clock, minutes, decimal comma": ("time", lambda t: clock(t / RATE, ",", hours=False)),
+    "clock past midnight": ("time", lambda t: clock((86_399.8 + t / RATE) % 86_400)),
+    "iso": ("timestamp", lambda t: iso(t / RATE)),
+    "iso with zone": ("timestamp", lambda t: iso(t / RATE, ending="+02:00")),
+    "iso back by an hour": (
+        "timestamp", lambda t: iso(t / RATE - 3600 * (t >= 10), "2024-10-27T02:59:59.600"),
+    ),
+    "iso, decimal comma": ("timestamp", lambda t: iso(t / RATE).replace(".", ",")),
+    "days first": ("timestamp", lambda t: f"01/05/2024 10:00:{t / RATE:06.3f}"),
+    "back by a step": ("time", lambda t: repr((t - 2 * (t == 10)) / RATE)),
+    "a step missing": ("time", lambda t: repr((t + 5 * (t >= 10)) / RATE)),
+    "a time missing": ("time", lambda t: "" if t == 3 else repr(t / RATE)),
+    "between frames": ("time", lambda t: repr((t + 0.4 * (t == 10)) / RATE)),
+    "all the same": ("time", lambda t: "1.5"),
+    "truth values": ("time", lambda t: str(t > 10)),
+}  # fmt: skip
+
+
+def of_times() -> Iterator[Case]:
+    for word, (column, when) in TIMES.items():
+        yield Case(f"long, {word}", text(joined([column, *LONG[1:]], long_rows(when), ";")))
+        yield Case(f"wide, {word}", text(joined([column, *WIDE[1:]], wide_rows(when), ";")))
+    both = [[row[0], repr(int(row[0]) / RATE), *row[1:]] for row in long_rows()]
+    yield Case("frame and time", text(joined(["frame", "time", *LONG[1:]], both)))
+    yield Case(
+        "milliseconds named", text(joined(["time", *LONG[1:]], long_rows(TIMES["milliseconds"][1]))),
+        "long-table", {"time_unit": "ms"},
+    )  # fmt: skip
+
+
+CELLS = {
+    "thousands with commas": "1,000", "thousands with points": "1.000,5", "a comma for a point": "1,5",
+    "thousands with blanks": "1 000", "thousands with apostrophes": "1'000",
+    "thousands and decimals": "1,000.5", "true": "True", "false": "FALSE", "hexadecimal": "0x1F",
+    "exponent": "1e2", "infinity": "inf", "not a number": "nan", "empty": "", "dash": "-",
+    "NA": "NA", "a word": "oops", "underscore": "1_000", "percent": "5%", "plus": "+5",
+    "fullwidth digits": "５", "long digits": "1." + "3" * 40, "huge": "1e300", "a date": "2024-05-01",
+}  # fmt: skip
+
+
+def of_cells() -> Iterator[Case]:
+    for word, cell in CELLS.items():
+        rows = long_rows()
+        rows[11][2] = cell
+        yield Case(f"a cell with {word}", text(joined(LONG, rows, ";")))
+    for word, separator in SEPARATORS.items():
+        if separator != ",":
+            rows = [[*row[:2], f"{900 + 12 * i:,}", "5"] for i, row in enumerate(long_rows())]
+            yield Case(f"thousands, {word}", text(joined(LONG, rows, separator)))
+            whole = [[*row[:2], "1,000", "2,500"] for row in long_rows()]
+            yield Case(f"all in thousands, {word}", text(joined(LONG, whole, separator)))
+    truths = [[*row[:2], str(i % 2 == 0), str(i % 3 == 0)] for i, row in enumerate(long_rows())]
+    yield Case("truth values for positions", text(joined(LONG, truths)))
+    rows = wide_rows()
+    named = [*WIDE, "seen"]
+    yield Case("truth values beside", text(joined(named, [[*row, "True"] for row in rows])))
+    for separator in ";|":
+        lines = [[row[0], "1,000", "2,000", "3,000", "4,000"] for row in wide_rows()]
+        yield Case(f"wide, all in thousands {separator}", text(joined(WIDE, lines, separator)))
+
+
+HEADERS = {
+    "x_ name": "x_male,y_male,x_female,y_female", "name _x": "male_x,male_y,female_x,female_y",
+    "name.x": "male.x,male.y,female.x,female.y", "xname": "xmale,ymale,xfemale,yfemale",
+    "x1": "x1,y1,x2,y2", "X1 (cm)": "X1 (cm),Y1 (cm),X2 (cm),Y2 (cm)", "x blank": "x 1,y 1,x 2,y 2",
+    "letters": "x_m,y_m,x_f,y_f", "left over": "x,y,x_f,y_f", "lone": "x_male,y_male,x_female,z",
+    "nobody": "a,b,c,d", "velocity": "x,y,velocity_x,velocity_y", "mm and cm": "x (mm),y (cm),a,b",
+    "twice": "x_a,y_a,x_a,y_a", "centroids": "x_centroid,y_centroid,x_center,y_center",
+    "bare": "x,y,area,angle", "capital": "X,Y,AREA,ANGLE", "empty names": ",,x,y",
+}  # fmt: skip
+
+
+def of_headers() -> Iterator[Case]:
+    for word, header in HEADERS.items():
+        yield Case(f"header {word}", text(joined(["frame", *header.split(",")], wide_rows())))
+    longs = (
+        "Frame number,Animal ID,X center (mm),Y center (mm)", "frame,animal,track_id,x", "t,id,x,y",
+        "video,frame,x,y", "frame,identity,pos_x,pos_y", "Bild,Tier,X,Y", "slice,particle,x,y",
+        "frame,label,x_px,y_px", "image,image_id,x,y",
+    )  # fmt: skip
+    for header in longs:
+        yield Case(f"header {header}", text(joined(header.split(","), long_rows())))
+    heading = [[*row, "90"] for row in long_rows()]
+    options = {"heading": "angle", "angle_unit": "deg"}
+    table = text(joined([*LONG, "angle"], heading))
+    yield Case("heading", table, "long-table", options)
+    yield Case("heading of no unit", table, "long-table", {"heading": "angle"})
+    yield Case("an unknown option", table, "long-table", {"colour": 1})
+    score = [[*row, "0.5"] for row in long_rows()]
+    yield Case("confidence", text(joined([*LONG, "likelihood"], score)))
+    two = [[name, *row] for name in ("a", "b") for row in long_rows()]
+    yield Case("two recordings", text(joined(["trial", *LONG], two)))
+    columns = {"a": ["x_male", "y_male"]}
+    yield Case("columns named", text(joined(WIDE, wide_rows())), "wide-table", {"columns": columns})
+
+
+BAD = {
+    "duplicate": "frame,id,x,y\n0,a,1,2\n0,a,1,2\n", "no rows": "frame,id,x,y\n", "empty": "",
+    "negative": "frame,id,x,y\n0,a,1,2\n\n-1,a,1,2\n", "fraction": "frame,id,x,y\n0.5,a,1,2\n",
+    "far": "frame,id,x,y\n0,a,1,2\n1000000000,a,1,2\n", "one column": "x\n1\n2\n",
+    "short line": "frame,id,x,y\n0,a,1,2\n1,a,1\n", "long line": "frame,id,x,y\n0,a,1,2\n1,a,1,2,3\n",
+    "nameless": "frame,id,x,y\n0,a,1,2\n1,,1,2\n", "quote": 'frame,id,x,y\n0,"a,1,2\n1,a,1,2\n',
+    "returns": "frame,id,x,y\n0,a,1,2\r1,a,1,2\n", "binary": "frame,id,x,y\n0,a,1,2\0\n",
+    "formula": "frame,id,x,y\n0,=A1,1,2\n1,=A1,1,2\n", "path": "frame,id,x,y\n0,../a,1,2\n1,../a,1,2\n",
+    "long name": "frame,id,x,y\n0," + "a" * 300 + ",1,2\n", "frames swapped": "frame,x_a,y_a\n1,1,2\n0,1,2\n",
+    "frames missing": "frame,x_a,y_a\n0,1,2\n2,1,2\n",
+}  # fmt: skip
+
+
+def of_damage() -> Iterator[Case]:
+    for word, content in BAD.items():
+        yield Case(f"bad table, {word}", text(content))
+    for name in ("long", "wide", "dlc_csv", "ethovision", "mothvr", "idtracker_csv", "tsv"):
+        kind = KINDS[name]
+
+        def cut(folder: Path, make: Write = kind.write) -> Path:
+            path = make(folder)
+            path.write_bytes(path.read_bytes()[:-9])
+            return path
+
+        yield Case(f"cut {name}", cut, kind.source)
+    for name in (
+        "npz",
+        "npy",
+        "mat",
+        "packed_mat",
+        "mat73",
+        "slp",
+        "dlc_h5",
+        "long_parquet",
+        "trex",
+    ):
+        kind = KINDS[name]
+
+        def half(folder: Path, make: Write = kind.write) -> Path:
+            path = make(folder)
+            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+            return path
+
+        yield Case(f"half of {name}", half, kind.source)
+
+
+def workbook(rows: list[list[Any]], name: str = "t.xlsx", **more: list[list[Any]]) -> Write:
+    def write(folder: Path) -> Path:
+        import openpyxl
+
+        book = openpyxl.Workbook()
+        for row in rows:
+            book.active.append(row)
+        for title, others in more.items():
+            sheet = book.create_sheet(title)
+            for row in others:
+                sheet.append(row)
+        book.save(folder / name)
+        return folder / name
+
+    return write
+
+
+def changed_workbook(member: str, old: str, new: str) -> Write:
+    """A workbook of which one part is other text."""
+
+    def write(folder: Path) -> Path:
+        path = workbook([LONG, *of_numbers()])(folder)
+        with zipfile.ZipFile(path) as archive:
+            parts = {name: archive.read(name) for name in archive.namelist()}
+        parts[member] = parts[member].decode().replace(old, new, 1).encode()
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, raw in parts.items():
+                archive.writestr(name, raw)
+        return path
+
+    return write
+
+
+def of_numbers() -> list[list[Any]]:
+    return [
+        [t, who, *map(float, ROUNDED[t, i])] for t in range(FRAMES) for i, who in enumerate(NAMES)
+    ]
+
+
+ENTITY = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
+
+
+def of_workbooks() -> Iterator[Case]:
+    rows = of_numbers()
+    table = [LONG, *rows]
+    yield Case("workbook", workbook(table))
+    yield Case("workbook, remarks above", workbook([["made by us"], [], *table]))
+    yield Case("workbook, two sheets", workbook(table, second=table))
+    yield Case(
+        "workbook, sheet named", workbook(table, second=table), "long-table", {"sheet": "second"}
+    )
+    yield Case("workbook, no such sheet", workbook(table), "long-table", {"sheet": "third"})
+    yield Case("workbook, empty sheet beside", workbook(table, second=[]))
+    moments = [
+        [datetime.datetime(2024, 5, 1) + datetime.timedelta(seconds=row[0] / RATE), *row[1:]]
+        for row in rows
+    ]
+    yield Case("workbook, dates", workbook([["time", *LONG[1:]], *moments]))
+    yield Case("workbook, text for numbers", workbook([LONG, *([*map(str, row)] for row in rows)]))
+    truths = [[*row[:2], row[0] > 3, row[0] > 5] for row in rows]
+    yield Case("workbook, truth values", workbook([LONG, *truths]))
+    gaps = [[*row[:3], None if row[0] == 4 else row[3]] for row in rows]
+    yield Case("workbook, gaps", workbook([LONG, *gaps]))
+    sheet = "xl/worksheets/sheet1.xml"
+    words = 't="inlineStr"><is><t>frame</t></is>'
+    for index in ("9999", "x"):
+        wrong = changed_workbook(sheet, words, f't="s"><v>{index}</v>')
+        yield Case(f"workbook, string of index {index}", wrong)
+    yield Case("workbook, entities", changed_workbook(sheet, "<worksheet", ENTITY + "<worksheet"))
+    used = changed_workbook(sheet, "<t>frame</t>", "<t>&amp;frame;</t>")
+    yield Case("workbook, escapes", used)
+    yield Case(
+        "workbook, no such part", changed_workbook("xl/workbook.xml", 'r:id="rId1"', 'r:id="rId9"')
+    )
+    yield Case("old workbook", text(bytes.fromhex("d0cf11e0a1b11ae1") + bytes(512), "t.xls"))
+
+
+def parquet(**changes: Any) -> Write:
+    def write(folder: Path) -> Path:
+        import pandas as pd
+
+        rows = of_numbers()
+        columns = {name: [row[i] for row in rows] for i, name in enumerate(LONG)}
+        count = len(rows)
+        wanted = {key: value(count) for key, value in changes.items()}
+        pd.DataFrame(columns | wanted).to_parquet(folder / "t.parquet", row_group_size=16)
+        return folder / "t.parquet"
+
+    return write
+
+
+def of_parquet() -> Iterator[Case]:
+    def numbers(kind: str) -> Callable[[int], Any]:
+        return lambda count: np.arange(count).astype(kind)
+
+    yield Case("parquet", parquet())
+    for kind in ("float32", "float16", "int16", "uint64", "bool"):
+        yield Case(f"parquet, {kind}", parquet(x=numbers(kind)))
+    yield Case("parquet, whole names", parquet(id=lambda count: np.tile([7, 10], count // 2)))
+    yield Case("parquet, a name missing", parquet(id=lambda count: ["a", None] * (count // 2)))
+    yield Case("parquet, text", parquet(x=lambda count: ["1"] * count))
+    yield Case("parquet, too large", parquet(x=lambda count: [0, 2**53 + 1] * (count // 2)))
+    yield Case("parquet, records", parquet(x=lambda count: [{"a": 1}] * count))
+    yield Case("parquet, frame twice", parquet(frame=lambda count: [0] * count))
+    yield Case("parquet, no clock", parquet(frame=lambda count: [None] * count))
+    moments = np.datetime64("2024-05-01") + np.arange(FRAMES).repeat(2) * np.timedelta64(40, "ms")
+    yield Case(
+        "parquet, dates", parquet(frame=lambda count: moments), "long-table", {"time": "frame"}
+    )
+
+
+def array(value: Any, name: str = "a.npy") -> Write:
+    def write(folder: Path) -> Path:
+        np.save(folder / name, value, allow_pickle=True)
+        return folder / name
+
+    return write
+
+
+def archive(name: str = "a.npz", **arrays: Any) -> Write:
+    def write(folder: Path) -> Path:
+        np.savez(folder / name, **arrays)
+        return folder / name
+
+    return write
+
+
+def mat(packed: bool = False, **arrays: Any) -> Write:
+    def write(folder: Path) -> Path:
+        from scipy.io import savemat
+
+        savemat(folder / "a.mat", arrays, do_compression=packed)
+        return folder / "a.mat"
+
+    return write
+
+
+def of_arrays() -> Iterator[Case]:
+    whole = np.round(BODIES).astype(np.int16)
+    for word, value in {
+        "doubles": BODIES, "singles": BODIES.astype(np.float32), "whole": whole, "pose": POSE,
+        "one animal": BODIES[:, 0], "one axis": BODIES[:, 0, 0], "complex": BODIES + 1j,
+        "truth values": BODIES > 50, "objects": np.array([{"a": 1}], dtype=object),
+        "big-endian": BODIES.astype(">f8"), "columns": np.asfortranarray(BODIES), "none": BODIES[:0],
+        "dates": np.zeros(3, "M8[s]"), "records": np.zeros(3, "i4, f8"), "three": np.zeros((9, 2, 3)),
+    }.items():  # fmt: skip
+        yield Case(f"npy, {word}", array(value))
+    axes = {"axes": ["individual", "xy", "frame"], "names": ["a", "b"]}
+    yield Case("npy, axes", array(BODIES.transpose(1, 2, 0)), None, axes)
+    yield Case("npy, wrong axes", array(BODIES), None, axes)
+    yield Case("npy, too few names", array(BODIES), None, {"names": ["a"]})
+    yield Case("npz, two", archive(a=BODIES, b=BODIES), "numpy")
+    yield Case("npz, all", archive(a=BODIES, b=BODIES), "numpy", {"key": "*"})
+    yield Case("npz, no such key", archive(a=BODIES, b=BODIES), "numpy", {"key": "c"})
+    yield Case("npz, objects", archive(a=np.array([None, 1], dtype=object)), "numpy")
+    trajectories = {"trajectories": BODIES, "frames_per_second": 25.0}
+    yield Case("idtracker with gaps", array(np.array(trajectories), "with_gaps.npy"))
+    for packed in (False, True):
+        values = {"whole": whole, "text": "abc", "cell": np.array([1, "x"], dtype=object)}
+        yield Case(f"mat, whole numbers, packed {packed}", mat(packed, **values))
+        yield Case(f"mat, two, packed {packed}", mat(packed, a=BODIES, b=POSE), None, {"key": "b"})
+    yield Case("mat, two, no key", mat(a=BODIES, b=POSE))
+    yield Case("mat, structure", mat(s={"a": BODIES}))
+    yield Case("mat, complex", mat(a=BODIES + 1j))
+    yield Case("mat, none", mat(text="abc"))
+    for word, (old, new) in {
+        "kind": (bytes([9, 0, 0, 0, 0, 5]), bytes([12, 0, 0, 0, 0, 5])),
+        "class": (bytes([6, 0, 0, 0, 8, 0, 0, 0, 6]), bytes([6, 0, 0, 0, 8, 0, 0, 0, 14])),
+    }.items():  # fmt: skip
+
+        def other(folder: Path, old: bytes = old, new: bytes = new) -> Path:
+            path = write_mat(folder)
+            path.write_bytes(path.read_bytes().replace(old, new, 1))
+            return path
+
+        yield Case(f"mat, other {word}", other)
+
+
+def lines_changed(make: Write, change: Callable[[list[str]], list[str]]) -> Write:
+    def write(folder: Path) -> Path:
+        path = make(folder)
+        path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+        return path
+
+    return write
+
+
+def hdf_changed(make: Write, change: Callable[[Any], None]) -> Write:
+    def write(folder: Path) -> Path:
+        import h5py
+
+        path = make(folder)
+        with h5py.File(path, "r+") as file:
+            change(file)
+        return path
+
+    return write
+
+
+def single_animal(folder: Path) -> Path:
+    single = dlc_frame()["net"]["male"]
+    lines = [
+        "scorer," + ",".join(["net"] * 6), "bodyparts," + ",".join(p for p, _ in single.columns),
+        "coords," + ",".join(c for _, c in single.columns),
+        *(f"{t}," + ",".join(map(repr, row)) for t, row in enumerate(single.to_numpy().tolist())),
+    ]  # fmt: skip
+    return text("\n".join(lines) + "\n", "pose.csv")(folder)
+
+
+def anipose(folder: Path) -> Path:
+    header = "head_x,head_y,head_z,head_score,head_error,head_ncams,fnum"
+    rows = [f"{x!r},{y!r},0,0.9,0.1,2,{t}" for t, (x, y) in enumerate(ROUNDED[:, 0].tolist())]
+    return text("\n".join([header, *rows]) + "\n", "anipose.csv")(folder)
+
+
+def of_trackers() -> Iterator[Case]:
+    yield Case("deeplabcut, one animal", single_animal)
+    yield Case(
+        "LightningPose", single_animal, "movement", {"software": "LightningPose", "fps": 25.0}
+    )
+    yield Case("Anipose", anipose, "movement", {"software": "Anipose", "fps": 25.0})
+    for word, change in {
+        "a frame missing": lambda rows: rows[:14] + rows[15:],
+        "a frame twice": lambda rows: rows[:14] + rows[13:],
+        "gaps": lambda rows: [*rows[:9], "5" + "," * 12, *rows[10:]],
+        "a word": lambda rows: [*rows[:9], rows[9].replace(".", "x", 1), *rows[10:]],
+        "truth values": lambda rows: [*rows[:9], "5" + ",True" * 12, *rows[10:]],
+    }.items():
+        for source in ("deeplabcut", "movement"):
+            options = {"fps": 25.0}
+            yield Case(f"{source}, {word}", lines_changed(write_dlc_csv, change), source, options)
+    scores = {"other": np.ones((2, 2)), "one": np.ones((2, 2, 39)), "words": np.array([b"a"])}
+    for word, wrong in scores.items():
+
+        def replace_scores(file: Any, wrong: Any = wrong) -> None:
+            del file["point_scores"]
+            file["point_scores"] = wrong
+
+        yield Case(f"analysis, {word} scores", hdf_changed(write_analysis, replace_scores))
+    yield Case(
+        "analysis, no scores", hdf_changed(write_analysis, lambda file: file.pop("point_scores"))
+    )
+    yield Case("slp, few frames", lambda folder: write_slp(folder, POSE[:3]))
+    yield Case("slp, gaps", lambda folder: write_slp(folder, with_gap(POSE)))
+
+    def links(file: Any) -> None:
+        import h5py
+
+        file["more"] = h5py.ExternalLink("secret.h5", "/bodies")
+
+    yield Case("hdf5, a link", hdf_changed(write_idtracker_h5, links))
+    yield Case(
+        "hdf5, no rate", hdf_changed(write_idtracker_h5, lambda file: file.attrs.pop("frames_per_second"))
+    )  # fmt: skip
+    yield Case(
+        "dlc h5, other key",
+        hdf_changed(write_dlc_h5, lambda file: file.move("df_with_missing", "tracks")),
+    )
+    yield Case(
+        "mothvr, a frame missing", lines_changed(write_mothvr, lambda rows: rows[:9] + rows[10:])
+    )
+    yield Case(
+        "authors-silkmoth, a frame missing",
+        lines_changed(write_authors_silkmoth, lambda rows: rows[:9] + rows[10:]),
+    )
+    for word, changes in {
+        "dt": {"meta": np.array('{"cond": "x_share", "dt": 0}')}, "action": {"actions": np.full((17, 3), 99)},
+        "steps": {"n_steps": np.array([0, 8, 9])}, "frames": {"pos": np.zeros((19, 3, 2))},
+    }.items():  # fmt: skip
+        yield Case(f"agents, {word}", archive(**(agents_arrays() | changes)), "agents")
+
+
+def with_gap(pose: Any) -> Any:
+    out = pose.copy()
+    out[7:9, 0] = np.nan
+    return out
+
+
+def chases(folder: Path) -> Path:
+    """Six recordings that end by contact, one of which jumps and one of which has a gap."""
+    rng = np.random.default_rng(4)
+    lines = ["recording,frame,id,x,y"]
+    for number_of_recording in range(6):
+        hare = 300 + np.cumsum(rng.normal(0, 2, (40, 2)), axis=0)
+        hunter = hare + np.linspace(90, 8, 40)[:, None] * [np.cos(number_of_recording), 0.5]
+        for t in range(40):
+            for who, (x, y) in (("hunter", hunter[t]), ("hare", hare[t])):
+                lost = number_of_recording == 2 and 10 <= t < 12 and who == "hare"
+                cells = ",," if lost else f",{x:.4f},{y:.4f}"
+                lines.append(f"sham_{number_of_recording},{t},{who}{cells}")
+    return text("\n".join(lines) + "\n", "chases.csv")(folder)
+
+
+RECIPES: dict[str, dict[str, Any]] = {
+    "plain": {}, "target": {"target": "hare"}, "auto": {"target": "auto"},
+    "pursuer": {"pursuer": "hunter"}, "thinned": {"target": "hare", "decision_rate": 10.0},
+    "resampled": {"target": "hare", "decision_rate": 7.0},
+    "smoothed": {"target": "hare", "cleaning": {"smoothing_cutoff": 2.0}},
+    "filled": {"target": "hare", "cleaning": {"max_gap": 0.2}},
+    "jumps": {"target": "hare", "cleaning": {"drop_jumps": True}},
+    "approach": {"target": "hare", "cutting": {"mode": "approach", "farther_than": 0.3, "closer_than": 0.2}},
+    "contact": {"target": "hare", "cutting": {"contact": 0.2}},
+    "pieces": {"target": "hare", "cutting": {"piece": 0.5}},
+    "short": {"target": "hare", "cutting": {"shortest": 1.2, "keep_last": 1.3}},
+    "disc": {"target": "hare", "scaling": {"shape": "disc", "each": True}},
+    "centimetres": {"target": "hare", "scaling": {"shape": "open", "px_per_cm": 10.0}},
+    "names": {"name_pattern": r"sham_(?P<condition>[01])", "target": "hare"},
+    "chosen": {"individuals": ["hare", "hunter"], "rename": {"hare": "prey"}, "target": "prey"},
+    "kept": {"target": "hare", "decision_rate": 5.0, "keep_last_frame": True},
+    "nobody": {"target": "cat"}, "one pattern": {"name_pattern": "(?P<condition>x)"},
+}  # fmt: skip
+
+
+def of_recipes() -> Iterator[Case]:
+    for word, entries in RECIPES.items():
+        yield Case(f"recipe, {word}", chases, None, {"frame_rate": RATE} | entries, whole=True)
+    for name, kind in KINDS.items():
+        if name not in ("native", "minari", "agents"):
+            options = {"frame_rate": RATE} if kind.source != "trex" else {}
+            yield Case(f"import of {name}", kind.write, kind.source, options, whole=True)
+
+
+def cases() -> Iterator[Case]:
+    """Every file of the corpus."""
+    for name, kind in KINDS.items():
+        yield Case(f"kind {name}", kind.write, kind.source if name == "movement" else None)
+    for made in (
+        of_text, of_times, of_cells, of_headers, of_damage, of_workbooks, of_parquet, of_arrays,
+        of_trackers, of_recipes,
+    ):  # fmt: skip
+        yield from made()
