@@ -13,13 +13,10 @@ import pytest
 import typer
 from stable_baselines3.common.callbacks import CallbackList
 
-from animarl_algos.cli import completion
 from animarl_algos.cli.lazy import COMMANDS
 from animarl_algos.cli.main import app
 from animarl_algos.learner.progress import ProgressBar, with_progress_bar
-from animarl_algos.recipes.registry import RECIPES
 from animarl_envs.compiling import FirstCompilation
-from animarl_envs.importing.readers import available_readers
 
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "numba", "scipy", "pandas", "matplotlib"}
 ANIMARL = "from animarl_algos.cli.main import main; main()"
@@ -75,21 +72,6 @@ def test_start_of_a_report_without_a_run_names_the_folder(tmp_path: Any) -> None
     )  # fmt: skip
     assert done.returncode == 2
     assert "nowhere: it is not a run folder" in done.stderr and "make one with" in done.stderr
-
-
-def test_completion_offers_what_there_is(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert completion.recipes("") == list(RECIPES)
-    assert completion.recipes("qr-dqc") == ["qr-dqcil", "qr-dqcil-pt"]
-    assert completion.sources("") == [reader.name for reader in available_readers()]
-    assert completion.environments("AnimaRL/S") == ["AnimaRL/Silkmoth-v0"]
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "flies").mkdir()
-    (tmp_path / "flies" / "a.npz").touch()
-    assert completion.demonstrations("f") == ["fly", "flies/"]
-    assert completion.demonstrations("flies/") == ["flies/a.npz"]
-    (tmp_path / "first").mkdir()
-    (tmp_path / "first" / "settings.json").touch()
-    assert completion.runs("f") == ["first", "flies/"]
 
 
 class Terminal(io.StringIO):

@@ -279,38 +279,16 @@ def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
     assert "Chosen on training episodes: 3, the fewest whose floor (" in result.output
 
 
-def test_numbers_of_magnitudes_are_read_from_either_form() -> None:
-    assert parse_thrusts(["1,2, 5"]) == parse_thrusts(["5", "2", "1", "1"]) == (1, 2, 5)
-    for bad in (["0"], ["1,,2"], ["two"], ["11"], ["-1"]):
+def test_numbers_of_magnitudes_are_read() -> None:
+    assert parse_thrusts("1,2, 5") == parse_thrusts("5,2,1,1") == (1, 2, 5)
+    for bad in ("0", "1,,2", "two", "11", "-1"):
         with pytest.raises(InputError, match="--thrusts"):
             parse_thrusts(bad)
 
 
-@pytest.mark.parametrize("words", [["FILE", "--thrusts", "1", "2"], ["--thrusts", "1", "FILE", "2"],
-                                   ["FILE", "--thrusts", "1", "2", "--split", "all"]])  # fmt: skip
-def test_numbers_of_magnitudes_may_stand_apart(words: list[str], tmp_path: Path) -> None:
-    demos, _ = walk(TRUTH, 15, episodes=4, steps=20)
-    file, out = demos.save(tmp_path / "walk.npz"), tmp_path / "rows.csv"
-    animarl("fit", *(file if word == "FILE" else word for word in words), "--out", out)
-    rows = csv.DictReader(out.read_text().splitlines())
-    assert [row["thrusts"] for row in rows] == ["1"] * 3 + ["2"] * 3
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["fly", "newt"], "one file, 'fly', but 'newt' follows"),
-        (["fly", "2", "3"], "one file, 'fly', but '2' follows"),
-        (["fly", "--thrusts", "1", "newt"], "one file, 'fly', but 'newt' follows"),
-        (["--thrusts", "1", "2", "fly"], "one file, '2', but 'fly' follows"),
-        (["fly", "--thrusts", "1", "12"], "--thrusts is '1,12': give whole numbers"),
-        (["fly", "--thrusts", "1", "2", "--method", "onset"], "leave --method onset out"),
-    ],
-)
-def test_words_that_are_no_further_magnitudes_are_refused(words: list[str], said: str) -> None:
-    with pytest.raises(InputError, match=said) as refusal:
-        animarl("fit", *words)
-    assert "\n" not in str(refusal.value)
+def test_magnitudes_are_compared_for_the_joint_fit_alone() -> None:
+    with pytest.raises(InputError, match="leave --method onset out"):
+        animarl("fit", "fly", "--thrusts", "1,2", "--method", "onset")
 
 
 # -- recordings -----------------------------------------------------------------------------------

@@ -16,14 +16,10 @@ from typer.testing import CliRunner
 
 from animarl_algos.cli.watch import Rule, play, prepare, watch_command
 from animarl_algos.cli.watch_actors import trained_actor
-from animarl_algos.cli.watch_beside import play_beside, recorded_world
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import Renderer
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import make_scenario
-from animarl_envs.worlds import make_world
-from animarl_envs.worlds.base import World
 
 NEWT, MOTH = "AnimaRL/Newt-v0", "AnimaRL/Silkmoth-v0"
 
@@ -90,32 +86,6 @@ def positions_of(world, actor, steps):
     world.seed([0])
     pictures = play(world, actor, Renderer("rgb_array", size=100, fps=1.0), steps=steps)
     return np.stack([world.position[0].copy() for _ in pictures])
-
-
-def test_recording_and_simulation_stand_in_one_clip(demos: str) -> None:
-    """From the same start; the one that was recorded stops where its recording does."""
-    world, _ = prepare(NEWT, demos=demos, split="train", warmup=0)
-    coasting = make_world(replace(world.scenario, drivers=("action",) * 3), 1)
-    coasting.seed([0])
-    endings: list[str] = []
-
-    def coast(world: World, start: bool) -> np.ndarray:
-        return np.full((1, 3), 12)
-
-    pictures = list(
-        play_beside(coasting, coast, Renderer("rgb_array", size=100), steps=9, endings=endings)
-    )
-    assert len(pictures) == 10 + 10  # nine steps, and the last one held for a second
-    assert pictures[0].shape[1] == 200
-    left = [picture[:100, :100] for picture in pictures]
-    right = [picture[:100, 100:] for picture in pictures]
-    np.testing.assert_array_equal(left[0], right[0])
-    assert (left[6] != left[0]).any() and (left[6] == left[9]).all()
-    assert (right[9] == right[0]).all()  # at rest
-    assert endings == ["recorded stopped after 0.6 s; simulated stopped after 0.9 s"]
-    nowhere = make_world(make_scenario("agent", demos=None), 1)
-    with pytest.raises(InputError, match="nothing was recorded"):
-        recorded_world(nowhere)
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
@@ -212,7 +182,6 @@ def test_a_policy_trained_with_the_flag_is_told_the_condition():
 
 
 def _all_acting(scenario):
-    from dataclasses import replace
 
     return replace(scenario, drivers=("action",) * len(scenario.names))
 
@@ -239,7 +208,6 @@ def test_a_closed_window_ends_the_show(monkeypatch):
         (("CartPole-v1",), "no species"),
         ((NEWT, "--out", "clip.avi"), r"\.gif or \.mp4"),
         ((NEWT, "--focal", "male_0"), "--model"),
-        ((NEWT, "--beside", "--out", "a.gif"), "give --model and --out"),
         ((NEWT, "--demos", "none", "--condition", "1", "--out", "a.gif"), "condition"),
         ((NEWT, "--demos", "nowhere.npz", "--out", "a.gif"), "nowhere.npz"),
     ],

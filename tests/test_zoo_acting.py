@@ -1,4 +1,4 @@
-"""How the zoo's commands act: by the rule that was saved with the model."""
+"""How the zoo's training scores policies: as they act."""
 
 from __future__ import annotations
 
@@ -9,34 +9,11 @@ from typing import Any
 import pytest
 from commands import Done
 from stable_baselines3.common import callbacks
-from zoo_commands import AGENT, CARTPOLE, TINY
+from zoo_commands import AGENT, TINY
 from zoo_commands import small as small
 from zoo_commands import zoo as zoo
 
-from animarl_algos.recipes.registry import RECIPES
-from animarl_algos.zoo import enjoy, manager
-
-
-@pytest.mark.parametrize(
-    ("asked", "rule"),
-    [
-        ([], "boltzmann:2"),
-        (["--stochastic"], "boltzmann:2"),
-        (["--deterministic"], "greedy"),
-        (["--acting", "epsilon:0.1"], "epsilon:0.1"),
-        (["--acting=boltzmann:0.5"], "boltzmann:0.5"),
-    ],
-)
-def test_enjoy_acts_by_the_saved_rule_unless_told(
-    asked: list[str], rule: str, zoo: Callable[..., Done], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = RECIPES["dqn"].algorithm("MlpPolicy", "CartPole-v1")
-    model.policy.epsilon, model.policy.temperature = 0.3, 2.0
-    model.save("warm.zip")
-    rules: list[str] = []
-    monkeypatch.setattr(enjoy, "run", lambda m, *_: rules.append(str(m.policy.acting)))
-    done = zoo("enjoy", "--algo=dqn", *CARTPOLE[:2], "--no-render", "--model", "warm.zip", *asked)
-    assert rules == [rule] and f"Acting: {rule}\n" in done.stdout, done.stderr
+from animarl_algos.zoo import manager
 
 
 @pytest.mark.parametrize("exploration", ["epsilon", "boltzmann"])

@@ -19,13 +19,11 @@ from animarl_algos.zoo.environments import slot_environment
 
 DQN = ["train", "--algo", "dqn", "--env", AGENT]
 
-STUDY = ["--storage", "sqlite:///none.db", "--study-name", "mine"]
-
 
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (["dance"], "'dance' is unknown: choose train, optimize, enjoy"),
+        (["dance"], "'dance' is unknown: choose train, optimize"),
         (["train", "--algo", "ppo", "--env", AGENT], "invalid choice: 'ppo'"),
         (["train", "--algo", "dqn", "--env", "AnimaRL/Dodo-v0"], "'AnimaRL/Dodo-v0' is not"),
         (["train", "--algo", "dqn", "--env", AGENT, "--preset", "fast"], "invalid choice: 'fast'"),
@@ -44,20 +42,13 @@ STUDY = ["--storage", "sqlite:///none.db", "--study-name", "mine"]
         ([*DQN, "--eval-episodes", "0"], "--eval-episodes is 0"),
         ([*DQN, "--n-eval-envs", "0"], "--n-eval-envs is 0"),
         ([*DQN, "-n", "0"], "--n-timesteps is 0"),
-        ([*DQN, "--trial-id", "3"], "give --storage and --study-name too"),
-        ([*DQN, "--trial-id", "3", *STUDY], "holds no such trial of a study 'mine'"),
+        ([*DQN, "--trial-id", "3"], "--trial-id is not supported"),
         ([*DQN, "-params", "n_timesteps:0"], "'n_timesteps' is 0"),
         ([*DQN, "-params", "n_envs:0"], "'n_envs' is 0"),
         (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "does not suit"),
         (["train", "--algo", "dqdil", "--env", "CartPole-v1"], "'dtw_penalty'"),
         (["train", "--algo", "dqcil", "--env", "AnimaRL/Fly-v0"], "condition flag"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT], "train first"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT, "--model", "no.zip"], "no such file"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT, "--out", "a.bmp"], "use .gif or .mp4"),
-        (["enjoy", "--algo", "dqn", "--env", "CartPole-v1", "--out", "a.gif"], "leave it out"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT, "--acting", "bravely"], "acting is 'bravely'"),
-        (["enjoy", "--algo", "dqn", "--env", AGENT, "--acting", ""], "acting is ''"),
     ],
 )
 def test_bad_input_is_one_sentence(
@@ -124,30 +115,13 @@ def test_a_damaged_or_foreign_zip_is_refused(
     whole = (tmp_path / "pole.zip").read_bytes()
     for content in (b"", b"text", b"PK\x05\x06" + bytes(18), whole[:300] + whole[500:]):
         (tmp_path / "bad.zip").write_bytes(content)
-        for command in (["train", "-i"], ["enjoy", "--no-render", "--model"]):
-            done = zoo(*command, "bad.zip", "--algo", "dqn", "--env", AGENT)
-            assert done.returncode == 2 and "bad.zip: it is no model of" in done.stderr
+        done = zoo("train", "-i", "bad.zip", "--algo", "dqn", "--env", AGENT)
+        assert done.returncode == 2 and "bad.zip: it is no model of" in done.stderr
     for env, word in ((AGENT, "3 that observe"), ("Three-v0", "Action spaces do not match")):
         done = zoo("train", "-i", "pole.zip", "--algo", "dqn", "--env", env)
         assert done.returncode == 2 and word in done.stderr
         assert "Traceback" not in done.stderr
     assert not (tmp_path / "logs").exists()
-
-
-@pytest.mark.parametrize(
-    ("rule", "word"),
-    [
-        ("boltzmann:0.5,0.7", "2 numbers for 1 individuals"),
-        ("boltzmann:1/0.5/0.5", "not 2 actions"),
-    ],
-)
-def test_a_rule_that_a_model_cannot_act_by_is_refused(
-    rule: str, word: str, zoo: Callable[..., Done]
-) -> None:
-    RECIPES["dqn"].algorithm("MlpPolicy", "CartPole-v1").save("pole.zip")
-    done = zoo("enjoy", "--algo=dqn", "--env=CartPole-v1", "--model=pole.zip", "--acting", rule)
-    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (2, 1, "")
-    assert word in done.stderr
 
 
 def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path: Path) -> None:
@@ -158,7 +132,6 @@ def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path:
     RECIPES["dqn"].algorithm("MlpPolicy", fly, offline_epochs=0, buffer_size=5000).save("fly.zip")
     alike = ("--env-kwargs", "senses_compass:False")
     for command, why in (
-        (("enjoy", "--no-render", "-n", "5", "--model", "fly.zip"), "3 individuals that observe ("),
         (("train", "-i", "fly.zip"), "3 individuals that observe ("),
         (("train", "-i", "fly.zip", *alike), "the environment is of the species newt"),
     ):
@@ -166,9 +139,6 @@ def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path:
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
         assert f"fly.zip: {why}" in done.stderr.replace("it was trained with ", "")
     assert not (tmp_path / "logs").exists()
-    done = zoo("enjoy", "--no-render", "-n=5", "--model=fly.zip", "--algo=dqn",
-               "--env=AnimaRL/Fly-v0")  # fmt: skip
-    assert done.returncode == 0, done.stderr
 
 
 def test_training_that_diverged_leaves_its_settings_to_look_at(

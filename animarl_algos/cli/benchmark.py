@@ -54,12 +54,10 @@ def benchmark_command(
         typer.Option(help="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'."),
     ] = None,
     method: Annotated[
-        list[str] | None,
-        typer.Option(help="Your own method, NAME=module:factory; repeatable."),
+        list[str] | None, typer.Option(help="Your own method, NAME=module:factory; repeatable.")
     ] = None,
     engine: Annotated[
-        str,
-        typer.Option(help="local: processes of this machine; ray: tasks of a Ray cluster."),
+        str, typer.Option(help="local: processes of this machine; ray: tasks of a Ray cluster.")
     ] = "local",
     processes: Annotated[int, typer.Option(help="So many of engine local, one thread each.")] = 1,
     address: Annotated[

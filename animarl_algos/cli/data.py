@@ -10,7 +10,6 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from animarl_algos.cli import completion
 from animarl_algos.cli.hints import hints
 from animarl_algos.cli.lazy import SETTINGS
 from animarl_algos.cli.merging import merge_command
@@ -31,11 +30,7 @@ app = typer.Typer(
     **SETTINGS,
 )
 DemosArgument = Annotated[
-    str,
-    typer.Argument(
-        help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).",
-        autocompletion=completion.demonstrations,
-    ),
+    str, typer.Argument(help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).")
 ]
 SHOWN_WARNINGS = 20
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]

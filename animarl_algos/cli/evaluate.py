@@ -11,13 +11,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from animarl_algos.cli import completion
 from animarl_envs.errors import InputError
 
-Runs = Annotated[
-    list[Path],
-    typer.Argument(help="Run folders, of methods and seeds.", autocompletion=completion.runs),
-]
+Runs = Annotated[list[Path], typer.Argument(help="Run folders, of methods and seeds.")]
 Out = Annotated[Path, typer.Option(help="Folder for tables, figures and report.html.")]
 
 
@@ -110,10 +106,7 @@ def counterfactual_command(
 
 
 def inspect_command(
-    run: Annotated[
-        Path,
-        typer.Argument(help="A run folder that was evaluated.", autocompletion=completion.runs),
-    ],
+    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
     episode: Annotated[
         int, typer.Option(min=0, help="Number of the demonstration in the test split, from 0.")
     ],

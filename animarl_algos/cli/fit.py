@@ -12,7 +12,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from animarl_algos.cli import completion
 from animarl_algos.cli.reading import SOURCE, load, named_split, refuse_overwriting
 from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.ranges import SEED
@@ -43,38 +42,21 @@ class MethodChoice(StrEnum):
 
 def fit_command(
     file: Annotated[
-        str,
-        typer.Argument(
-            help="Demonstrations, a file that a reader knows, or a packaged set.",
-            autocompletion=completion.demonstrations,
-        ),
+        str, typer.Argument(help="Demonstrations, a file that a reader knows, or a packaged set.")
     ],
-    numbers: Annotated[
-        list[str] | None, typer.Argument(help="Those of --thrusts after the first.")
-    ] = None,
     source: Annotated[
-        str | None,
-        typer.Option(
-            help="Reader; by default found by a look at the file.",
-            autocompletion=completion.sources,
-        ),
+        str | None, typer.Option(help="Reader; by default found by a look at the file.")
     ] = None,
     species: Annotated[
-        str | None,
-        typer.Option(
-            help="Take the onset threshold of this species.", autocompletion=completion.species
-        ),
+        str | None, typer.Option(help="Take the onset threshold of this species.")
     ] = None,
     method: Annotated[
         MethodChoice,
         typer.Option(help="joint (default), onset (the paper's), both, or noise: noisy tracks."),
     ] = MethodChoice.joint,
     thrusts: Annotated[
-        list[str] | None,
-        typer.Option(help="Compare numbers of thrust magnitudes, such as 1 2 3 5 (joint fit)."),
-    ] = None,
-    onset_threshold: Annotated[
-        float | None, typer.Option(help="th_acc of the onset rule, in arena unit / s^2.")
+        str | None,
+        typer.Option(help="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit)."),
     ] = None,
     split: Annotated[
         str, typer.Option(help="Episodes the parameters come from: train, val, test or all.")
@@ -91,7 +73,7 @@ def fit_command(
 
       animarl fit demos.npz
 
-      animarl fit demos.npz --thrusts 1 2 3 5
+      animarl fit demos.npz --thrusts 1,2,3,5
 
       animarl fit demos.npz --method noise
 
@@ -102,9 +84,10 @@ def fit_command(
     if out is not None:
         refuse_overwriting(out, file)
     seed, chosen = SEED.check("seed", seed), named_split(split)
-    compared = _compared(file, numbers or [], thrusts or [], method)
+    compared = _compared(thrusts, method)
     demos = load(file, source, takes=(SOURCE,))
-    if species is not None and onset_threshold is None:
+    onset_threshold = None
+    if species is not None:
         onset_threshold = get_species(species).recording.onset_threshold
     console = PlainConsole(least_width=TABLE_WIDTH)
     if compared:
@@ -136,23 +119,15 @@ def fit_command(
         console.print(f"Saved {out}", highlight=False, soft_wrap=True)
 
 
-def _compared(
-    file: str, numbers: list[str], thrusts: list[str], method: MethodChoice
-) -> tuple[int, ...]:
+def _compared(thrusts: str | None, method: MethodChoice) -> tuple[int, ...]:
     """The numbers of thrust magnitudes to compare; none, to fit one."""
-    if not (thrusts or numbers):
+    if thrusts is None:
         return ()
     from animarl_algos.cli.thrusts import parse_thrusts
 
-    for word in numbers:
-        if not thrusts or not word.isdecimal():
-            raise InputError(
-                f"animarl fit takes one file, {file!r}, but {word!r} follows it: only the numbers "
-                "of --thrusts may, as in animarl fit demos.npz --thrusts 1 2 3"
-            )
     if method is not MethodChoice.joint:
         raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
-    return parse_thrusts([*thrusts, *numbers])
+    return parse_thrusts(thrusts)
 
 
 def compare_thrusts(

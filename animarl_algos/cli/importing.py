@@ -13,7 +13,6 @@ import yaml
 from rich.console import Console
 from rich.progress import Progress
 
-from animarl_algos.cli import completion
 from animarl_algos.cli.describing import understood
 from animarl_algos.cli.hints import found_by_itself, hints
 from animarl_algos.cli.showing import report, show_rows, wide_console
@@ -31,11 +30,7 @@ def import_command(
     context: typer.Context,
     files: Annotated[list[Path], typer.Argument(help="One file or more of the same kind.")],
     source: Annotated[
-        str | None,
-        typer.Option(
-            help="Reader; see 'animarl data sources'. Default: by a look.",
-            autocompletion=completion.sources,
-        ),
+        str | None, typer.Option(help="Reader; see 'animarl data sources'. Default: by a look.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Demonstrations to write (.npz).")] = None,
     recipe: Annotated[Path | None, typer.Option(help="Repeat this saved recipe (.yaml).")] = None,
@@ -73,8 +68,7 @@ def import_command(
     ] = None,
     keypoint: Annotated[str | None, typer.Option(help="Body part, or centroid.")] = None,
     heading: Annotated[
-        str | None,
-        typer.Option(help="Bodies point from one keypoint to another: thorax,head."),
+        str | None, typer.Option(help="Bodies point from one keypoint to another: thorax,head.")
     ] = None,
     drop_jumps: Annotated[
         bool | None,

@@ -15,7 +15,6 @@ import typer
 import yaml
 from rich.text import Text
 
-from animarl_algos.cli import completion
 from animarl_algos.cli.reading import SOURCE, said_with_import
 from animarl_algos.cli.run_options import with_run_options
 from animarl_algos.cli.screen import PlainConsole
@@ -109,10 +108,7 @@ def train_command(
 
 
 def report_command(
-    run: Annotated[
-        Path,
-        typer.Argument(help="A run folder that was evaluated.", autocompletion=completion.runs),
-    ],
+    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
 ) -> None:
     """Write the report of a run again.
 

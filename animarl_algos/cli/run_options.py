@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import typer
 
-from animarl_algos.cli import completion
 from animarl_envs.scenario import PACKAGED
 
 Command = Callable[..., None]
@@ -21,38 +20,26 @@ def _asked(
     file: Annotated[
         str,
         typer.Argument(
-            help="A file of recorded episodes, or 'packaged': those that come with the species.",
-            autocompletion=completion.run_file,
+            help="A file of recorded episodes, or 'packaged': those that come with the species."
         ),
     ] = PACKAGED,
     env: Annotated[
         str | None,
-        typer.Option(
-            help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
-            autocompletion=completion.environments,
-        ),
+        typer.Option(help="Environment id, such as AnimaRL/Fly-v0: another way to give --species."),
     ] = None,
     species: Annotated[
         str | None,
-        typer.Option(
-            help="agent, fly, newt, silkmoth or custom; by default what FILE says.",
-            autocompletion=completion.species,
-        ),
+        typer.Option(help="agent, fly, newt, silkmoth or custom; by default what FILE says."),
     ] = None,
     algo: Annotated[
         str,
         typer.Option(
             help="soft-bc, iq-learn, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; "
-            "qr-dqn and so on.",
-            autocompletion=completion.recipes,
+            "qr-dqn and so on."
         ),
     ] = "soft-bc",
     preset: Annotated[
-        str,
-        typer.Option(
-            help="Settings of zoo_configs: paper (the paper's) or default (tuned).",
-            autocompletion=completion.presets,
-        ),
+        str, typer.Option(help="Settings of zoo_configs: paper (the paper's) or default (tuned).")
     ] = "default",
     steps: Annotated[
         int | None,
@@ -64,10 +51,7 @@ def _asked(
     ] = Path("runs/run"),
     source: Annotated[
         str | None,
-        typer.Option(
-            help="Format of FILE ('animarl data sources'); by default recognised.",
-            autocompletion=completion.sources,
-        ),
+        typer.Option(help="Format of FILE ('animarl data sources'); by default recognised."),
     ] = None,
     copies: Annotated[
         int | None, typer.Option(help="Worlds simulated side by side; by default the preset's.")
@@ -79,8 +63,7 @@ def _asked(
     policy: Annotated[
         str | None,
         typer.Option(
-            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
-            autocompletion=completion.policies,
+            help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's."
         ),
     ] = None,
     device: Annotated[str | None, typer.Option(help="cpu (default) or cuda.")] = None,
@@ -91,8 +74,7 @@ def _asked(
         str | None,
         typer.Option(
             help="joint, onset (the paper's rule) or noise (for noisy tracks); by default "
-            "the preset's.",
-            autocompletion=completion.fit_methods,
+            "the preset's."
         ),
     ] = None,
     thrusts: Annotated[
@@ -103,8 +85,7 @@ def _asked(
         str | None,
         typer.Option(
             help="How trained policies act: greedy, boltzmann:TEMPERATURE, epsilon:SHARE, or "
-            "chosen (by rollouts, after training); by default the preset's.",
-            autocompletion=completion.acting_rules,
+            "chosen (by rollouts, after training); by default the preset's."
         ),
     ] = None,
     settings: Annotated[

@@ -40,18 +40,18 @@ class ThrustRow:
     floor: float  # a classifier's AUC of tracked against recorded, all individuals; NaN: too few
 
 
-def parse_thrusts(given: Sequence[str]) -> tuple[int, ...]:
-    """Numbers of magnitudes from ``1,2,3`` or from several such texts, each once, in order.
+def parse_thrusts(given: str) -> tuple[int, ...]:
+    """Return the numbers of magnitudes in ``1,2,3``, each once, in order.
 
     Raises
     ------
     InputError
         If one is no whole number from 1 to 10.
     """
-    texts = [text.strip() for part in given for text in part.split(",")]
+    texts = [text.strip() for text in given.split(",")]
     if not all(text.isdecimal() and 1 <= int(text) <= MOST_THRUSTS for text in texts):
         raise InputError(
-            f"--thrusts is {','.join(given)!r}: give whole numbers of thrust magnitudes from 1 to "
+            f"--thrusts is {given!r}: give whole numbers of thrust magnitudes from 1 to "
             f"{MOST_THRUSTS}, such as 1,2,3"
         )
     return tuple(sorted({int(text) for text in texts}))

@@ -13,7 +13,6 @@ import typer
 from numpy.typing import NDArray
 from rich.progress import Progress
 
-from animarl_algos.cli import completion
 from animarl_algos.cli.reading import load, named_split
 from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.cli.watch_actors import (
@@ -24,7 +23,6 @@ from animarl_algos.cli.watch_actors import (
     trained_actor,
     trained_environment,
 )
-from animarl_algos.cli.watch_beside import HOLD, play_beside
 from animarl_algos.ranges import SEED
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
@@ -34,6 +32,7 @@ from animarl_envs.scenario import PACKAGED, make_scenario
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 
+HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
 
 
@@ -55,17 +54,13 @@ class ConditionChoice(StrEnum):
 def watch_command(
     env: Annotated[
         str | None,
-        typer.Argument(
-            help="Environment id, such as AnimaRL/Newt-v0; by default that of --model.",
-            autocompletion=completion.environments,
-        ),
+        typer.Argument(help="Environment id, such as AnimaRL/Newt-v0; by default that of --model."),
     ] = None,
     model: Annotated[
         str | None,
         typer.Option(
             help="Whose trained policy acts: a run's folder, or a packaged model by name, such as "
-            "fly.",
-            autocompletion=completion.models,
+            "fly."
         ),
     ] = None,
     out: Annotated[
@@ -103,9 +98,6 @@ def watch_command(
     split: Annotated[
         str, typer.Option(help="Episodes to start from: train, val, test or all.")
     ] = "train",
-    beside: Annotated[
-        bool, typer.Option("--beside", help="The recording beside the simulation, in one clip.")
-    ] = False,
     fps: Annotated[float, typer.Option(help="Steps shown per second.")] = 10.0,
     size: Annotated[int, typer.Option(help="Width of the picture in pixels.")] = 600,
 ) -> None:
@@ -120,7 +112,7 @@ def watch_command(
 
       animarl watch AnimaRL/Agent-v0 --by script --episodes 3
 
-      animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --beside --out clip.mp4
+      animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --out clip.mp4
 
       animarl watch --model fly --out out/fly.gif
     """
@@ -130,8 +122,6 @@ def watch_command(
         raise InputError(f"{out}: a clip cannot be written as {out.suffix!r}: use .gif or .mp4")
     if focal is not None and model is None:
         raise InputError("--focal names whom the model drives, but there is no model: give --model")
-    if beside and (model is None or out is None):
-        raise InputError("--beside is a clip of a model and its recording: give --model and --out")
     seed = SEED.check("seed", seed)
     options = {
         "demos": None if demos == "none" else demos,
@@ -154,7 +144,7 @@ def watch_command(
     with Progress(console=console, transient=True) as progress:
         total = episodes * min(steps or world.scenario.species.time_limit, 10**6)
         task = progress.add_task("step", total=total)
-        pictures = (play_beside if beside else play)(
+        pictures = play(
             world, actor, renderer, episodes=episodes, steps=steps, endings=endings,
             on_step=lambda: progress.advance(task),
         )  # fmt: skip

@@ -56,8 +56,6 @@ PACKAGES = (
     "scipy", "stable-baselines3", "torch",
 )  # fmt: skip
 DEMONSTRATIONS = "demonstrations.npz"
-OPTIONS_BEFORE = {"observation": "paper", "rebound": False}
-"""Options of the world in runs that were recorded before these existed."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class RunFolder:
         }
         file = self.path / "settings.json"
         if file.exists():
-            before = self._read() | {"environment": self.environment_options}
+            before = self._read()
             for key, value in resolved.items():
                 if (there := before.get(key)) != (here := _plain(value)):
                     if isinstance(there, dict) and isinstance(here, dict):
@@ -132,7 +130,7 @@ class RunFolder:
     def settings(self) -> RunSettings:
         """As the run was asked for."""
         try:
-            return RunSettings.recorded(self._read()["settings"])
+            return RunSettings(**self._read()["settings"])
         except (KeyError, TypeError) as error:
             raise InputError(
                 f"{self.path / 'settings.json'}: it is not of this version of animarl ({error}): "
@@ -218,9 +216,9 @@ class RunFolder:
 
     @property
     def environment_options(self) -> dict[str, Any]:
-        """Options of the training environment; of an older run, those it was trained with."""
-        recorded: dict[str, Any] = self._read().get("environment", {})
-        return OPTIONS_BEFORE | recorded
+        """Options of the training environment."""
+        recorded: dict[str, Any] = self._read()["environment"]
+        return recorded
 
     def environment(self, species: Species, demos: Demonstrations) -> SlotVecEnv:
         """The training environment: episodes start from the train split.

@@ -86,15 +86,6 @@ class RunSettings:
             raise InputError(f"seed is {self.seed}: it must not be negative")
         check_device(self.device)
 
-    @classmethod
-    def recorded(cls, settings: Mapping[str, Any]) -> RunSettings:
-        """Of a record, also of one from before acting rules and thrust magnitudes."""
-        settings = dict(settings)
-        if "test_epsilon" in settings:
-            settings["acting"] = f"epsilon:{settings.pop('test_epsilon'):g}"
-            settings["thrusts"] = "1"
-        return cls(**settings)
-
     @property
     def compared(self) -> tuple[str, ...]:
         """Learners that are trained beside the run's own: BC, where that adapts online."""

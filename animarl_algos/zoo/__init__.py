@@ -1,4 +1,4 @@
-"""The learners in rl_zoo3: ``python -m animarl_algos.zoo train|optimize|enjoy``.
+"""The learners in rl_zoo3: ``python -m animarl_algos.zoo train|optimize``.
 
 rl_zoo3's own command lines and experiment manager do the work; what is changed:
 

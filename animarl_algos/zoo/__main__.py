@@ -1,4 +1,4 @@
-"""``python -m animarl_algos.zoo train|optimize|enjoy``."""
+"""``python -m animarl_algos.zoo train|optimize``."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ import yaml
 from animarl_algos.learner.zoo_files import PRESETS
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.run_settings import check_device
-from animarl_algos.zoo.enjoy import enjoy
 from animarl_algos.zoo.environments import species_of_id
 from animarl_algos.zoo.manager import EVAL_BY_LENGTH, AnimalExperimentManager
-from animarl_algos.zoo.samplers import converted, sampler
+from animarl_algos.zoo.samplers import sampler
 from animarl_envs.checks import printable
 from animarl_envs.errors import InputError
 from animarl_envs.files import unreadable_or_unwritable
@@ -32,14 +31,12 @@ USAGE = """python -m animarl_algos.zoo COMMAND ...
 
 train     learn, with rl_zoo3's options and --preset paper|default
 optimize  tune with optuna into SQLite, scored on the validation split
-enjoy     run a trained model, and show it
 
 Examples:
 
   python -m animarl_algos.zoo train --algo dqdil --env AnimaRL/Agent-v0 --n-timesteps 20000 --seed 1
   python -m animarl_algos.zoo optimize --algo dqdil --env AnimaRL/Agent-v0 --n-timesteps 20000 \\
       --n-trials 20
-  python -m animarl_algos.zoo enjoy --algo dqdil --env AnimaRL/Agent-v0 --out chase.gif
 
 COMMAND --help lists the options of a command."""
 
@@ -85,9 +82,7 @@ def register() -> None:
     rl_zoo3.ALGOS.clear()
     rl_zoo3.ALGOS.update({name: named.algorithm for name, named in RECIPES.items()})
     samplers: dict[str, Any] = rl_zoo3.hyperparams_opt.HYPERPARAMS_SAMPLER
-    converters: dict[str, Any] = rl_zoo3.hyperparams_opt.HYPERPARAMS_CONVERTER
     samplers.update({name: sampler(name) for name in RECIPES})
-    converters.update(dict.fromkeys(RECIPES, converted))
 
 
 def train(arguments: list[str]) -> None:
@@ -153,7 +148,6 @@ def _peek(arguments: list[str]) -> argparse.Namespace:
 COMMANDS: dict[str, Callable[[list[str]], None]] = {
     "train": train,
     "optimize": optimize,
-    "enjoy": enjoy,
 }
 
 

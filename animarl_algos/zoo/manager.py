@@ -15,7 +15,6 @@ import yaml
 from rl_zoo3.callbacks import TrialEvalCallback
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_SAMPLER
-from sqlalchemy.exc import SQLAlchemyError
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -75,11 +74,10 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
     # -- settings ---------------------------------------------------------------------------------
 
     def read_hyperparameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Those of the preset, then of a stored trial, then of the command line, each checked."""
-        overrides: dict[str, Any] = {}
+        """Return the settings of the preset with those of the command line over them, checked."""
         if self.trial_id is not None:
-            overrides = self._stored_trial(self.trial_id)
-        overrides = merged(overrides, self.custom_hyperparams or {})
+            raise InputError("--trial-id is not supported: give the trial's settings by -params")
+        overrides = self.custom_hyperparams or {}
         found = learner_preset(
             self.algo, self.env_name.gym_id, self.preset, overrides, config=self.own_config
         )
@@ -103,17 +101,6 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         open_ones = {} if self.continue_training else beneath()
         return open_ones | deepcopy(settings), settings
 
-    def _stored_trial(self, number: int) -> dict[str, Any]:
-        if not (self.storage and self.study_name):
-            raise InputError(f"--trial-id {number}: give --storage and --study-name too")
-        try:
-            return dict(self.load_trial(self.storage, self.study_name, number))
-        except (KeyError, IndexError, SQLAlchemyError) as error:
-            raise InputError(
-                f"--trial-id {number}: {self.storage} holds no such trial of a study "
-                f"{self.study_name!r}: give the names under which it was tuned"
-            ) from error
-
     def _refuse_numbers_below_one(self, found: LearnerPreset) -> None:
         for name in ("n_timesteps", "n_envs"):
             COUNT.check(f"{self.algo}: setting {name!r}", getattr(found, name))
@@ -124,7 +111,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         COUNT_OR_NONE.check("--n-evaluations", self.n_evaluations)
 
     def setup_experiment(self) -> tuple[BaseAlgorithm, dict[str, Any]] | None:
-        """rl_zoo3's; a refused one leaves no folder for ``enjoy`` to find as the latest."""
+        """rl_zoo3's; a refused run leaves no folder behind."""
         run = Path(self.save_path)
         self._new_folders = [folder for folder in (run, *run.parents) if not folder.exists()]
         try:
@@ -167,7 +154,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         return env
 
     def create_log_folder(self) -> None:
-        """None for tuning, which would leave it empty for ``enjoy`` to find as the latest run."""
+        """Make no folder for tuning, which would leave it empty."""
         if not self.optimize_hyperparameters:
             super().create_log_folder()  # type: ignore[no-untyped-call]
 

@@ -60,15 +60,8 @@ def sampler(algo: str) -> Sampler:
                 drawn[name] = trial.suggest_float(name, low, high)
         network = given.get("policy_kwargs") or {}
         if algo.startswith("qr-") and "n_quantiles" not in network:
-            drawn["n_quantiles"] = trial.suggest_categorical("n_quantiles", QUANTILES)
-        return converted(drawn)
+            quantiles = trial.suggest_categorical("n_quantiles", QUANTILES)
+            drawn["policy_kwargs"] = {"n_quantiles": quantiles}
+        return drawn
 
     return sample
-
-
-def converted(params: Params) -> Params:
-    """Arguments of the algorithm from the parameters of a stored trial."""
-    arguments = dict(params)
-    if "n_quantiles" in arguments:
-        arguments["policy_kwargs"] = {"n_quantiles": arguments.pop("n_quantiles")}
-    return arguments
