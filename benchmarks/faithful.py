@@ -24,7 +24,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -365,23 +365,14 @@ def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
 
 
 def write(table: pd.DataFrame, out: Path, split: str) -> None:
-    """The table as CSV, JSON with all that repeats it, and Markdown."""
+    """Write the table as CSV and, with the command that made it and all versions, as Markdown."""
     command = shlex.join(["python", *sys.argv])
-    rows = [[asdict(bar) for bar in one.bars] for one in SETS]
-    record = {
-        "command": command, "split": split, "commit": commit(), "versions": versions(),
-        "seeds": sorted(set(table["seed"].tolist())),
-        "bars": dict(zip((one.name for one in SETS), rows)),
-        "rows": json.loads(table.to_json(orient="records")),
-    }  # fmt: skip
     with write_then_rename(out / "faithful.csv") as part:
         table.to_csv(part, index=False)
-    with write_then_rename(out / "faithful.json") as part:
-        part.write_text(json.dumps(record, indent=2) + "\n")
-    found = ", ".join(f"{name} {number}" for name, number in record["versions"].items())
+    found = ", ".join(f"{name} {number}" for name, number in versions().items())
     head = f"# Simulated against recorded, {split} split\n\n    {command}\n\n"
     with write_then_rename(out / "faithful.md") as part:
-        part.write_text(f"{head}Commit {record['commit']}; {found}.\n\n{markdown(table)}\n")
+        part.write_text(f"{head}Commit {commit()}; {found}.\n\n{markdown(table)}\n")
 
 
 def markdown(table: pd.DataFrame) -> str:

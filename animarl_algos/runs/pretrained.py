@@ -203,7 +203,8 @@ def model_card(
         "",
         verdict_sentence(verdict, words),
         "",
-        "Test split, which nothing before saw. docs/faithful.md says how to read the table.",
+        "Rollouts from the starts of the test split; training and the choice of acting saw none of "
+        "it. docs/faithful.md says how to read the table.",
         "",
         rows,
         "",

@@ -1,0 +1,149 @@
+"""Write the tables of the results and leaderboard pages from the CSV beside them.
+
+python docs/make_results_tables.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+DOCS = Path(__file__).parent
+TEST_TABLE = DOCS / "results" / "test" / "faithful.csv"
+TESTED = {
+    "agent": "50 episodes, synthetic",
+    "fly": "10 episodes, synthetic",
+    "newt": "20 episodes, synthetic",
+    "silkmoth": "12 episodes, synthetic",
+    "fly-folds": "107 episodes, synthetic",
+    "newt-folds": "280 episodes, synthetic",
+    "silkmoth-folds": "60 episodes, synthetic",
+    "agents-indiv": "50 episodes, artificial agents",
+    "agents-share": "50 episodes, artificial agents",
+    "moths": "24 recordings, living",
+    "termites": "67 episodes of 20 recordings, living",
+    "fly-groups": "80 pieces of 8 recordings, living",
+    "courtship": "10 pieces of 1 recording, living",
+}
+"""What each set of ``benchmarks/faithful.py`` is tested on, and whether it lives."""
+
+BOARDS = ("agent", "fly", "newt", "silkmoth", "recorded-agents", "recorded",
+          "paper/agent", "paper/silkmoth")  # fmt: skip
+METHODS = ("recordings", "tracking", "soft-bc", "bc", "iq-learn", "dqaas", "dqdil-pt", "dqdil",
+           "dqn", "scripted", "random")  # fmt: skip
+LIKE = ("as recorded", "not told apart")
+"""Words of a row that lies inside its null."""
+
+
+def markdown(head: list[str], rows: list[list[str]]) -> str:
+    """Return a Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def seeds(numbers: list[int]) -> str:
+    """Return "seed 1" or "seeds 0, 2"."""
+    return f"seed{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
+
+
+def by_seed(texts: dict[int, str]) -> str:
+    """Join the texts of several seeds, naming the seeds unless all three say the same."""
+    groups: dict[str, list[int]] = {}
+    for seed, text in texts.items():
+        groups.setdefault(text, []).append(seed)
+    if len(texts) == 3 and len(groups) == 1:
+        return next(iter(groups))
+    return "; ".join(f"{text} ({seeds(of)})" for text, of in groups.items())
+
+
+def verdicts() -> str:
+    """Return the headline of every cell, the classifier's AUC and the bars that are not met."""
+    table = pd.read_csv(TEST_TABLE)
+    rows = []
+    for name, tested in TESTED.items():
+        cells = table[table["set"] == name]
+        headlines = dict(zip(cells["seed"], cells["overall"], strict=True))
+        areas = cells[cells["label"].str.startswith("Told apart")].sort_values("seed")
+        failed = cells[cells["met?"] != "yes"]
+        missed = [
+            f"{label} ({seeds(list(rows_of['seed']))})"
+            for label, rows_of in failed.groupby("label", sort=False)
+        ]
+        rows.append(
+            [
+                name,
+                tested,
+                by_seed(headlines),
+                ", ".join(f"{area:.2f}" for area in areas["simulated"]),
+                f"{len(cells) - len(failed)} of {len(cells)}",
+                "; ".join(missed) or "–",
+            ]
+        )
+    return markdown(
+        ["set", "tested on", "headline of the verdict", "AUC of seeds 0, 1, 2", "bars met",
+         "bars not met"], rows,
+    )  # fmt: skip
+
+
+def rows_outside() -> str:
+    """Return the rows with a bar that lie outside their null, in the verdict's words."""
+    table = pd.read_csv(TEST_TABLE).dropna(subset=["verdict"])
+    rows = []
+    for name in TESTED:
+        cells = table[(table["set"] == name) & ~table["verdict"].isin(LIKE)]
+        for label, found in cells.groupby("label", sort=False):
+            words = by_seed(dict(zip(found["seed"], found["verdict"], strict=True)))
+            values = ", ".join(f"{value:.3g}" for value in found["simulated"])
+            recorded = "–" if "AUC" in str(label) else f"{found['recorded'].iloc[0]:.3g}"
+            rows.append([name, str(label), recorded, values, words])
+    return markdown(["set", "row", "recorded", "simulated", "verdict"], rows)
+
+
+def areas() -> str:
+    """Return the AUC of every method on every board, beside recordings and tracking."""
+    rows = []
+    for board in BOARDS:
+        table = pd.read_csv(DOCS / "leaderboard" / board / "leaderboard.csv")
+        table = table[table["measure"] == "auc"]
+        for name, found in table.groupby("data", sort=False):
+            by_method = found.set_index("method")
+
+            def shown(method: str, found: pd.DataFrame = by_method) -> str:
+                if method not in found.index:
+                    return "–"
+                row = found.loc[method]
+                if method == "recordings":
+                    return f"{row['value']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
+                return f"{row['value']:.2f}"
+
+            title = f"paper: {name}" if board.startswith("paper") else str(name)
+            starts, null = by_method["starts"].max(), by_method["null"].iloc[0]
+            rows.append([title, str(starts), f"{null:.2f}", *map(shown, METHODS)])
+    return markdown(["set", "starts", "null", *METHODS], rows)
+
+
+PAGES = {
+    DOCS / "results" / "README.md": {"verdicts": verdicts, "rows outside": rows_outside},
+    DOCS / "leaderboard" / "README.md": {"areas": areas},
+}
+
+
+def marks(name: str) -> tuple[str, str]:
+    """Return what stands before and behind the table called ``name``."""
+    return f"<!-- {name}: docs/make_results_tables.py -->\n", f"<!-- end of {name} -->"
+
+
+def main() -> None:
+    """Put every table between its two marks."""
+    for page, tables in PAGES.items():
+        text = page.read_text()
+        for name, make in tables.items():
+            begin, end = marks(name)
+            before, rest = text.split(begin)
+            text = f"{before}{begin}\n{make()}\n\n{end}{rest.split(end)[1]}"
+        page.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
