@@ -21,6 +21,9 @@ HALF_TURN = math.pi - 1e-6  # an exact about-face has no side, so it counts as n
 next_velocity: Any = nb.njit(inline="always")(locomotion.next_velocity)
 """One component of ``v' = (1 - d) v + u a dt``."""
 
+residual: Any = nb.njit(inline="always")(locomotion.residual)
+"""One component of ``v' - (1 - d) v``, the way back."""
+
 
 @nb.njit(inline="always")
 def next_turn(  # type: ignore[no-untyped-def]

@@ -69,6 +69,15 @@ def next_velocity(
     return (1.0 - damping) * velocity + thrust * acceleration * dt
 
 
+def residual(after: Value, before: Value, damping: float) -> Value:
+    """Return ``v' - (1 - d) v``: what the thrust added in a step, ``u a dt``.
+
+    Works on scalars and arrays. Adding the 0 of no thrust keeps the sign of zeros as in
+    :func:`next_velocity`.
+    """
+    return after - ((1.0 - damping) * before + 0.0)
+
+
 @dataclass(frozen=True)
 class Locomotion:
     """Locomotion parameters of one individual.
@@ -212,7 +221,7 @@ def infer_actions(
     -------
     ``(...,)`` int8, 0 to 12 M.
     """
-    acceleration = (next_velocity - (1.0 - locomotion.damping) * velocity) / dt
+    acceleration = residual(next_velocity, velocity, locomotion.damping) / dt
     ahead = np.sum(acceleration * focus, axis=-1)
     left = acceleration[..., 1] * focus[..., 0] - acceleration[..., 0] * focus[..., 1]
     egocentric = np.stack([ahead, left], axis=-1)

@@ -63,6 +63,10 @@ NOTES: dict[str, tuple[str, str]] = {
         "`'full'`, `'paper'`",
         "all that is listed above, or the components of the paper, of which some are constant",
     ),
+    "sense_scales": (
+        "`SenseScales` or `None`",
+        "scales of a policy that was trained in another world; `None`: those of this one",
+    ),
     "mirror_symmetric": ("`True`, `False`", "whether left and right are alike to it, for learners"),
     "bodies": ("one or two names", "what all look like in pictures, or pursuers and target"),
     "planned_flip": (

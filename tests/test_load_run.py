@@ -11,6 +11,7 @@ import pytest
 from small_runs import few, made
 
 from animarl_algos import load_run
+from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.errors import InputError
 
@@ -29,8 +30,16 @@ def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: RunFolder) ->
     observation = np.zeros((3, *loaded.policy.observation_space.shape), dtype=np.float32)
     actions, _ = loaded.policy.predict(observation)
     assert actions.shape == (3,)
-    with pytest.raises(InputError, match="not a run folder"):
+    with pytest.raises(InputError, match="no such folder and no packaged model"):
         load_run(run.path / "nowhere")
+    with pytest.raises(InputError, match="not a run folder"):
+        load_run(PAGE.parent)
+
+
+def test_a_packaged_model_is_loaded_by_its_name() -> None:
+    loaded = load_run("fly")
+    assert loaded.folder.path == model_folder("fly")
+    assert loaded.scenario.species.locomotion == loaded.folder.fit.locomotion
 
 
 def test_a_change_is_all_that_differs(run: RunFolder) -> None:
@@ -47,6 +56,8 @@ def test_a_change_is_all_that_differs(run: RunFolder) -> None:
     assert max(moved) < 1e-3
     with pytest.raises(InputError, match="changes what the policy is shown"):
         loaded.simulate(num_pursuers=1)
+    with pytest.raises(InputError, match="choose 'habit' or 'knows'"):
+        loaded.simulate(reading="mixed")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="time_limitt"):
         loaded.simulate(time_limitt=3)
 

@@ -13,13 +13,15 @@ from animarl_algos.evaluation.collect import Cue, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.runs.acting import for_all
+from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.rolling_out import method_name, trained_model
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Condition, Scenario, make_scenario
 from animarl_envs.species import Species
-from animarl_envs.species.options import with_options
+from animarl_envs.species.options import change_world, with_options
+from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import make_world, observation_components
 from animarl_envs.worlds.base import ObservationComponent
 
@@ -58,6 +60,7 @@ class LoadedRun:
         condition: Condition = "demo",
         told: Cue = "actual",
         seed: int | None = None,
+        reading: Reading = "habit",
         **options: Any,
     ) -> Rollouts:
         """Let the policy drive everybody who learned, in the run's world or in another one.
@@ -77,6 +80,10 @@ class LoadedRun:
             Which condition the policy is told, where it learned with a flag.
         seed
             By default that of the run.
+        reading
+            What the policy perceives where the options change motion or place: ``"habit"``, the
+            same inputs as ever for the same places and velocities; ``"knows"``, its own motion in
+            units of its changed body (:data:`animarl_envs.species.scales.Reading`).
         options
             Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
             as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
@@ -95,7 +102,7 @@ class LoadedRun:
         before = self.scenario
         names = before.names
         scenario = make_scenario(
-            with_options(before.species, **options),
+            change_world(before.species, reading, **options),
             demos=self.demos,
             split=split,
             condition=condition,
@@ -143,13 +150,16 @@ def _named(components: Iterable[ObservationComponent]) -> list[tuple[str, str, s
 
 
 def load_run(folder: str | Path) -> LoadedRun:
-    """The trained policy of a run folder, its world and its demonstrations.
+    """Return the trained policy of a run, its world and its demonstrations.
+
+    ``folder`` is a run's folder, that of an exported model, or the name of a packaged one
+    (``"fly"``).
 
     Raises
     ------
     InputError
-        If the folder is no run, or holds no trained policy yet.
+        If there is neither, or no trained policy yet.
     """
-    run = RunFolder(Path(folder))
+    run = RunFolder(model_folder(folder))
     policy = trained_model(run, run.settings.algo)
     return LoadedRun(run, policy, run.scenario("test"), run.demos)

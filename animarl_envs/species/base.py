@@ -14,6 +14,7 @@ from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species.bodies import PLAIN_BODY, checked_bodies
+from animarl_envs.species.scales import SenseScales
 
 OBSERVATIONS = ("full", "paper")
 
@@ -61,6 +62,7 @@ class Species:
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
     boundary_penalty: float = -10.0
     observation: str = "full"  # or "paper": the components of the paper
+    sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     mirror_symmetric: bool = True  # left and right are alike to it
     planned_flip: tuple[int, int] | None = None  # conditions (world, cue) that the paper compares
     recording: Recording
@@ -109,6 +111,14 @@ class Species:
                 f"choose {' or '.join(map(repr, OBSERVATIONS))}"
             )
         self._true_or_false("mirror_symmetric")
+        scales = self.sense_scales
+        if scales is not None and (
+            not isinstance(scales, SenseScales) or len(scales.locomotion) != len(self.individuals)
+        ):
+            raise InputError(
+                f"sense_scales is {scales!r}: give SenseScales of {len(self.individuals)} "
+                "individuals, or None"
+            )
         object.__setattr__(self, "bodies", checked_bodies(self.bodies))
         flip = self.planned_flip
         if flip is not None and (not self.conditions or tuple(flip) not in ((0, 1), (1, 0))):
@@ -120,6 +130,11 @@ class Species:
     @property
     def num_individuals(self) -> int:
         return len(self.individuals)
+
+    @property
+    def scales(self) -> SenseScales:
+        """The scales of observations: those given, or those of this world."""
+        return SenseScales.of(self) if self.sense_scales is None else self.sense_scales
 
     @property
     def thrusts(self) -> int:

@@ -11,6 +11,7 @@ from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.species import ChaseSpecies, Species
+from animarl_envs.species.scales import Reading, check_reading
 
 MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
 """Options that say how many there are of a role, and of whom there is one then."""
@@ -71,6 +72,23 @@ def with_options(species: Species, **options: Any) -> Species:
         raise InputError(f"an option of {species.name} has the wrong type ({error})") from error
 
 
+def change_world(species: Species, reading: Reading = "habit", **options: Any) -> Species:
+    """Return ``species`` with options applied, observed by policies that were trained before.
+
+    ``options`` are those of :func:`with_options`, ``reading`` says what the policies perceive.
+
+    Raises
+    ------
+    InputError
+        If an option is not valid, or there is no such reading.
+    """
+    check_reading(reading)
+    changed = with_options(replace(species, sense_scales=species.scales), **options)
+    if reading == "knows":
+        return replace(changed, sense_scales=changed.scales.with_bodies(changed))
+    return changed
+
+
 def _with_individuals(species: Species, names: tuple[str, ...]) -> Species:
     if names == species.individuals:
         return species
@@ -106,27 +124,30 @@ def _with_counts(species: Species, num_pursuers: Any, num_targets: Any) -> Speci
 def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
     """With so many individuals before the last one."""
     kind = species.individuals[0].rpartition("_")[0] or species.roles[0]
-    many, last = species.locomotion[:-1], species.locomotion[-1]
-    turning = species.turning
+    last = species.num_individuals - 1
+    names = (*(f"{kind}_{i}" for i in range(count)), species.individuals[last])
+    return _select_individuals(species, [*(i % last for i in range(count)), last], names)
+
+
+def _select_individuals(
+    species: ChaseSpecies, chosen: Sequence[int], names: tuple[str, ...], **changes: Any
+) -> ChaseSpecies:
+    """The species with these of its individuals under new names."""
     return replace(
         species,
-        individuals=(*(f"{kind}_{i}" for i in range(count)), species.individuals[-1]),
-        locomotion=(*(many[i % len(many)] for i in range(count)), last),
-        turning=turning and (*(turning[i % len(many)] for i in range(count)), turning[-1]),
+        individuals=names,
+        locomotion=tuple(species.locomotion[i] for i in chosen),
+        turning=species.turning and tuple(species.turning[i] for i in chosen),
+        sense_scales=species.sense_scales and species.sense_scales.select(chosen),
+        **changes,
     )
 
 
 def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
     """With so many targets, and one pursuer who comes last: the first of the pursuers."""
     if not species.lone_pursuer:
-        pursuer, target = species.individuals[0], species.individuals[-1]
-        species = replace(
-            species,
-            individuals=(f"{target}_0", pursuer),
-            locomotion=(species.locomotion[-1], species.locomotion[0]),
-            turning=species.turning and (species.turning[-1], species.turning[0]),
-            lone_pursuer=True,
-        )
+        names = (f"{species.individuals[-1]}_0", species.individuals[0])
+        species = _select_individuals(species, (-1, 0), names, lone_pursuer=True)
     return _with_many(species, count)
 
 

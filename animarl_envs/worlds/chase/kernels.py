@@ -14,7 +14,7 @@ from numba.experimental import structref
 
 from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import TIME_OUT
-from animarl_envs.kinematics import next_velocity, rebound
+from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
 from animarl_envs.worlds.chase.headings import turn_bodies
 from animarl_envs.worlds.chase.judging import judge
@@ -131,7 +131,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.pushes, dt, field, lone,
         )  # fmt: skip
     remember(velocity, state.past)
-    let_coast(velocity, state.damping, state.thrust, dt, acceleration)
+    acceleration[:] = velocity
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
     if walled:
         rebound(field, position, velocity)
@@ -140,7 +140,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
             state.warming,
         )  # fmt: skip
-    accelerate(velocity, state.thrust, dt, acceleration)
+    accelerate(velocity, state.senses, acceleration)
     turn_bodies(state.drivers, warmup, state.demos, state.demo, step_count, velocity, state.bodies)
     judge(
         position, state.sharing, field, walled, lone, contact_radius, dt, penalty, state.nearest,
@@ -195,24 +195,14 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity):  # 
 
 
 @part
-def let_coast(velocity, damping, thrust, dt, coasting):  # type: ignore[no-untyped-def]
-    """The velocities that would follow without thrust, for :func:`accelerate`."""
+def accelerate(velocity, senses, acceleration):  # type: ignore[no-untyped-def]
+    """Turn the velocities before the step into accelerations in multiples of thrust, in place."""
     K, _, B = velocity.shape
     for i in range(K):
         for x in range(2):
             for b in range(B):
-                coasting[i, x, b] = next_velocity(velocity[i, x, b], 0.0, damping[i], thrust[i], dt)
-
-
-@part
-def accelerate(velocity, thrust, dt, acceleration):  # type: ignore[no-untyped-def]
-    """From the velocities without thrust to accelerations in multiples of it, in place."""
-    K, _, B = velocity.shape
-    for i in range(K):
-        stride = thrust[i] * dt
-        for x in range(2):
-            for b in range(B):
-                acceleration[i, x, b] = (velocity[i, x, b] - acceleration[i, x, b]) / stride
+                added = residual(velocity[i, x, b], acceleration[i, x, b], senses.damping[i])
+                acceleration[i, x, b] = added / senses.push[i]
 
 
 @part

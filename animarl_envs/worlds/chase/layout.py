@@ -89,8 +89,8 @@ def _scales(velocity: str, speed: str, sense: str = "") -> tuple[Group, Group, G
 
 OWN = (
     Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL), sense=COMPASS),
-    Group(_ahead_left("own velocity"), EGO, SPEED, "speed", (PAPER, FULL)),
-    Group(_plane("own velocity"), ARENA, SPEED, "speed", sense=COMPASS),
+    Group(_ahead_left("own velocity"), EGO, SPEED, "own speed", (PAPER, FULL)),
+    Group(_plane("own velocity"), ARENA, SPEED, "own speed", sense=COMPASS),
     *_scales("own velocity", "own speed"),
     Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration"),
     Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL), sense=COMPASS),
@@ -227,20 +227,23 @@ def ranges(
     round_field = arena.shape == "disc" and species.observation == FULL  # saved spaces keep theirs
     radius = reach if round_field else math.sqrt(2.0) * reach
     apart = 2.0 * radius
-    strides = [m.smallest_thrust * species.dt for m in species.locomotion]
+    scales = species.scales
+    strides = [m.smallest_thrust * scales.dt for m in scales.locomotion]
     relative = top / min(strides)
     fine, coarse = math.tanh(relative), math.tanh(relative / 3.0)
-    near = NEAR * arena.size
+    near = NEAR * scales.arena_size
+    own = top * max(1.0, *scales.own_velocity)
     push = _hardest(species, fastest)
     return {
         "place": (-reach, reach),
         "speed": (-top, top),
+        "own speed": (-own, own),
         "fine": (-fine, fine),
         "coarse": (-coarse, coarse),
         "log speed": (math.log(REST), math.log(relative + REST)),
         "acceleration": (-push, push),
         "unit": (-1.0, 1.0),
-        "log steps": (0.0, math.log(1.0 + species.time_limit)),
+        "log steps": (0.0, math.log(1.0 + scales.time_limit)),
         "offset": (-apart, apart),
         "difference": (-2.0 * top, 2.0 * top),
         "distance": (0.0, apart),
@@ -248,8 +251,8 @@ def ranges(
         "nearness": (1.0 / (apart + near), 1.0 / near),
         "radius": (0.0, radius),
         "inside": (inside := (min(0.0, arena.edge - reach), arena.edge)),
-        "at wall": _squashed(inside, BODY * arena.size),
-        "by wall": _squashed(inside, REACH * arena.size),
+        "at wall": _squashed(inside, BODY * scales.arena_size),
+        "by wall": _squashed(inside, REACH * scales.arena_size),
         "centre": (-radius, radius),
     }
 
@@ -260,7 +263,7 @@ def _squashed(span: tuple[float, float], scale: float) -> tuple[float, float]:
 
 def _hardest(species: ChaseSpecies, fastest: float) -> float:
     """How large an acceleration is seen [u]: a thrust, a stop at a wall, or any if recorded."""
-    if fastest > 0.0:
+    if fastest > 0.0 or species.sense_scales is not None:
         return HARDEST
     pushes = []
     for own in species.locomotion:

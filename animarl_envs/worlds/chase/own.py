@@ -15,9 +15,13 @@ ABSENT, REST, HARDEST, FAINT = layout.ABSENT, layout.REST, layout.HARDEST, layou
 
 @part
 def observe_own(  # type: ignore[no-untyped-def]
-    i, position, velocity, acceleration, past, steps, towards, first, stride, limit, observation
-):
-    """Own position, velocity on several scales, acceleration, and what a species senses beside."""
+    i, position, velocity, acceleration, past, steps, towards, first, stride, factor, limit,
+    observation,
+):  # fmt: skip
+    """Own position, velocity on several scales, acceleration, and what a species senses beside.
+
+    ``factor`` applies to the velocities that have no scale.
+    """
     place, focus = first[0, layout.POSITION], first[0, layout.FOCUS]
     B = position.shape[2]
     if place != ABSENT:
@@ -27,14 +31,15 @@ def observe_own(  # type: ignore[no-untyped-def]
                 observation[i, focus + x, b] = towards[i, x, b]
     at = first[0, layout.VELOCITY]
     for b in range(B):
-        ahead, left = egocentric(velocity[i, 0, b], velocity[i, 1, b], i, b, towards)
+        vx, vy = factor * velocity[i, 0, b], factor * velocity[i, 1, b]
+        ahead, left = egocentric(vx, vy, i, b, towards)
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
     at = first[0, layout.PLANE_VELOCITY]
     if at != ABSENT:
         for b in range(B):
-            observation[i, at, b] = velocity[i, 0, b]
-            observation[i, at + 1, b] = velocity[i, 1, b]
+            observation[i, at, b] = factor * velocity[i, 0, b]
+            observation[i, at + 1, b] = factor * velocity[i, 1, b]
     at = first[0, layout.ACCELERATION]
     if at != ABSENT:
         for b in range(B):

@@ -43,6 +43,9 @@ class Senses(NamedTuple):
     first: NDArray[np.int64]  # of layout.first_rows
     observers: NDArray[np.bool_]  # whose observations are made
     stride: NDArray[np.float64]  # what its smallest thrust changes in a step [arena unit / s]
+    damping: NDArray[np.float64]  # share of the velocity lost in a step
+    push: NDArray[np.float64]  # u dt, the unit of accelerations in a step [arena unit / s]
+    own_velocity: NDArray[np.float64]  # factor on own velocities without a scale
     near: float  # added to distances before they are inverted [arena unit]
     scales: tuple[float, float]  # of the distance to a wall [arena unit]
     shape: int
@@ -52,16 +55,19 @@ class Senses(NamedTuple):
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
     """The senses of a species; ``observers`` ``(K,)`` tells whose observations are made."""
-    arena = species.arena
+    arena, scales = species.arena, species.scales
     return Senses(
         layout.first_rows(species),
         observers,
-        np.array([m.smallest_thrust * species.dt for m in species.locomotion]),
-        layout.NEAR * arena.size,
-        (layout.BODY * arena.size, layout.REACH * arena.size),
+        np.array([m.smallest_thrust * scales.dt for m in scales.locomotion]),
+        np.array([m.damping for m in scales.locomotion]),
+        np.array([m.thrust * scales.dt for m in scales.locomotion]),
+        np.array(scales.own_velocity),
+        layout.NEAR * scales.arena_size,
+        (layout.BODY * scales.arena_size, layout.REACH * scales.arena_size),
         SHAPE_CODES[arena.shape],
         arena.edge,
-        species.time_limit,
+        scales.time_limit,
     )
 
 
@@ -77,7 +83,7 @@ def observe(  # type: ignore[no-untyped-def]
     ``steps`` ``(B,)`` count from the start. The first of the others is the focus; see
     :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    first, observers, stride, near, scales, shape, edge, limit = senses
+    first, observers, stride, _, _, own_velocity, near, scales, shape, edge, limit = senses
     others = neighbours.others
     turning = first[0, layout.HEADING] != ABSENT
     if turning:
@@ -91,8 +97,8 @@ def observe(  # type: ignore[no-untyped-def]
         seen = look(i, position, velocity, neighbours)
         _face(i, others, towards)
         observe_own(
-            i, position, velocity, acceleration, past, steps, towards, first, stride[i], limit,
-            observation,
+            i, position, velocity, acceleration, past, steps, towards, first, stride[i],
+            own_velocity[i], limit, observation,
         )  # fmt: skip
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.headings import recorded_headings
-from animarl_envs.locomotion import next_velocity
+from animarl_envs.locomotion import residual
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import World
@@ -45,7 +45,8 @@ class ChaseWorld(World):
     ------------------
     acceleration
         ``(B, K, 2)``: ``(v_t - (1 - d) v_{t-1}) / (u dt)`` of the last step, the push of walls and
-        recordings included, arena frame, in multiples of the thrust u; zero at the start.
+        recordings included, arena frame, in multiples of the thrust u; zero at the start. ``d`` and
+        ``u dt`` are those of ``species.scales``.
     past
         ``(B, scales, K, 2)``: velocities before the present one, exponential means over the steps
         of ``layout.PAST`` [arena unit / s]; no scales where the species does not sense them.
@@ -218,9 +219,9 @@ def _accelerations(
     species: ChaseSpecies, demos: Demonstrations, velocity: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Accelerations ``(frames, K, 2)`` in multiples of the thrust; zero at first frames."""
-    acceleration, none = np.zeros_like(velocity), np.zeros_like(velocity[1:, 0])
-    for i, own in enumerate(species.locomotion):
-        coasting = next_velocity(velocity[:-1, i], none, own.damping, own.thrust, species.dt)
-        acceleration[1:, i] = (velocity[1:, i] - coasting) / (own.thrust * species.dt)
+    acceleration, scales = np.zeros_like(velocity), species.scales
+    for i, own in enumerate(scales.locomotion):
+        added = residual(velocity[1:, i], velocity[:-1, i], own.damping)
+        acceleration[1:, i] = added / (own.thrust * scales.dt)
     acceleration[demos.offsets[:-1]] = 0.0
     return acceleration

@@ -64,16 +64,17 @@ def observation_components(
     """
     limit = species.time_limit + 1
     top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
-    stride = species.locomotion[0].thrust * species.dt
+    scales = species.scales
+    stride, own = scales.locomotion[0].thrust * scales.dt, top * max(1.0, scales.own_velocity[0])
     # The largest thrust (velocities that were rounded may give a hair more), or as was recorded.
     largest = min(HARDEST, species.locomotion[0].magnitudes[0] * (1.0 + 1e-6))
-    push = HARDEST if fastest > 0.0 else largest
+    push = HARDEST if fastest > 0.0 or species.sense_scales is not None else largest
     flow, turn = species.flow_limit, math.pi / species.dt
     ego = "egocentric, x upwind, y to the left"
     entry = ObservationComponent
     table = {
-        Seen.VELOCITY_AHEAD: entry("velocity ahead", ego, "arena unit / s", -top, top),
-        Seen.VELOCITY_LEFT: entry("velocity left", ego, "arena unit / s", -top, top, -1.0),
+        Seen.VELOCITY_AHEAD: entry("velocity ahead", ego, "arena unit / s", -own, own),
+        Seen.VELOCITY_LEFT: entry("velocity left", ego, "arena unit / s", -own, own, -1.0),
         Seen.BODY_ANGLE: entry("body angle", ego, "rad", -math.pi, math.pi, -1.0),
         Seen.ODOUR_LEFT: entry("odour left", "body", "1", 0.0, 1.0, mirror="odour right"),
         Seen.ODOUR_RIGHT: entry("odour right", "body", "1", 0.0, 1.0, mirror="odour left"),

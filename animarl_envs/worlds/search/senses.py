@@ -9,7 +9,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.kinematics import next_turn, next_velocity, turn_between, wrapped
+from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.hits import is_hit
 from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
@@ -29,6 +29,7 @@ class Senses(NamedTuple):
     flow_limit: float
     damping: float
     stride: float  # u dt [arena unit / s]
+    own_velocity: float  # factor on velocities without a scale
     turns: bool  # by the four numbers below; otherwise the body points where it walks
     persistence: float
     gain: float
@@ -58,7 +59,7 @@ class Body(NamedTuple):
 def senses_of(species: SearchSpecies) -> Senses:
     """The senses of a species."""
     angle, dt, turning = math.radians(species.antenna_angle), species.dt, species.turning
-    own = (0.0, 0.0, 1.0, 0.0, 1.0)
+    own, scales = (0.0, 0.0, 1.0, 0.0, 1.0), species.scales
     if turning is not None:
         slip = math.cos(turning.slip), math.sin(turning.slip)
         own = (turning.persistence, turning.gain, *slip, turning.speed)
@@ -66,8 +67,8 @@ def senses_of(species: SearchSpecies) -> Senses:
         dt, species.rest_speed, species.antenna_length * math.cos(angle),
         species.antenna_length * math.sin(angle), math.exp(-dt / species.odour_decay),
         species.odour_baseline, math.exp(-dt / species.trace_decay), species.flow_threshold,
-        species.flow_limit, species.locomotion[0].damping, species.locomotion[0].thrust * dt,
-        turning is not None, *own,
+        species.flow_limit, scales.locomotion[0].damping, scales.locomotion[0].thrust * scales.dt,
+        scales.own_velocity[0], turning is not None, *own,
     )  # fmt: skip
 
 
@@ -170,7 +171,7 @@ def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-un
 @nb.njit(inline="always")
 def push_of(velocity, after, senses):  # type: ignore[no-untyped-def]
     """What led from one velocity to the next, of one component, in multiples of the thrust."""
-    return (after - next_velocity(velocity, 0.0, senses.damping, 0.0, 0.0)) / senses.stride
+    return residual(after, velocity, senses.damping) / senses.stride
 
 
 @nb.njit(inline="always")
@@ -188,8 +189,8 @@ def sense(  # type: ignore[no-untyped-def]
     odour[1, b] = 1.0 if hit_right else base + (odour[1, b] - base) * senses.remains
     trace[0, b] = 1.0 if hit_left else trace[0, b] * senses.trace_remains
     trace[1, b] = 1.0 if hit_right else trace[1, b] * senses.trace_remains
-    out[Seen.VELOCITY_AHEAD, column] = -velocity_x
-    out[Seen.VELOCITY_LEFT, column] = -velocity_y
+    out[Seen.VELOCITY_AHEAD, column] = -velocity_x * senses.own_velocity
+    out[Seen.VELOCITY_LEFT, column] = -velocity_y * senses.own_velocity
     out[Seen.BODY_ANGLE, column] = body.angle[b]
     out[Seen.ODOUR_LEFT, column] = odour[0, b]
     out[Seen.ODOUR_RIGHT, column] = odour[1, b]
