@@ -1,0 +1,342 @@
+"""Realism score: how likely the recording is under rollouts from its own start.
+
+The form is that of the Waymo Open Sim Agents Challenge (Montali et al. 2023, arXiv 2305.12032): for
+every start, individual and component the values of all rollouts and steps make a histogram; the
+score is exp(mean log probability) of the recorded values, between 0 and 1. Nothing is trained, the
+score is conditional on the start, and each component says what is wrong. Components and weights are
+ours: animals have no lanes, but they have bouts, turns that follow each other, and neighbours.
+
+Beside the score of a simulator stand three that need no simulator: the recording itself in place of
+every rollout (ceiling), other recordings, and random actions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.order_in_time import (
+    INTERACTIVE,
+    KINEMATIC,
+    ORDER,
+    PLACE,
+    Series,
+    lags_for,
+    median_steps,
+    order_measures,
+)
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Interval, percentile_interval
+from animarl_envs.arena import Arena
+from animarl_envs.demos.episode import UNFINISHED
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ENDING = "ending"
+WEIGHTS: Mapping[str, float] = {
+    KINEMATIC: 0.2,  # what a two-second window shows, and the easiest to meet
+    ORDER: 0.25,  # what two-second windows are blind to
+    INTERACTIVE: 0.25,  # what a simulator of several animals is for
+    PLACE: 0.15,
+    ENDING: 0.15,
+}
+"""Shares of the kinds in the total. A kind that a recording does not have is left out, and the
+others keep their proportions; components of a kind weigh alike."""
+
+BINS = 10
+PSEUDO_COUNT = 0.1  # added to every bin, as the challenge does
+LIMITS = (0.005, 0.995)  # quantiles of the recordings between which bins lie
+RESAMPLES = 1000
+CEILING, OTHERS, RANDOM = "ceiling", "other recordings", "random actions"
+
+
+@dataclass(frozen=True)
+class Component:
+    """Values of one component, of all episodes of one side.
+
+    Parameters
+    ----------
+    name, kind
+        What it measures; one of the keys of :data:`WEIGHTS`.
+    values
+        ``(n,)``, undefined ones left out.
+    episode, individual
+        ``(n,)`` of each value.
+    """
+
+    name: str
+    kind: str
+    values: Floats
+    episode: Ints
+    individual: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Realism:
+    """Realism of a simulator.
+
+    Parameters
+    ----------
+    table
+        One row per component, per kind and for the total: ``component, kind, weight, score, low,
+        high`` and, where they were asked for, the scores of ``ceiling``, ``other recordings`` and
+        ``random actions``. Rows of kinds and the total have an empty ``component``.
+    score
+        The total with its 95 % interval over recordings.
+    rollouts
+        Mean number of rollouts per start. Scores rise with it: compare only equal numbers.
+    """
+
+    table: pd.DataFrame
+    score: Interval
+    rollouts: float
+
+
+def realism(
+    recorded: Rollouts,
+    rollouts: Rollouts,
+    arena: Arena,
+    rest: Floats,
+    rng: np.random.Generator,
+    *,
+    recording: NDArray[np.str_] | None = None,
+    references: Rollouts | None = None,
+    random: Rollouts | None = None,
+) -> Realism:
+    """Score rollouts by the likelihood of the recordings that they started from.
+
+    Parameters
+    ----------
+    recorded
+        The evaluated recordings as rollouts.
+    rollouts
+        From their starts, in their condition, told no other one.
+    arena
+        The field.
+    rest
+        ``(individuals,)`` steps up to this length are at rest [arena unit].
+    rng
+        Draws other recordings and resamples.
+    recording
+        ``(recordings,)`` the animal or recording that each episode was cut from, the unit that is
+        resampled; by default every episode is one.
+    references
+        Recordings that are not evaluated, for the row of other recordings and for the limits of the
+        bins; by default the evaluated ones, each start beside all others.
+    random
+        Rollouts of random actions from the same starts.
+    """
+    import pandas as pd
+
+    lags = lags_for(median_steps(recorded), recorded.dt)
+    truth = list(_components(recorded, arena, lags, rest))
+    pool = recorded if references is None else references
+    of_pool = truth if references is None else list(_components(pool, arena, lags, rest))
+    limits = [_limits(one.values) for one in of_pool]
+    starts = np.unique(rollouts.demo)
+    per_start = len(rollouts) / len(starts)
+
+    def score(side: list[Component], start: Ints, ends: Rollouts) -> Floats:
+        rows = [
+            _likelihood(true, other, limit, start, len(recorded))
+            for true, other, limit in zip(truth, side, limits)
+        ]
+        return np.stack([*rows, *_endings(recorded, ends, start)])[:, starts]
+
+    def of(other: Rollouts) -> Floats:
+        return score(list(_components(other, arena, lags, rest)), other.demo, other)
+
+    columns = {"score": of(rollouts)}
+    repeated = recorded.select(np.repeat(starts, max(1, round(per_start))))
+    columns[CEILING] = of(repeated)
+    drawn, start = _others(len(pool), starts, max(1, round(per_start)), references is None, rng)
+    if len(drawn):
+        others = pool.select(drawn)
+        columns[OTHERS] = score(list(_components(others, arena, lags, rest)), start, others)
+    if random is not None:
+        columns[RANDOM] = of(random)
+    names = [one.name for one in truth] + ["outcome", "duration"]
+    kinds = np.array([one.kind for one in truth] + [ENDING, ENDING])
+    weights = component_weights(kinds, columns["score"])
+    group = starts if recording is None else np.unique(recording[starts], return_inverse=True)[1]
+    rows, total = [], Interval(np.nan, np.nan, np.nan)
+    levels = [(name, kind, np.arange(len(kinds)) == i) for i, (name, kind) in enumerate(
+        zip(names, kinds.tolist()))]  # fmt: skip
+    levels += [("", kind, kinds == kind) for kind in WEIGHTS if (kinds == kind).any()]
+    levels.append(("", "total", np.ones(len(kinds), dtype=bool)))
+    for name, kind, members in levels:
+        if not weights[members].sum() > 0:
+            continue
+        means = {
+            column: _weighted(values[members], weights[members])
+            for column, values in columns.items()
+        }
+        total = _over_groups(means["score"], group, rng)
+        row = {"component": name, "kind": kind, "weight": float(weights[members].sum())}
+        row |= {"score": total.estimate, "low": total.low, "high": total.high}
+        rows.append(row | {c: float(np.nanmean(v)) for c, v in means.items() if c != "score"})
+    return Realism(pd.DataFrame(rows), total, per_start)
+
+
+def component_weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:
+    """Weights of components ``(components,)``; they sum to one over those that are defined."""
+    defined = np.isfinite(scores).any(axis=1)
+    weights = np.zeros(len(kinds))
+    for kind, share in WEIGHTS.items():
+        members = (kinds == kind) & defined
+        weights[members] = share / max(1, members.sum())
+    return np.asarray(weights / weights.sum())
+
+
+def _components(
+    rollouts: Rollouts, arena: Arena, lags: tuple[int, ...], rest: Floats
+) -> Iterator[Component]:
+    """Components of all episodes: of single steps, and of whole episodes what is order in time."""
+    per_chunk = max(1, 4_000_000 // max(1, int(rollouts.lengths.max()) * len(rollouts.individuals)))
+    gathered: dict[tuple[str, str], list[tuple[Floats, Ints, Ints]]] = {}
+    for first in range(0, len(rollouts), per_chunk):
+        chosen = np.arange(first, min(first + per_chunk, len(rollouts)))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for name, kind, values in _step_series(rollouts, arena, chosen, rest):
+                episode, _, who = np.nonzero(np.isfinite(values))
+                part = (values[np.isfinite(values)], chosen[episode], who)
+                gathered.setdefault((name, kind), []).append(part)
+    for (name, kind), parts in gathered.items():
+        yield Component(name, kind, *(np.concatenate(side) for side in zip(*parts)))
+    measured = order_measures(rollouts, arena, lags, rest)
+    for name, kind, values in zip(measured.names, measured.kinds, measured.values.T):
+        known = np.flatnonzero(np.isfinite(values))
+        if kind == ORDER or name.startswith(("speed with", "speed ahead", "polarisation")):
+            yield Component(name, kind, values[known], known, np.zeros(len(known), dtype=np.int64))
+
+
+def _step_series(
+    rollouts: Rollouts, arena: Arena, chosen: Ints, rest: Floats
+) -> Iterator[tuple[str, str, Floats]]:
+    """Name, kind and values ``(episodes, times, individuals)`` of components of single steps."""
+    series = Series.of(rollouts, chosen, rest)
+    dt, speed, turn, step = rollouts.dt, series.speed, series.turn / rollouts.dt, series.step
+    yield "speed", KINEMATIC, speed
+    yield "acceleration", KINEMATIC, np.diff(speed, axis=1) / dt
+    yield "turning", KINEMATIC, turn
+    yield "angular acceleration", KINEMATIC, np.diff(turn, axis=1) / dt
+    focus = series.focus[:, :-1]
+    cross = focus[..., 0] * step[..., 1] - focus[..., 1] * step[..., 0]
+    bearing = np.arctan2(cross, (focus * step).sum(axis=-1))
+    yield "course beside the focus", INTERACTIVE, np.where(series.moving, bearing, np.nan)
+    position = series.position
+    num = position.shape[2]
+    if num > 1:
+        between = np.linalg.norm(position[:, :, :, None] - position[:, :, None], axis=-1)
+        between[:, :, np.arange(num), np.arange(num)] = np.inf
+        nearest = np.where(np.isfinite(position[..., 0]), between.min(axis=-1), np.nan)
+        yield "nearest neighbour", INTERACTIVE, nearest
+        closing = -np.diff(nearest, axis=1) / dt
+        soon = closing > 0
+        contact = np.where(soon, nearest[:, 1:] / np.where(soon, closing, 1.0), np.nan)
+        yield "log of the time to contact", INTERACTIVE, np.log(contact + dt)
+    yield "place, x", PLACE, position[..., 0]
+    yield "place, y", PLACE, position[..., 1]
+    if arena.shape == "square":
+        yield "distance from the wall", PLACE, arena.size - np.abs(position).max(axis=-1)
+    else:
+        yield "distance from the centre", PLACE, np.linalg.norm(position, axis=-1)
+
+
+def _limits(values: Floats) -> tuple[float, float]:
+    """Between which values the bins lie."""
+    if len(values) == 0:
+        return 0.0, 1.0
+    low, high = np.quantile(values, LIMITS).tolist()
+    return (low, high) if high > low else (low - 0.5, low + 0.5)
+
+
+def _bin(values: Floats, limits: tuple[float, float]) -> Ints:
+    low, high = limits
+    place = np.floor((values - low) / (high - low) * BINS)
+    return np.clip(place, 0, BINS - 1).astype(np.int64)
+
+
+def _likelihood(
+    true: Component, other: Component, limits: tuple[float, float], start: Ints, count: int
+) -> Floats:
+    """exp(mean log probability) of the recorded values, ``(recordings,)``; NaN without any."""
+    num = 1 + max(int(side.individual.max(initial=0)) for side in (true, other))
+    place = (start[other.episode] * num + other.individual) * BINS + _bin(other.values, limits)
+    counts = np.bincount(place, minlength=count * num * BINS).reshape(-1, BINS) + PSEUDO_COUNT
+    log_p = np.log(counts / counts.sum(axis=1, keepdims=True))
+    cell = true.episode * num + true.individual
+    value = log_p[cell, _bin(true.values, limits)]
+    total = np.bincount(cell, value, minlength=count * num)
+    number = np.bincount(cell, minlength=count * num)
+    with np.errstate(invalid="ignore"):
+        score = np.exp(total / np.where(number, number, np.nan)).reshape(count, num)
+        known = np.isfinite(score).sum(axis=1)
+        return np.asarray(np.nansum(score, axis=1) / np.where(known, known, np.nan))
+
+
+def _endings(recorded: Rollouts, rollouts: Rollouts, start: Ints) -> tuple[Floats, Floats]:
+    """Likelihoods of how and of when each recording ended, ``(recordings,)`` each.
+
+    Where a recording merely ends, nothing is known of how the episode would have: there the outcome
+    is NaN, and the duration's likelihood is the share of rollouts that lasted at least as long.
+    """
+    longest = int(max(recorded.lengths.max(), rollouts.lengths.max()))
+    limits = (np.log(2.0), np.log(longest + 1.0))
+    outcome, duration = np.full((2, len(recorded)), np.nan)
+    kinds = len(np.unique(recorded.outcome))
+    for one in np.unique(start):
+        here = start == one
+        lengths, number = rollouts.lengths[here], int(here.sum())
+        if recorded.outcome[one] == UNFINISHED:
+            lasted = np.count_nonzero(lengths >= recorded.lengths[one])
+            duration[one] = (lasted + PSEUDO_COUNT) / (number + 2 * PSEUDO_COUNT)
+            continue
+        same = np.count_nonzero(rollouts.outcome[here] == recorded.outcome[one])
+        outcome[one] = (same + PSEUDO_COUNT) / (number + PSEUDO_COUNT * kinds)
+        counts = np.bincount(_bin(np.log(lengths), limits), minlength=BINS) + PSEUDO_COUNT
+        place = _bin(np.log(recorded.lengths[one : one + 1]), limits)[0]
+        duration[one] = counts[place] / counts.sum()
+    return outcome, duration
+
+
+def _others(
+    count: int, starts: Ints, per_start: int, same: bool, rng: np.random.Generator
+) -> tuple[Ints, Ints]:
+    """Which recordings stand in for rollouts, and from which starts; never a start's own."""
+    if same and count < 2:
+        return np.zeros((2, 0), dtype=np.int64)  # type: ignore[return-value]
+    start = np.repeat(starts, per_start)
+    drawn = rng.integers(count - same, size=len(start))
+    if same:
+        drawn += drawn >= start
+    return drawn, start
+
+
+def _weighted(scores: Floats, weights: Floats) -> Floats:
+    """Weighted mean over components ``(starts,)``; undefined components do not count."""
+    known = np.isfinite(scores)
+    total = (weights[:, None] * known).sum(axis=0)
+    filled = np.where(known, scores, 0.0)
+    return np.asarray((weights[:, None] * filled).sum(axis=0) / np.where(total, total, np.nan))
+
+
+def _over_groups(scores: Floats, group: Ints, rng: np.random.Generator) -> Interval:
+    """Mean over starts, its interval over resampled recordings."""
+    known = np.isfinite(scores)
+    names, member = np.unique(group[known], return_inverse=True)
+    sums = np.bincount(member, scores[known], minlength=len(names))
+    sizes = np.bincount(member, minlength=len(names))
+    estimate = float(sums.sum() / sizes.sum())
+    if len(names) < 2:
+        return Interval(estimate, np.nan, np.nan)
+    drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=RESAMPLES)
+    return percentile_interval(estimate, (drawn @ sums) / (drawn @ sizes))

@@ -1,0 +1,155 @@
+"""Realism score, exchange test and sequence judge, on simulated animals of known statistics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from animarl_algos.evaluation.exchange_test import exchange_test
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
+from animarl_algos.evaluation.realism import CEILING, OTHERS, WEIGHTS, realism
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.sequence_judge import judge_sequences
+from animarl_algos.evaluation.windows import resting_step
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
+from benchmarks.known_worlds import ARENA, FAULTS, KnownWorld, with_fault
+
+PAIR, CHASE = KnownWorld(chase=False), KnownWorld(chase=True)
+EACH = 8
+
+
+def recorded_and_simulated(
+    world: KnownWorld, count: int, seed: int
+) -> tuple[Demonstrations, Rollouts]:
+    rng = np.random.default_rng(seed)
+    recorded = world.recordings(count, rng)
+    return recorded, world.rollouts(recorded, EACH, rng)
+
+
+def score_of(recorded: Demonstrations, rollouts: Rollouts) -> float:
+    truth = Rollouts.from_demonstrations(recorded)
+    rng = np.random.default_rng(0)
+    return realism(truth, rollouts, ARENA, resting_step(truth), rng).score.estimate
+
+
+def standing_still(rollouts: Rollouts) -> Rollouts:
+    first = np.repeat(rollouts.positions[rollouts.offsets[:-1]], rollouts.lengths, axis=0)
+    return replace(rollouts, positions=first)
+
+
+def circling(rollouts: Rollouts) -> Rollouts:
+    paths = []
+    for i in range(len(rollouts)):
+        path = rollouts.path(i)
+        step = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+        angle = np.arange(len(step))[:, None] * 0.15 + np.zeros_like(step)
+        moved = step[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        paths.append(np.concatenate([path[:1], path[:1] + np.cumsum(moved, axis=0)]))
+    return replace(rollouts, positions=np.concatenate(paths))
+
+
+def dying_early(rollouts: Rollouts) -> Rollouts:
+    kept = np.minimum(rollouts.lengths, 8)
+    paths = [rollouts.path(i)[:n] for i, n in enumerate(kept.tolist())]
+    return replace(rollouts, positions=np.concatenate(paths), lengths=kept)
+
+
+@pytest.mark.parametrize("world", [PAIR, CHASE], ids=["pair", "chase"])
+def test_realism_ranks_the_true_simulator_above_every_broken_one(world: KnownWorld) -> None:
+    recorded, perfect = recorded_and_simulated(world, 30, seed=1)
+    true = score_of(recorded, perfect)
+    broken = {
+        "still": standing_still(perfect),
+        "circles": circling(perfect),
+        "dies": dying_early(perfect),
+    }
+    rng = np.random.default_rng(2)
+    broken |= {name: with_fault(perfect, fault, rng) for name, fault in FAULTS.items()}
+    # A likelihood of 8 rollouts sees none of these three; the exchange test sees the last two.
+    scores = {name: score_of(recorded, one) for name, one in broken.items()}
+    worse = {name for name, score in scores.items() if score < true}
+    assert set(scores) - worse <= {"8 % too fast", "order lost beyond 2 s", "mirrored"}
+
+
+def test_realism_stands_between_its_references() -> None:
+    recorded, perfect = recorded_and_simulated(CHASE, 20, seed=3)
+    truth = Rollouts.from_demonstrations(recorded)
+    found = realism(truth, perfect, ARENA, resting_step(truth), np.random.default_rng(0))
+    total = found.table.iloc[-1]
+    assert total["kind"] == "total" and total["score"] == found.score.estimate
+    assert total[OTHERS] < total["score"] < total[CEILING] <= 1.0
+    assert found.score.low < found.score.estimate < found.score.high
+    kinds = found.table[found.table["component"].eq("") & found.table["kind"].ne("total")]
+    assert dict(zip(kinds["kind"], kinds["weight"])) == pytest.approx(dict(WEIGHTS))
+
+
+def test_realism_of_one_recording_and_of_recordings_that_merely_end() -> None:
+    recorded, perfect = recorded_and_simulated(PAIR, 1, seed=4)
+    truth = Rollouts.from_demonstrations(recorded)
+    rest = resting_step(truth)
+    found = realism(truth, perfect, ARENA, rest, np.random.default_rng(0))
+    assert OTHERS not in found.table and np.isnan(found.score.low)
+    cut = replace(truth, outcome=np.full(1, UNFINISHED))
+    ending = realism(cut, perfect, ARENA, rest, np.random.default_rng(0)).table
+    rows = ending.set_index("component")
+    assert "outcome" not in rows.index  # nothing is known of how it would have ended
+    assert rows.loc["duration", "score"] == pytest.approx((EACH + 0.1) / (EACH + 0.2))
+    short = dying_early(perfect)
+    ended = realism(cut, short, ARENA, rest, np.random.default_rng(0)).table
+    assert ended.set_index("component").loc["duration", "score"] == pytest.approx(
+        0.1 / (EACH + 0.2)
+    )
+
+
+def joint_p(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> float:
+    truth = Rollouts.from_demonstrations(recorded)
+    rest, lags = resting_step(truth), lags_for(median_steps(truth), truth.dt)
+    sides = [order_measures(one, ARENA, lags, rest).values for one in (truth, rollouts)]
+    exchanges = Exchanges.draw(rollouts.demo, len(recorded), np.random.default_rng(seed), 300)
+    return exchange_test(np.concatenate(sides), exchanges).p
+
+
+def test_the_exchange_test_keeps_its_level_for_perfect_simulators() -> None:
+    alarms = [joint_p(*recorded_and_simulated(PAIR, 10, seed), seed) <= 0.05 for seed in range(60)]
+    assert np.mean(alarms) <= 0.15  # 5 % expected; 10 of 60 or more in one case of a thousand
+
+
+@pytest.mark.parametrize("fault", [name for name in FAULTS if name != "8 % too fast"])
+def test_the_exchange_test_sees_a_fault_at_fifty_starts(fault: str) -> None:
+    recorded, perfect = recorded_and_simulated(PAIR, 50, seed=5)
+    wrong = with_fault(perfect, FAULTS[fault], np.random.default_rng(6))
+    assert joint_p(recorded, wrong, 7) <= 0.05
+
+
+def test_the_adjusted_p_of_one_measure_is_its_own_and_constant_measures_do_not_count() -> None:
+    rng = np.random.default_rng(8)
+    demo = np.repeat(np.arange(40), 4)
+    exchanges = Exchanges.draw(demo, 40, rng)
+    values = rng.normal(size=(200, 30))
+    values[:, 0] = 1.0
+    values[40:, 1] += 3.0
+    values[:20, 2] = np.nan
+    found = exchange_test(values, exchanges)
+    assert np.isnan(found.adjusted_p[0]) and found.adjusted_p[1] == pytest.approx(1 / 1001)
+    assert found.p == found.adjusted_p[1] and found.differs[1]
+    assert found.simulated[1] - found.recorded[1] == pytest.approx(3.0, abs=0.6)
+    alone = exchange_test(values[:, [5]], exchanges).adjusted_p[0]
+    assert alone <= found.adjusted_p[5]  # never less among others
+
+
+def test_the_sequence_judge_is_blind_to_a_perfect_simulator_and_sees_order() -> None:
+    recorded, perfect = recorded_and_simulated(PAIR, 30, seed=9)
+    truth = Rollouts.from_demonstrations(recorded)
+    rest = resting_step(truth)
+
+    def auc(rollouts: Rollouts) -> float:
+        return judge_sequences(truth, rollouts, ARENA, rest, np.random.default_rng(0))[0].auc.low
+
+    assert auc(perfect) <= 0.5
+    for fault in ("path reversed", "bursts reversed", "independent speeds"):
+        wrong = with_fault(perfect, FAULTS[fault], np.random.default_rng(1))
+        assert auc(wrong) > 0.6, fault
