@@ -8,13 +8,15 @@ refused before anything is allocated. Numbers count as float64, which all of the
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import shutil
 import stat
 import tempfile
+import time
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,6 +25,11 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 EXPANSION = 64
 FREELY = 256 * 2**20  # [bytes]
 LARGE_EXPANSION = 16
@@ -30,6 +37,8 @@ ALLOWANCE = 16 * 2**20  # [bytes]
 MOST_MEMBERS = 10_000  # of an archive
 HIGHEST_CHARACTER = 0x10FFFF
 PART = ".part"
+RANDOM = 8  # characters that tempfile draws
+JUST_MADE = 1.0  # [s] within which a temporary file may not be locked yet
 PLAIN_KINDS = "biufSU"  # truth values, whole numbers, floats, bytes, text
 PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # others allocate what a header says
 
@@ -44,6 +53,7 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
     """Hand out a temporary path beside ``path``; rename it to ``path`` if the block succeeds.
 
     An error or Ctrl-C inside the block removes the temporary file and leaves ``path`` as it was.
+    After a kill it stays until the same path is written again.
     The temporary name ends like ``path``, for libraries that look at the suffix.
 
     Raises
@@ -56,20 +66,57 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
         raise InputError(f"{path}: it is a folder: name a file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f".{path.stem}.", suffix=f"{PART}{path.suffix}", delete=False
-        ) as file:
-            part = Path(file.name)
+        _remove_orphans(path.parent, f".{path.stem}.", f"{PART}{path.suffix}")
+        number, name = tempfile.mkstemp(
+            dir=path.parent, prefix=f".{path.stem}.", suffix=f"{PART}{path.suffix}"
+        )
     except OSError as error:
         raise _unwritable(path, error) from None
+    part = Path(name)
     try:
-        part.chmod(0o644)
-        yield part
-        part.replace(path)
+        with _in_use(number):
+            part.chmod(0o644)
+            yield part
+            part.replace(path)
     except OSError as error:
         raise _unwritable(path, error) from error
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _in_use(number: int) -> Iterator[None]:
+    """Hold a lock on a temporary file or folder while it is written; a kill releases it.
+
+    Windows has no such lock (and renames no open file): there nothing is held.
+    """
+    if fcntl is None:
+        os.close(number)
+        yield
+        return
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(number)
+
+
+def _remove_orphans(folder: Path, prefix: str, suffix: str) -> None:
+    """Remove temporary files or folders of the same name whose writer was killed."""
+    if fcntl is None:
+        return
+    length = len(prefix) + RANDOM + len(suffix)
+    for orphan in folder.glob(f"{glob.escape(prefix)}*{glob.escape(suffix)}"):
+        if len(orphan.name) != length or orphan.stat().st_mtime > time.time() - JUST_MADE:
+            continue
+        with suppress(OSError):
+            number = os.open(orphan, os.O_RDONLY)
+            try:
+                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)  # refused while it is written
+                shutil.rmtree(orphan) if orphan.is_dir() else orphan.unlink()
+            finally:
+                os.close(number)
 
 
 @contextmanager
@@ -89,15 +136,17 @@ def all_files_or_none(folder: str | Path) -> Iterator[Path]:
         raise InputError(f"{folder}: it is a file: name a folder")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".part"))
+        _remove_orphans(folder.parent, f".{folder.name}.", PART)
+        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=PART))
     except OSError as error:
         raise _unwritable(folder, error) from None
     try:
-        yield part
-        for file in sorted(path for path in part.rglob("*") if path.is_file()):
-            place = folder / file.relative_to(part)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(place)
+        with _in_use(os.open(part, os.O_RDONLY)) if fcntl else nullcontext():
+            yield part
+            for file in sorted(path for path in part.rglob("*") if path.is_file()):
+                place = folder / file.relative_to(part)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(place)
     except OSError as error:
         raise _unwritable(folder, error) from error
     finally:

@@ -23,6 +23,8 @@ ROOMS = (
     "animarl_envs.compiling",
     "animarl_envs.errors",
     "animarl_envs.files",
+    "animarl_envs.wall",
+    "animarl_envs.patterns",
     "animarl_envs.checks",
     "animarl_envs.arena",
     "animarl_envs.locomotion",

@@ -195,3 +195,100 @@ def test_wrong_number_of_a_sleap_instance_is_refused(
         file[table][...] = rows
     with pytest.raises(InputError, match=message):
         read_tracks(path)
+
+
+# -- times, signs and truth values of tables -------------------------------------------------------
+
+
+def long_table(path: Path, clocks: list[str], x: list[str], head: str = "time;id;x;y") -> Path:
+    rows = [f"{clock};a;{value};2" for clock, value in zip(clocks, x, strict=True)]
+    path.write_text("\n".join([head, *rows]) + "\n")
+    return path
+
+
+def test_wrong_number_of_seconds_of_a_clock_with_decimal_commas(tmp_path: Path) -> None:
+    """``0:00:00,040`` was read as 40 s."""
+    clocks = [f"0:00:0{t // 25},{t % 25 * 40:03d}" for t in range(50)]
+    x = [f"{t / 4}" for t in range(50)]
+    (tracks,) = read_tracks(long_table(tmp_path / "t.csv", clocks, x))
+    assert tracks.frame_rate == 25.0 and len(tracks) == 50
+    (wide,) = read_tracks(long_table(tmp_path / "w.csv", clocks, x, "time;z;x_a;y_a"))
+    assert wide.frame_rate == 25.0
+    isos = [f"2024-05-01T10:{clock[2:]}" for clock in clocks]
+    (tracks,) = read_tracks(long_table(tmp_path / "i.csv", isos, x, "timestamp;id;x;y"))
+    assert tracks.frame_rate == 25.0 and tracks.start == 36_000.0
+
+
+@pytest.mark.parametrize("separator", [";", "\t", "|", " "])
+def test_wrong_number_of_thousands_is_refused(separator: str, tmp_path: Path) -> None:
+    """``1,000`` beside ``996`` became 1.0."""
+    path, clocks = tmp_path / "t.csv", [str(t) for t in range(12)]
+
+    def write(x: list[str]) -> None:
+        long_table(path, clocks, x, "frame;id;x;y")
+        path.write_text(path.read_text().replace(";", separator))
+
+    write([f"{980 + 4 * t:,}" for t in range(12)])
+    with pytest.raises(InputError, match=r"1,000 may be 1000 or 1\.000: write"):
+        read_tracks(path, "long-table")
+    (tracks,) = read_tracks(path, "long-table", decimal=",")
+    assert tracks.bodies[5, 0, 0] == 1.0
+    write([f"{1000 + 4 * t:,}" for t in range(12)])
+    with pytest.raises(InputError, match="may be 1000 or"):
+        read_tracks(path, "long-table")
+    write([f"{980 + 4 * t:,}".replace(",", ".") for t in range(12)])
+    with pytest.raises(InputError, match=r"1\.000 may be 1000 or"):
+        read_tracks(path, "long-table")
+    write([f"{t + 0.125:.3f}".replace(".", ",") for t in range(12)])  # 0,125 parts no thousands
+    (tracks,) = read_tracks(path, "long-table")
+    assert tracks.bodies[1, 0, 0] == 1.125
+
+
+def test_wrong_number_of_times_that_go_back_is_refused(tmp_path: Path) -> None:
+    """Past midnight and at the end of daylight saving they were sorted, hours apart."""
+    x = [f"{t / 4}" for t in range(50)]
+    midnight = [f"{(86_390 + t) % 86_400 // 3600}:{(86_390 + t) // 60 % 60:02d}:{t % 60:02d}"
+                for t in range(50)]  # fmt: skip
+    saving = [f"2024-10-27 02:{59 - (t >= 30)}:{t % 30 + 10:02d}" for t in range(50)]
+    for clocks in (midnight, saving):
+        path = long_table(tmp_path / "t.csv", clocks, x)
+        with pytest.raises(InputError, match="is earlier than the one before"):
+            read_tracks(path)
+
+
+def test_wrong_number_of_truth_values_is_refused(tmp_path: Path) -> None:
+    clocks = [str(t) for t in range(12)]
+    path = long_table(tmp_path / "t.csv", clocks, ["True", "False"] * 6, "frame;id;x;y")
+    with pytest.raises(InputError, match="line 2, column 'x' holds 'True', which is no number"):
+        read_tracks(path)
+    (tracks,) = read_tracks(long_table(path, clocks, ["1", "0"] * 6, "frame;id;x;y"))
+    assert tracks.bodies[:2, 0, 0].tolist() == [1.0, 0.0]
+
+
+def test_wrong_shape_of_sleap_scores_is_refused(tmp_path: Path) -> None:
+    import h5py
+
+    path = KINDS["analysis"].write(tmp_path)
+    for scores in (np.ones((2, 2)), np.ones((2, 2, 39))):
+        with h5py.File(path, "r+") as file:
+            del file["point_scores"]
+            file["point_scores"] = scores
+        with pytest.raises(InputError, match="point_scores have shape"):
+            read_tracks(path)
+
+
+def test_short_stretches_are_counted_and_do_not_hide_the_contact(tmp_path: Path) -> None:
+    """Thirteen of one step each were dropped without a word, and no contact was found."""
+    rng, lines = np.random.default_rng(0), ["recording,frame,id,x,y"]
+    for number in range(8):
+        near = np.concatenate([rng.uniform(20, 90, 29), [5.0]])
+        for t, gap in enumerate(near):
+            lines += [f"r{number},{t},hare,0,0", f"r{number},{t},hunter,{gap},{t % 3}"]
+        for start in (40, 50):  # two frames in which both are seen
+            for t in (start, start + 1):
+                lines += [f"r{number},{t},hare,0,0", f"r{number},{t},hunter,70,{t % 3}"]
+    path = tmp_path / "t.csv"
+    path.write_text("\n".join(lines) + "\n")
+    demos = read(path, frame_rate=25.0, target="hare")
+    assert demos.num_episodes == 8 and (demos.outcome == 1).all()
+    assert all(one["too_short"] == 2 for one in demos.provenance["cleaning"].values())

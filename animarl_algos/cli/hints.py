@@ -45,6 +45,12 @@ def hints(demos: Demonstrations) -> list[str]:
             f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
             "--max-gap SECONDS"
         )
+    short = sum(one.get("too_short", 0) for one in _cleaning(demos).values())
+    if short:
+        found.append(
+            f"{counted(short, 'piece')} of fewer than two decisions were left out: "
+            "fill gaps by --max-gap, or choose a higher --decision-rate"
+        )
     return found + _flags(_cleaning(demos)) + _jitter(demos)
 
 

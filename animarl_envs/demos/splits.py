@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
+from animarl_envs.patterns import search_names
 
 FEWEST_FOLDS = 3  # train, val and test
 FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits
@@ -123,19 +123,14 @@ def split_recordings(recording: NDArray[np.str_], settings: Splitting) -> NDArra
         groups = np.array([f"{i:06d}" for i in range(len(recording))])
     elif by == "group":
         assert settings.pattern is not None
-        try:
-            pattern = re.compile(settings.pattern)
-        except re.error as error:
+        place = f"splitting pattern {settings.pattern!r}"
+        found = search_names(settings.pattern, recording.tolist(), place)
+        first = [groups_found and groups_found.get("1") for groups_found in found]
+        if None in first:
             raise InputError(
-                f"splitting pattern {settings.pattern!r} is no regular expression ({error})"
-            ) from None
-        found = [pattern.search(name) for name in recording.tolist()]
-        if pattern.groups < 1 or not all(found):
-            raise InputError(
-                f"splitting pattern {settings.pattern!r} does not fit every recording or has no "
-                "(group): write one that does"
+                f"{place} does not fit every recording or has no (group): write one that does"
             )
-        groups = np.array([match.group(1) for match in found if match])
+        groups = np.array(first)
     return assign_splits(groups, settings.seed, settings.fractions)
 
 

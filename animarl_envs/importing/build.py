@@ -16,7 +16,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import clean, resample, resample_index, runs
 from animarl_envs.importing.contacts import found_contact
-from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, Cutting, cut_episodes, in_pieces
+from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, cut_episodes, in_pieces
 from animarl_envs.importing.events import check_recordings
 from animarl_envs.importing.headings import in_arena_frame, resample_headings
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
@@ -27,6 +27,7 @@ from animarl_envs.importing.tracks import Tracks
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
+FEWEST_SAMPLES = 2  # of an episode, besides the one that makes its first velocity
 
 
 def demonstrations_from_tracks(
@@ -60,7 +61,7 @@ def demonstrations_from_tracks(
     bodies = [body[:, order] for body in bodies]
     contact = recipe.cutting.contact
     if all(tracks.outcome is None for tracks in cleaned):
-        contact = _contact(bodies, roles, recipe.cutting)
+        contact = _contact(bodies, roles, cleaned, recipe)
     touching = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
     if recipe.cutting.mode == "events" and recipe.cutting.events is not None:
         check_recordings(Path(recipe.cutting.events), [tracks.recording for tracks in cleaned])
@@ -68,11 +69,13 @@ def demonstrations_from_tracks(
     for tracks, body, cuts in zip(
         cleaned, bodies, _cuts(cleaned, bodies, roles, touching), strict=True
     ):
-        done[tracks.recording]["episodes"] = len(cuts)
         if len(cuts) == 1 and tracks.outcome is not None and recipe.cutting.mode == "whole":
             cuts = [replace(cuts[0], outcome=tracks.outcome)]
-        episodes += [_episode(tracks, body, cut, order, recipe) for cut in cuts]
-    episodes = [one for one in episodes if len(one["positions"]) >= 2]
+        made = [_episode(tracks, body, cut, order, recipe) for cut in cuts]
+        long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
+        done[tracks.recording]["episodes"] = len(long_enough)
+        done[tracks.recording]["too_short"] = len(made) - len(long_enough)
+        episodes += long_enough
     if not episodes:
         raise InputError(f"{name}: {_why_none(cleaned)}")
     recording = np.array([one["recording"] for one in episodes])
@@ -142,20 +145,30 @@ def _why_none(cleaned: Sequence[Tracks]) -> str:
 
 
 def _contact(
-    bodies: Sequence[NDArray[np.float64]], roles: tuple[str, ...], cutting: Cutting
+    bodies: Sequence[NDArray[np.float64]],
+    roles: tuple[str, ...],
+    cleaned: Sequence[Tracks],
+    recipe: ImportRecipe,
 ) -> float | None:
-    """As stated, or where recordings are taken whole the distance that ends them."""
+    """As stated, or where recordings are taken whole the distance that ends them.
+
+    Stretches too short for an episode say nothing about how recordings end.
+    """
+    cutting = recipe.cutting
     stated = cutting.contact is not None or cutting.piece is not None
     if cutting.mode != "whole" or stated or TARGET not in roles:
         return cutting.contact
-    nearest = [distances_to_target(body, roles).min(axis=1) for body in bodies]
-    return found_contact(
-        [
+    stretches = []
+    for body, tracks in zip(bodies, cleaned, strict=True):
+        rate = tracks.frame_rate or 1.0
+        shortest = FEWEST_SAMPLES * rate / (recipe.decision_rate or rate)  # steps
+        distance = distances_to_target(body, roles).min(axis=1)
+        stretches += [
             distance[start:stop]
-            for distance in nearest
             for start, stop in runs(np.isfinite(distance))
+            if stop - start - 1 >= shortest
         ]
-    )
+    return found_contact(stretches)
 
 
 def _cuts(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import Splitting, split_recordings
 from animarl_envs.errors import InputError
 from animarl_envs.files import refuse_unfinished
 from animarl_envs.importing.tracks import Tracks
+from animarl_envs.patterns import search_names
 
 COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")
 GROUPS = ("condition", "split", "target")
@@ -134,7 +136,7 @@ def read_sessions(path: Path) -> Sessions:
     return Sessions(str(path), found, words, tuple(sorted(names - set(COLUMNS))))
 
 
-def sessions_by_name(pattern: str, recordings: Iterable[str]) -> Sessions:
+def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
     """What a regular expression with groups named as :data:`GROUPS` finds in names of recordings.
 
     Raises
@@ -143,22 +145,18 @@ def sessions_by_name(pattern: str, recordings: Iterable[str]) -> Sessions:
         If it is none, has no such group, or does not fit a name.
     """
     place = f"name pattern {pattern!r}"
-    try:
-        expression = re.compile(pattern)
-    except re.error as error:
-        raise InputError(f"{place}: it is no regular expression ({error}): mend it") from None
-    groups = set(expression.groupindex)
+    matches = dict(zip(recordings, search_names(pattern, list(recordings), place), strict=True))
+    groups = set(re.findall(r"\(\?P<(\w+)>", pattern))
     if not groups or not groups <= set(GROUPS):
         raise InputError(
             f"{place}: it has the groups {', '.join(sorted(groups)) or 'of no name'}: name them "
             f"{', '.join(f'(?P<{name}>...)' for name in GROUPS)}"
         )
     found = {}
-    for name in recordings:
-        match = expression.search(name)
+    for name, match in matches.items():
         if match is None:
             raise InputError(f"{place}: it does not fit recording {name!r}: write one that does")
-        cells = {key: value or "" for key, value in match.groupdict().items()}
+        cells = {key: value or "" for key, value in match.items()}
         found[name] = _session(cells, f"{place}, recording {name!r}")
     return Sessions(place, found, conditions_of([s.condition for s in found.values()], place))
 
@@ -168,6 +166,7 @@ def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
     found = tuple(dict.fromkeys(word for word in words if word is not None))
     if found and set(found) <= NUMBERED:
         return ("0", "1")
+    check_names(place, "a condition", found)
     if len(found) > 2:
         raise InputError(
             f"{place}: it has {len(found)} conditions, {', '.join(found)}: import two at a time"

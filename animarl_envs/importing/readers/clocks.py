@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,8 @@ ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
 FEW_FRAMES = 3  # steps of more do not tell the rate
 SLOWEST, FASTEST = 0.2, 2000.0  # [Hz] that recordings of animals have
 IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
-CLOCK = re.compile(r"\d{1,3}:\d{2}(:\d{2})?([.,]\d+)?")
+CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
+DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"
 
 
 def even_rate(path: Path, time: NDArray[np.float64], place: Place = row_of) -> float:
@@ -55,7 +55,7 @@ def frames_at(
     group: NDArray[np.integer] | None = None,
     place: Place = row_of,
 ) -> tuple[float, NDArray[np.int32]]:
-    """Frame rate [Hz] and frame number ``(rows,)`` of times [s] in any order, repeats allowed.
+    """Frame rate [Hz] and frame number ``(rows,)`` of times [s], repeats allowed.
 
     The earliest time of each ``group`` is frame 0. Without ``rate`` the steps between different
     times give it: the median, made exact by all steps of few frames, whole where that fits.
@@ -90,6 +90,25 @@ def frames_at(
     )
 
 
+def refuse_times_going_back(
+    path: Path, time: NDArray[np.float64], track: NDArray[np.integer], place: Place = row_of
+) -> None:
+    """Refuse times [s] that are earlier than those of the same ``track`` on a line above.
+
+    Clock times do so at midnight, and when daylight saving time ends. Sorted, they would be frames
+    that lie hours apart.
+    """
+    order = np.argsort(track, kind="stable")
+    back = (np.diff(time[order]) < 0) & (np.diff(track[order]) == 0)
+    if back.any():
+        row = int(order[1:][back].min())
+        raise InputError(
+            f"{path}: the time of {place(row)} is earlier than the one before of the same "
+            "individual (past midnight, or daylight saving?): write times that rise, or sort the "
+            "rows by time"
+        )
+
+
 def _steps(group: NDArray[np.integer], since: NDArray[np.float64]) -> NDArray[np.float64]:
     """Steps between different times of the same group."""
     order = np.lexsort((since, group))
@@ -119,15 +138,16 @@ def seconds(path: Path, column: str, values: NDArray[Any], unit: str | None) -> 
         return np.asarray(values * IN_SECONDS[unit or "s"])
     import pandas
 
-    texts = pandas.Series(values)
+    texts = pandas.Series(values).str.replace(DECIMAL_COMMA, ".", regex=True)
     try:
-        if CLOCK.fullmatch(str(texts.iloc[0])):
+        if texts.str.fullmatch(CLOCK).all():
             return np.asarray(pandas.to_timedelta(texts).dt.total_seconds(), dtype=np.float64)
         moments = pandas.to_datetime(texts, format="ISO8601", utc=True)
     except (ValueError, OverflowError) as error:
         raise InputError(
-            f"{path}: column {column!r} holds times that are not ISO 8601, such as "
-            f"2024-05-01 10:00:00.25 ({str(error)[:100]}): mend them, or use a column of seconds"
+            f"{path}: column {column!r} holds times that are neither ISO 8601, such as "
+            f"2024-05-01 10:00:00.25, nor hours:minutes:seconds ({str(error)[:100]}): rewrite "
+            "them, or use a column of seconds"
         ) from None
     passed = moments - moments.min().normalize()  # since midnight: more digits than since 1970
     return np.asarray(passed.dt.total_seconds(), dtype=np.float64)

@@ -60,6 +60,7 @@ class Layout:
     sheet: str | None = None
     workbook: bool = False
     words_in: tuple[str, ...] = ()  # columns whose first entry is no number
+    unclear: str = ""  # a number whose sign may part thousands or decimals
 
     def open(self, path: Path) -> Readable:
         """The rows of numbers as UTF-8 text."""
@@ -143,7 +144,36 @@ def _layout(path: Path, changed: int, size: int, encoding: str | None, sheet: st
 def _with_decimal(path: Path, layout: Layout, decimal: str) -> Layout:
     if decimal not in (".", ","):
         raise InputError(f"{path}: decimal is {decimal!r}: give . or ,")
-    return replace(layout, decimal=decimal)
+    return replace(layout, decimal=decimal, unclear="")
+
+
+def _unclear_number(rows: Sequence[Sequence[str]], decimal: str) -> str:
+    """A number such as 1,000 whose sign may part thousands, where no other shows that it does not.
+
+    A point is only doubted where whole numbers stand in the same column: 1.000 below 996.
+    """
+    sign = re.escape(decimal)
+    thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}({sign}\d{{3}})+")
+    doubted = ""
+    for cells in zip(*rows, strict=True):
+        signed = [cell for cell in cells if decimal in cell and is_number(cell, decimal)]
+        if any(not thousands.fullmatch(cell) for cell in signed):
+            return ""
+        whole = any(re.fullmatch(r"[-+]?\d+", cell) for cell in cells)
+        if signed and (whole or decimal == ","):
+            doubted = doubted or signed[0]
+    return doubted
+
+
+def refuse_unclear_numbers(path: Path, layout: Layout) -> None:
+    """Refuse a table whose decimal sign may part thousands, until it is stated."""
+    if layout.unclear:
+        raise InputError(
+            f"{path}: {layout.unclear} may be "
+            f"{layout.unclear.replace(layout.decimal, '')} or "
+            f"{layout.unclear.replace(layout.decimal, '.')}: write numbers without signs between "
+            f"thousands, or say --option decimal={layout.decimal!r} if it is the decimal sign"
+        )
 
 
 def split_cells(line: str, separator: str) -> list[str]:
@@ -194,8 +224,9 @@ def _by_separator(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
         name for name, word in zip(names, words, strict=False) if not is_number(word, decimal)
     ]
     layout = Layout(
-        names, units, separator, decimal, first=first, before=before, words_in=tuple(words_in)
-    )
+        names, units, separator, decimal, first=first, before=before, words_in=tuple(words_in),
+        unclear=_unclear_number(usual, decimal),
+    )  # fmt: skip
     preferred = -1e-6 * (SEPARATORS + BLANK).index(separator)
     return score * share + 1e-3 * bool(header) + preferred, layout
 
@@ -227,7 +258,7 @@ def is_number(cell: str, decimal: str = ".") -> bool:
         float(cell)
     except ValueError:
         return False
-    return "_" not in cell
+    return "_" not in cell and cell.isascii()
 
 
 def _numbers(row: Sequence[str], decimal: str) -> int:

@@ -103,6 +103,11 @@ def _analysis(path: Path, fps: float | None) -> list[Tracks]:
             f"{path}: tracks have shape {tracks.shape}, not ({len(names)}, 2, {len(nodes)}, "
             "frames): export the analysis file again"
         )
+    if scores is not None and scores.shape != (len(names), len(nodes), tracks.shape[3]):
+        raise InputError(
+            f"{path}: point_scores have shape {scores.shape}, not ({len(names)}, {len(nodes)}, "
+            f"{tracks.shape[3]}): export the analysis file again"
+        )
     return [
         Tracks(
             recording=path.stem, individuals=tuple(names), keypoints=tuple(nodes),

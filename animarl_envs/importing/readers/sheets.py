@@ -5,10 +5,12 @@ Formulas count by the value that Excel saved with them. Nothing in a workbook is
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import datetime
 import io
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +36,8 @@ def refuse_old(path: Path) -> None:
 
 def sheet_names(path: Path) -> list[str]:
     """Of the sheets that hold cells, in their order."""
-    book = _open(path)
-    try:
+    with _opened(path) as book:
         return [str(sheet.title) for sheet in book.worksheets if _has_cells(sheet)]
-    finally:
-        book.close()
 
 
 def sheet_as_text(path: Path, sheet: str | None = None) -> io.BytesIO:
@@ -57,8 +56,7 @@ def sheet_as_text(path: Path, sheet: str | None = None) -> io.BytesIO:
                 "one by --option sheet=NAME"
             )
         sheet = names[0]
-    book = _open(path)
-    try:
+    with _opened(path) as book:
         if sheet not in book.sheetnames:
             raise InputError(
                 f"{path}: there is no sheet {sheet!r}: choose among {', '.join(book.sheetnames)}"
@@ -72,15 +70,15 @@ def sheet_as_text(path: Path, sheet: str | None = None) -> io.BytesIO:
             walked += max(len(cells), 1)
             check_size(path, walked * 8, f"sheet {sheet}")
             rows.append([_text(cell) for cell in cells[:last]])
-    finally:
-        book.close()
     text = io.StringIO(newline="")
     writer = csv.writer(text, delimiter="\t", lineterminator="\n")
     writer.writerows([*row, *[""] * (width - len(row))] for row in rows)
     return io.BytesIO(text.getvalue().encode())
 
 
-def _open(path: Path) -> Any:
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """An open workbook; what is raised over damage within the block becomes one sentence."""
     refuse_special(path)
     try:
         import openpyxl
@@ -92,7 +90,9 @@ def _open(path: Path) -> Any:
             if len(members) > MOST_MEMBERS:
                 raise InputError(f"{path}: it holds {len(members):,} parts: save the sheet as .csv")
             check_size(path, sum(member.file_size for member in members), "its content")
-        return openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        with contextlib.closing(book):
+            yield book
     except InputError:
         raise
     except Exception as error:  # whatever zipfile, the XML parser and openpyxl raise

@@ -19,7 +19,13 @@ from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing.headings import radians_per_unit
-from animarl_envs.importing.readers.clocks import check_rate, frames_at, rate_of_frames, seconds
+from animarl_envs.importing.readers.clocks import (
+    check_rate,
+    frames_at,
+    rate_of_frames,
+    refuse_times_going_back,
+    seconds,
+)
 from animarl_envs.importing.readers.guards import Place
 from animarl_envs.importing.readers.habits import columns_by_habit, refuse_left_over, what_to_type
 from animarl_envs.importing.readers.layouts import Layout, layout_of, names_by_look
@@ -144,6 +150,7 @@ def read_long_table(
         if frame is not None:
             fps = rate_of_frames(path, np.concatenate([part[0] for part in parts]), every, group)
         else:
+            refuse_times_going_back(path, every, np.concatenate([p[1] for p in parts]), place)
             fps, numbers = frames_at(path, every, fps, group, place)
             starts = {name: float(every[group == i].min()) for name, i in sets_of.items()}
             edges = np.cumsum([len(part[0]) for part in parts])[:-1]

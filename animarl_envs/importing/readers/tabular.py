@@ -19,7 +19,13 @@ from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import refuse_special
 from animarl_envs.importing.readers.encodings import UTF_8
 from animarl_envs.importing.readers.guards import refuse_empty, refuse_long, row_of
-from animarl_envs.importing.readers.layouts import LONGEST_LINE, Layout, is_number, split_cells
+from animarl_envs.importing.readers.layouts import (
+    LONGEST_LINE,
+    Layout,
+    is_number,
+    refuse_unclear_numbers,
+    split_cells,
+)
 from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
 from animarl_envs.importing.readers.parquet import is_parquet, parquet_names, parquet_pieces
 
@@ -136,6 +142,7 @@ def _text_pieces(
 ) -> Iterator[dict[str, NDArray[Any]]]:
     pandas = _pandas()
     refuse_special(path)
+    refuse_unclear_numbers(path, layout)
     header, separator = layout.names, layout.parsed_separator
     check_header(path, header)
     times = Counter(header)
@@ -165,6 +172,9 @@ def _text_pieces(
                         refuse_empty(path, name, empty, row, partial(line_of, path, layout))
                         lengths = piece[place[name]].str.len()
                         refuse_long(path, name, int(lengths.max()) if len(piece) else 0)
+                    for name in (name for name in columns if name not in text):
+                        if piece[place[name]].isin([0.0, 1.0]).all():  # as truth values are parsed
+                            _refuse_bad_cell(path, layout, {name: place[name]})
                     row += len(piece)
                     yield {name: piece[at].to_numpy() for name, at in place.items()}
                     if progress is not None:
@@ -180,23 +190,25 @@ def _text_pieces(
         if _SWALLOWED in first:
             raise KeyboardInterrupt from None
         wanted = {name: at for name, at in place.items() if at in numbers}
-        where_it_is = _bad_cell(path, layout, wanted) or "a cell or line"
-        raise InputError(f"{path}: {where_it_is} cannot be read ({first}): mend it") from None
+        _refuse_bad_cell(path, layout, wanted)
+        raise InputError(f"{path}: a line cannot be read ({first}): correct it") from None
 
 
-def _bad_cell(path: Path, layout: Layout, numbers: Mapping[str, int]) -> str | None:
-    """Line and column of the first cell that is no number, where one should be."""
+def _refuse_bad_cell(path: Path, layout: Layout, numbers: Mapping[str, int]) -> None:
+    """Name line and column of the first cell that is no number, where one should be."""
     with contextlib.closing(layout.open(path)) as file:
         for line in itertools.count(layout.first + 1):
             text = file.readline(LONGEST_LINE).decode(errors="replace")
             if not text:
-                return None
+                return
             cells = split_cells(text.rstrip("\r\n"), layout.parsed_separator)
             for name, at in numbers.items():
                 cell = cells[at] if at < len(cells) else ""
                 if not (cell in MISSING or is_number(cell, layout.decimal)):
-                    return f"line {line}, column {name!r} holds {cell[:40]!r}, which"
-    return None
+                    raise InputError(
+                        f"{path}: line {line}, column {name!r} holds {cell[:40]!r}, which is no "
+                        "number: correct it, or name another column by an option"
+                    )
 
 
 def _pandas() -> Any:

@@ -1,0 +1,43 @@
+"""Files are written whole or not at all; what a kill leaves goes with the next write."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from animarl_envs.files import all_files_or_none, write_then_rename
+
+WRITERS = {"write_then_rename": write_then_rename, "all_files_or_none": all_files_or_none}
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from animarl_envs import files
+with getattr(files, sys.argv[1])(sys.argv[2]) as part:
+    (part / "a.txt" if part.is_dir() else part).write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL and locks on files")
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_part_that_a_kill_left_goes_with_the_next_write_and_one_in_use_stays(
+    name: str, tmp_path: Path
+) -> None:
+    writer: Callable[[Path], AbstractContextManager[Path]] = WRITERS[name]
+    path = tmp_path / "out[1]"
+    subprocess.run([sys.executable, "-c", KILLED, name, str(path)], check=False)
+    (orphan,) = tmp_path.iterdir()
+    assert ".part" in orphan.name
+    os.utime(orphan, (0, 0))
+    with writer(path) as part:
+        assert not orphan.exists()
+        os.utime(part, (0, 0))
+        with writer(path) as other:  # does not take it for an orphan
+            assert part.exists() and other != part
+    assert not [one for one in tmp_path.iterdir() if ".part" in one.name]

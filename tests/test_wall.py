@@ -1,0 +1,90 @@
+"""Foreign data are handled in a process of its own: what it does there becomes one sentence."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from animarl_envs import wall
+from animarl_envs.demos.splits import Splitting, split_recordings
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.importing.sessions import conditions_of, sessions_by_name
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+
+
+def many(count: int) -> dict[str, Any]:
+    return {"a": [np.arange(count), "b", (1, None)], "c": {"d": np.array(["x", "yz"])}}
+
+
+def spin() -> None:
+    while True:
+        pass
+
+
+def refuse(error: str) -> None:
+    raise InputError(error)
+
+
+def lack() -> None:
+    raise MissingExtraError("flying", "wings")
+
+
+def surprise() -> None:
+    {}["a"]
+
+
+def count_up(progress: Callable[[float], None]) -> int:
+    for i in range(4):
+        progress(i / 4)
+    return os.getpid()
+
+
+def test_values_and_arrays_come_back_as_they_are() -> None:
+    found = wall.call(many, 5, what="x")
+    assert found["a"][0].tolist() == [0, 1, 2, 3, 4] and found["a"][1:] == ["b", [1, None]]
+    assert found["c"]["d"].tolist() == ["x", "yz"]
+    assert len(wall.call(many, 10**6, what="x")["a"][0]) == 10**6
+
+
+def test_what_goes_wrong_is_one_sentence_and_the_next_call_works() -> None:
+    for function, arguments, message in (
+        (os.abort, (), r"f: a library crashes over it \(SIGABRT\)"),
+        (os._exit, (3,), r"f: a library crashes over it \(exit code 3\)"),
+        (np.zeros, (10**10,), "f: it needs more memory"),
+        (refuse, ("g: no",), "g: no"),
+        (surprise, (), "KeyError: 'a'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            wall.call(function, *arguments, what="f")
+    with pytest.raises(MissingExtraError, match="pip install"):
+        wall.call(lack, what="f")
+    with pytest.raises(InputError, match="more than 1 s of processor time: cut it"):
+        wall.call(spin, what="f", seconds=1, remedy="cut it")
+    shares: list[float] = []
+    assert wall.call(count_up, what="f", progress=shares.append) != os.getpid()
+    assert shares == [0.0, 0.25, 0.5, 0.75]
+
+
+ENDLESS = "(a+)+$"
+
+
+def test_a_regular_expression_that_never_ends_is_refused() -> None:
+    names = np.array(["a" * 60 + "b"] * 3)
+    began = time.process_time()
+    with pytest.raises(InputError, match="more than 2 s of processor time: simplify it"):
+        sessions_by_name(f"(?P<condition>{ENDLESS})", names.tolist())
+    with pytest.raises(InputError, match="more than 2 s of processor time: simplify it"):
+        split_recordings(names, Splitting(by="group", pattern=ENDLESS))
+    assert time.process_time() - began < 1.0
+
+
+def test_conditions_are_names() -> None:
+    for name in ("=A1", "a\nb", "../a", "x" * 300):
+        with pytest.raises(InputError, match=r"m\.csv: a condition "):
+            conditions_of([name, "b"], "m.csv")
