@@ -10,6 +10,7 @@ function runs in the calling process, without limits.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib
 import json
@@ -145,7 +146,8 @@ class _Server:
         if self.owner == os.getpid():
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
+            self.process.communicate()
+            self.answer.close()
 
 
 _lock = threading.Lock()
@@ -156,6 +158,7 @@ def _running_server() -> _Server:
     global _server
     if _server is None or not _server.usable:
         _server = _Server()
+        atexit.register(_server.stop)
     return _server
 
 

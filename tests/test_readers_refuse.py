@@ -164,7 +164,7 @@ def test_a_pickle_that_repeats_itself_is_refused(tmp_path: Path) -> None:
 
 
 BAD_TABLES = {
-    "letters": ("frame,id,x,y\n0,a,1,2\n1,a,oops,2\n", "cannot be read"),
+    "letters": ("frame,id,x,y\n0,a,1,2\n1,a,oops,2\n", "which is no number"),
     "duplicate": ("frame,id,x,y\n0,a,1,2\n0,a,1,2\n", "frame 0, a has two rows"),
     "no rows": ("frame,id,x,y\n", "no rows"),
     "negative": (
