@@ -22,6 +22,7 @@ networks = pytest.mark.parametrize(
         {"previous_action": False},
         {"condition_flag": True, "num_quantiles": 3},
         {"condition_flag": True, "treatment_head": True},
+        {"condition_flag": True, "condition_input": "encoder"},
         {"units": 9},
     ],
     ids=lambda options: "-".join(options) or "plain",

@@ -47,7 +47,7 @@ def reference_network(
         gru = network.gru
         weights = (gru.weight_input, gru.weight_hidden, gru.bias_input, gru.bias_hidden)
         x, _ = torch_gru(k, *weights)(x)
-    if network.condition_flag:
+    if network.flag_in_head:
         x = torch.cat((x, observations[..., -1:]), dim=-1)
     head = network.dueling
     value = linear(head.value, torch.relu(linear(head.hidden, x, slice(0, H))))
@@ -152,16 +152,54 @@ def test_no_previous_action_carries_no_weight() -> None:
     assert network.encoder_1.weight.grad[:, N:].abs().sum() == 0
 
 
-def test_flag_reaches_the_dueling_head_alone() -> None:
-    network = make(condition_flag=True, treatment_head=True)
+def both_conditions(network: StackedQNetwork) -> tuple[QOutput, QOutput]:
+    """What a network says about the same sequences under conditions 0 and 1."""
     observations, previous = batch()
     observations[..., -1] = 0
     flipped = observations.clone()
     flipped[..., -1] = 1
-    factual, counterfactual = network(observations, previous), network(flipped, previous)
+    return network(observations, previous), network(flipped, previous)
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"head_layers": 0}, {"skip": True, "head_layers": 0}, {"num_quantiles": 3}]
+)
+def test_flag_reaches_the_dueling_head_alone(options: dict[str, object]) -> None:
+    network = make(condition_flag=True, treatment_head=True, **options)
+    factual, counterfactual = both_conditions(network)
     assert torch.equal(factual.hidden, counterfactual.hidden)
     assert torch.equal(factual.treatment_logits, counterfactual.treatment_logits)
     assert not torch.allclose(factual.values, counterfactual.values)
+
+
+@pytest.mark.parametrize("head_layers", [0, 1])
+@pytest.mark.parametrize("condition_input", ["head", "encoder"])
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_effect_of_the_flag_on_the_advantage_differs_between_states(
+    recurrent: bool, condition_input: str, head_layers: int
+) -> None:
+    """Otherwise the condition could only make an action better or worse everywhere."""
+    network = make(
+        condition_flag=True,
+        condition_input=condition_input,
+        head_layers=head_layers,
+        recurrent=recurrent,
+    )
+    factual, counterfactual = (o.q_values for o in both_conditions(network))
+    effect = (counterfactual - factual).flatten(1, 2)
+    advantage = effect - effect.mean(-1, keepdim=True)
+    assert (advantage.std(dim=1) > 1e-4).all()  # added up: rounding, 1e-8
+
+
+def test_flag_in_the_encoder_is_standardised_as_any_other_component() -> None:
+    network = make(condition_flag=True, condition_input="encoder", recurrent=False)
+    plain = make(recurrent=False)
+    observations, previous = batch()
+    mean, sd = torch.full((K, N), 0.5), torch.full((K, N), 0.25)
+    for each in (network, plain):
+        each.standardise_inputs(mean, sd)
+    expected = plain(observations, previous).values
+    assert torch.equal(network(observations, previous).values, expected)
 
 
 def test_treatment_head_trains_forwards_and_reverses_backwards() -> None:
@@ -316,6 +354,8 @@ def test_a_sequence_in_two_pieces_equals_the_whole() -> None:
         lambda: make(()),
         lambda: make(("prey", "prey")),
         lambda: make(observation_size=1, condition_flag=True),
+        lambda: make(condition_flag=True, condition_input="memory"),
+        lambda: make(condition_flag=True, condition_input="encoder", treatment_head=True),
     ],
 )
 def test_impossible_networks_are_refused(build: Callable[[], StackedQNetwork]) -> None:

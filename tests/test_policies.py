@@ -69,6 +69,8 @@ shapes = pytest.mark.parametrize(
         {"head_layers": 0, "condition_flag": False, "previous_action": False},
         {"skip": True, "dropout": 0.5},
         {"skip": True, "depth": 3, "head_layers": 0},
+        {"condition_input": "encoder"},
+        {"condition_input": "encoder", "head_layers": 0},
     ],
     ids=lambda shape: "-".join(map(str, shape)) or "plain",
 )
@@ -89,6 +91,7 @@ def test_compiled_and_tensor_acting_agree(
         mean, sd = (torch.rand(K, 10, generator=generator) for _ in range(2))
         policy.q_net.standardise_inputs(mean, 0.1 * sd)  # so that some are clipped
     observations = observe(1)[0].reshape(S, -1)
+    observations[::2, -1] = 0.0  # the flag of every second slot
     rng = np.random.default_rng(0)
     hidden = rng.uniform(-1, 1, (S, policy.q_net.units)).astype(np.float32)
     previous = rng.integers(0, A + 1, S)
@@ -267,8 +270,9 @@ def test_a_single_bare_slot() -> None:
 @kinds
 def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
     policy = make(
-        kind, n_quantiles=3, condition_flag=True, treatment_head=True, hidden=8, temperature=0.3
-    )
+        kind, n_quantiles=3, condition_flag=True, treatment_head=True, hidden=8, temperature=0.3,
+        head_layers=0,
+    )  # fmt: skip
     with torch.no_grad():
         for parameter in policy.parameters():
             parameter.mul_(1.5)

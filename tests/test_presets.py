@@ -13,6 +13,7 @@ from animarl_algos import DQN
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.presets import constructed, known_settings, learner_preset
 from animarl_algos.learner.zoo_files import CONFIGS, PRESETS
+from animarl_algos.networks.networks import ConditionInput
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_algos.runs.run_settings import pipeline_settings
 from animarl_envs import SPECIES, environment_id
@@ -76,6 +77,7 @@ def test_files_are_plain_data() -> None:
             *(
                 "GruPolicy",
                 "MlpPolicy",
+                *ConditionInput,
                 "recompute",
                 "episode",
                 "step",

@@ -7,6 +7,7 @@ from typing import Any
 import confounded
 import numpy as np
 import pytest
+import torch
 import toys
 from pair_learners import Split
 from treatment_probe import probe_balanced_accuracy
@@ -153,6 +154,63 @@ def test_a_demonstration_at_half_speed_needs_the_alignment() -> None:
         model = DQAAS("MlpPolicy", env, lambda3=5.0, **WALK).learn(4_000)
         arrived[step_aligned] = walked_path(model, env)[-1] == (4, 4)
     assert arrived == {False: True, True: False}
+
+
+def opposite_demonstrations() -> tuple[Split, np.ndarray, np.ndarray]:
+    """Under condition 1 the right action is the one that is wrong under condition 0.
+
+    With the demonstrations come their observations (n, 3) and actions (n,).
+    """
+    rng = np.random.default_rng(0)
+    episodes, steps = 400, 3
+    observations = rng.normal(size=(episodes * steps, 1, 3))
+    condition = np.arange(episodes) % 2
+    observations[..., -1] = np.repeat(condition, steps)[:, None]
+    actions = ((observations[..., 1] > 0) ^ (observations[..., -1] > 0)).astype(np.int64)
+    dataset = OfflineDataset(
+        observations,
+        actions,
+        np.full(episodes, steps),
+        toys.Confounded.num_actions,
+        condition=condition,
+        names=("agent",),
+    )
+    return Split(dataset, dataset), observations[:, 0].astype(np.float32), actions[:, 0]
+
+
+CONDITION_INPUTS = {
+    "linear head": {"condition_input": "head", "head_layers": 0},
+    "hidden layer": {"condition_input": "head", "head_layers": 1},
+    "encoder": {"condition_input": "encoder", "head_layers": 0},
+}
+
+
+@pytest.mark.parametrize("policy_kwargs", CONDITION_INPUTS.values(), ids=CONDITION_INPUTS.keys())
+def test_opposite_answers_under_two_conditions_need_the_flag_times_the_state(
+    policy_kwargs: dict[str, Any],
+) -> None:
+    """With the products of flag and features held at zero half of the actions stay wrong."""
+    data, observations, demonstrated = opposite_demonstrations()
+    right = {}
+    for additive in {False, policy_kwargs is CONDITION_INPUTS["linear head"]}:
+        model = BC(
+            "MlpPolicy", toys.Confounded(1), demonstrations=data, policy_kwargs=policy_kwargs,
+            **LEARN | {"offline_epochs": 30, "offline_learning_rate": 3e-3},
+        )  # fmt: skip
+        if additive:
+            network = model.policy.q_net
+            for layer in (network.dueling.value, network.dueling.advantage):
+                products = slice(network.units + 1, None)
+                with torch.no_grad():
+                    layer.weight[:, products] = 0.0
+                kept = torch.ones_like(layer.weight)
+                kept[:, products] = 0.0
+                layer.weight.register_hook(lambda gradient, kept=kept: gradient * kept)
+        model.learn(0)
+        actions, _ = model.predict(observations, deterministic=True)
+        right[additive] = (actions == demonstrated).mean()
+    assert right.pop(False) > 0.95
+    assert all(share < 0.6 for share in right.values())
 
 
 def test_flipping_a_confounded_condition_needs_the_reversal() -> None:

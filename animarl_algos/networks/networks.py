@@ -5,13 +5,18 @@ Architecture (the paper, "Neural network architectures"), all of H = 32 units, f
     o = clip((observation - mean) / sd, limit)        the identity until statistics are set
     x = relu(Linear(relu(Linear([o, one-hot previous action]))))
     h = GRU(x, h)                                     left out in the feed-forward twin
-    V = Linear(relu(Linear([h, c])))                  c, the treatment flag, where there is one
+    V = Linear(relu(Linear([h, c])))                  c, the condition flag, where there is one
     A = Linear(relu(Linear([h, c])))
     Q = V + A - mean over actions of A
     logit of c = Linear(relu(Linear(reversal(h))))    treatment head of DQCIL, 8 units
 
 The number of layers of x, their width and what the heads see ([x, h] with a skip) are arguments;
 the paper's are the defaults.
+
+The flag has to interact with the state: what the condition changes differs between states. Where
+the head has no hidden layer, V and A are linear in [h, c, c h], so that each condition has a head
+of its own; [h, c] alone would shift every action's value by the same amount in every state. With
+``condition_input="encoder"`` the flag is an ordinary component of o, and the memory knows it.
 
 Every parameter has a leading axis of individuals; nothing is shared, so that training K individuals
 together is training each alone. With ``shared`` the weights of all individuals begin alike and are
@@ -22,6 +27,7 @@ Axes: (individual, time, batch, feature).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
 from functools import cached_property
 from typing import Any
 
@@ -50,6 +56,13 @@ INPUT_LIMIT = 6.0
 recording has been."""
 STATISTICS = ("input_mean", "input_sd", "input_limit")
 """The buffers that standardise the inputs."""
+
+
+class ConditionInput(StrEnum):
+    """Where the condition flag enters the network."""
+
+    HEAD = "head"  # beside the hidden state, which stays blind to it
+    ENCODER = "encoder"  # as any other component of the observation
 
 
 class StackedQNetwork(nn.Module):
@@ -81,8 +94,10 @@ class StackedQNetwork(nn.Module):
     previous_action
         Whether the previous action is an input.
     condition_flag
-        Whether the last observation component is the treatment flag. It bypasses encoder and GRU
-        and enters the dueling head beside the hidden state.
+        Whether the last observation component is the condition flag.
+    condition_input
+        Where the flag enters: ``"head"`` bypasses encoder and GRU, which stay blind to it, and
+        ``"encoder"`` does not; a network with a treatment head needs ``"head"``.
     treatment_head
         Whether to predict the treatment through gradient reversal (DQCIL).
     reversal
@@ -121,6 +136,7 @@ class StackedQNetwork(nn.Module):
         dropout: float = 0.0,
         previous_action: bool = True,
         condition_flag: bool = False,
+        condition_input: str = ConditionInput.HEAD,
         treatment_head: bool = False,
         reversal: float = 1.0,
         shared: bool = False,
@@ -139,6 +155,15 @@ class StackedQNetwork(nn.Module):
                 "skip=True leads past a memory and this network has none: use GruPolicy, or leave "
                 "skip out"
             )
+        if condition_input not in list(ConditionInput):
+            raise InputError(
+                f"condition_input is {condition_input!r}: choose {' or '.join(ConditionInput)}"
+            )
+        if treatment_head and condition_input == ConditionInput.ENCODER:
+            raise InputError(
+                "condition_input is 'encoder' and gradient reversal makes the memory blind to the "
+                "condition, which the encoder would tell it: set condition_input to 'head'"
+            )
         self.individuals = tuple(individuals)
         self.num_actions = num_actions
         self.num_quantiles = num_quantiles
@@ -148,9 +173,9 @@ class StackedQNetwork(nn.Module):
         self.skip = skip
         self.dropout = dropout
         self.previous_action = previous_action
-        self.condition_flag = condition_flag
+        self.flag_in_head = condition_flag and condition_input == ConditionInput.HEAD
         self.reversal = reversal
-        self.sensed = observation_size - condition_flag
+        self.sensed = observation_size - self.flag_in_head
         self.shared = shared
         named = [individuals[0]] * len(individuals) if shared else individuals
         generators = individual_generators(named, seed)
@@ -160,8 +185,10 @@ class StackedQNetwork(nn.Module):
             self.add_module(f"encoder_{layer + 1}", StackedLinear(inputs, units, generators))
         self.gru = StackedGRU(units, units, generators) if recurrent else None
         seen = units * (1 + skip)
+        self.gated = self.flag_in_head and not head_layers
+        read = seen * (1 + self.gated) + self.flag_in_head
         self.dueling = DuelingHead(
-            seen + condition_flag, units * head_layers, num_actions, num_quantiles, generators
+            read, units * head_layers, num_actions, num_quantiles, generators
         )
         self.treatment: nn.Sequential | None = None
         if treatment_head:
@@ -191,12 +218,13 @@ class StackedQNetwork(nn.Module):
     def standardise_inputs(
         self, mean: torch.Tensor, sd: torch.Tensor, limit: float = INPUT_LIMIT
     ) -> None:
-        """See observations as ``clip((o - mean) / sd)`` from now on, but for the treatment flag.
+        """See observations as ``clip((o - mean) / sd)`` from now on, but for a flag in the head.
 
         Parameters
         ----------
         mean, sd : Tensor (K, n)
-            Of each individual's observation components, the flag's own included (and not used).
+            Of each individual's observation components, the flag's own included (and not used if
+            it enters the head).
             A component that does not vary (sd 0) keeps its scale. A shared network takes mean and
             sd over all individuals.
         limit
@@ -206,7 +234,7 @@ class StackedQNetwork(nn.Module):
             sd = (sd.square() + (mean - mean.mean(0)).square()).mean(0).sqrt().expand_as(sd)
             mean = mean.mean(0).expand_as(mean)
         sd = torch.where(sd > 1e-6, sd, 1.0)
-        if self.condition_flag:
+        if self.flag_in_head:
             mean, sd = mean.clone(), sd.clone()
             mean[:, -1], sd[:, -1] = 0.0, 1.0
         self.input_mean.copy_(mean.unsqueeze(1))
@@ -274,7 +302,7 @@ class StackedQNetwork(nn.Module):
                 previous,
                 self.weights,
                 self.num_actions,
-                flagged=self.condition_flag,
+                flagged=self.flag_in_head,
                 sees_previous=self.previous_action,
             )
             head, seen = HeadValues(values), features
@@ -361,9 +389,12 @@ class StackedQNetwork(nn.Module):
         return tuple([buffer[:, 0].numpy() for buffer in buffers])
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
-        if not self.condition_flag:
+        """What the dueling head reads: the features, the flag and, without a layer, both."""
+        if not self.flag_in_head:
             return features
-        return torch.cat((features, observations[..., self.sensed :]), dim=-1)
+        flag = observations[..., self.sensed :]
+        gated = (flag * features,) if self.gated else ()
+        return torch.cat((features, flag, *gated), dim=-1)
 
     @torch.no_grad()
     def step(

@@ -26,7 +26,7 @@ from animarl_algos.losses.values import (
 from animarl_algos.networks import slots
 from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.kernels.acting import CompiledActor
-from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.networks import ConditionInput, StackedQNetwork
 from animarl_algos.networks.slots import State
 from animarl_algos.ranges import COUNT, NOT_NEGATIVE, Range
 from animarl_envs.errors import InputError
@@ -48,7 +48,10 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
     individuals
         Names of the K individuals in slot order.
     condition_flag
-        Whether the last observation component is the treatment flag.
+        Whether the last observation component is the condition flag.
+    condition_input
+        Where the flag enters the network: ``"encoder"``, as any other component of the observation,
+        or ``"head"``, beside a memory that stays blind to it (DQCIL).
     treatment_head
         Whether to predict the treatment through gradient reversal (DQCIL).
     reversal
@@ -104,6 +107,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         *,
         individuals: tuple[str, ...] = ("agent",),
         condition_flag: bool = False,
+        condition_input: str = ConditionInput.HEAD,
         treatment_head: bool = False,
         reversal: float = 1.0,
         n_quantiles: int | None = None,
@@ -154,6 +158,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         self.network_arguments: dict[str, Any] = {
             "individuals": self.individuals,
             "condition_flag": condition_flag,
+            "condition_input": str(condition_input),
             "treatment_head": treatment_head,
             "reversal": reversal,
             "hidden": hidden,

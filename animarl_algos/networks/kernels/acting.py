@@ -77,10 +77,15 @@ def _decide(  # type: ignore[no-untyped-def]
             affine(advantage, head[units:], weight_advantage[k], bias_advantage[k])
         else:
             head[: len(seen)] = seen
-            if flagged:
-                head[len(seen)] = observation[s, -1]
-            affine(value, head, weight_value[k], bias_value[k])
-            affine(advantage, head, weight_advantage[k], bias_advantage[k])
+            read = len(seen)
+            flag = observation[s, -1]
+            if flagged and flag != 0:  # else the rest of the head's inputs is zero
+                head[read] = flag
+                for j in range(read):
+                    head[read + 1 + j] = flag * seen[j]
+                read = len(head)
+            affine(value, head[:read], weight_value[k], bias_value[k])
+            affine(advantage, head[:read], weight_advantage[k], bias_advantage[k])
         state_value = value.mean()
         centre = advantage.mean()
         for a in range(actions):
@@ -102,7 +107,8 @@ class CompiledActor:
         units, quantiles = network.units, network.num_quantiles
         hidden_head = network.dueling.hidden is not None
         seen = units * (1 + network.skip)
-        head = 2 * units if hidden_head else seen + network.condition_flag
+        gated = seen + network.flag_in_head * (1 + seen)
+        head = 2 * units if hidden_head else gated
         sizes = (
             *(network.sensed, units, units, 3 * units, 3 * units),
             *(seen, head, quantiles, network.num_actions * quantiles),
@@ -110,7 +116,7 @@ class CompiledActor:
         self._network = network
         self._scratch = [np.empty(size, dtype=np.float32) for size in sizes]
         self._settings = (
-            int(network.condition_flag),
+            int(network.flag_in_head),
             network.previous_action,
             network.gru is not None,
             network.skip,
