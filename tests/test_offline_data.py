@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.data.species_data import SpeciesDemonstrations
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_envs import SPECIES
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import one_step_misses
 from animarl_envs.focus import focus_directions
@@ -49,6 +54,19 @@ def arrays(seed: int = 0, lengths: NDArray[np.int64] = LENGTHS) -> dict[str, Any
         "warmup": within < 1,
         "names": NAMES,
     }
+
+
+@pytest.mark.parametrize(
+    ("outcome", "terminates"),
+    [(UNFINISHED, False), (TIME_OUT, False), (TARGET_OUT, True), (PURSUER_OUT, True), (1, True)],
+)
+def test_a_recording_that_merely_ends_bootstraps(outcome: int, terminates: bool) -> None:
+    """Nobody knows what followed: only an end of the episode itself has the value 0."""
+    demos = load_packaged("agent")
+    demos = replace(demos, outcome=np.full_like(demos.outcome, outcome))
+    for batch in SpeciesDemonstrations(SPECIES["agent"], demos, demos.individuals).val.batches(16):
+        last = np.arange(batch.num_steps)[:, None] == batch.lengths.numpy()[:, None] - 1
+        np.testing.assert_array_equal(batch.terminated.numpy(), last * terminates)
 
 
 def test_whose_demonstrations_they_are() -> None:
