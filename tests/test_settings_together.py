@@ -63,7 +63,7 @@ def test_too_few_quantiles_are_refused(count: Any) -> None:
 def test_unknown_settings_of_either_policy_are_refused(policy: str) -> None:
     for wrong in ({"hiden": 64}, {"seed": 64}, {"epsilon": 0.5}):
         said = refused(DQN, policy, policy_kwargs=wrong)
-        assert f"{next(iter(wrong))!r} is unknown: choose among depth" in said
+        assert f"{next(iter(wrong))!r} is unknown: choose among condition_input" in said
         assert ", hidden," in said
 
 
