@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 def _homes() -> dict[str, str]:
     """The module of every public name.
 
-    Those of the learners are read off the registry's imports: running it would load all of them.
+    Those of the learners are the classes of the registry, which is read and not run: that would
+    load all that learns.
     """
     import ast
     from importlib.resources import files
@@ -33,10 +34,9 @@ def _homes() -> dict[str, str]:
     recipes = f"{__name__}.recipes"
     registry = ast.parse((files(recipes) / "registry.py").read_text(encoding="utf-8"))
     learners = {
-        alias.name: node.module
+        node.name: f"{recipes}.registry"
         for node in registry.body
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(recipes)
-        for alias in node.names
+        if isinstance(node, ast.ClassDef) and node.name != "NamedRecipe"
     }
     others = {
         "EvaluateIndividuals": "learner.evaluating",

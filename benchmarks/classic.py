@@ -47,7 +47,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize, unwrap_vec_normalize
 
 from animarl_algos.learner.presets import constructed, learner_preset
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import DQN
 from animarl_envs.files import write_then_rename
 
 LOOKS, LAST_LOOKS = 10, 5

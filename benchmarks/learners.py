@@ -50,9 +50,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.offline import train_epoch
 from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.learner.validation import validation_figures
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.recipes.registry import DQDIL, DQN, named_recipe
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds import make_world

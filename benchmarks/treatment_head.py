@@ -41,9 +41,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.demonstrations import OfflineDataset
 from animarl_algos.learner.gradient_step import minibatch_values
 from animarl_algos.learner.presets import constructed, learner_preset
-from animarl_algos.recipes.dqcil import DQCIL
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.recipes.registry import DQCIL, DQDIL, named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names

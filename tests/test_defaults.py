@@ -19,9 +19,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.presets import beneath, constructed, learner_preset, section_of
 from animarl_algos.learner.settings import LearnerSettings
 from animarl_algos.learner.zoo_files import CONFIGS
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.recipes.registry import DQDIL, DQN, RECIPES
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
 

@@ -12,7 +12,7 @@ from animarl_algos.data.focal import FocalPolicy
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.learner.evaluating import evaluate_individuals
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import DQN
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import make_scenario

@@ -16,9 +16,7 @@ from animarl_algos.cli.main import main
 from animarl_algos.data.slots import refuse_other_observation
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.iq_learn import IQLearn
-from animarl_algos.recipes.soft_bc import SoftBC
+from animarl_algos.recipes.registry import DQDIL, IQLearn, SoftBC
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.acting import acting_of
 from animarl_algos.runs.run_folder import RunFolder

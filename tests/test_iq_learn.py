@@ -19,11 +19,10 @@ from torch.nn import functional
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.losses.iq_learn import InverseSoftQ, next_values
-from animarl_algos.losses.terms import MinibatchValues
+from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, next_values
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.value_stream import into_logits, zero_value_stream
-from animarl_algos.recipes.iq_learn import IQLearn
+from animarl_algos.recipes.registry import IQLearn
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 

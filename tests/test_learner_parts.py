@@ -18,7 +18,7 @@ from animarl_algos.learner.pace import AS_MANY_AS_STEPS, Pace
 from animarl_algos.learner.saving import pace_from, pace_numbers
 from animarl_algos.learner.updating import Updater
 from animarl_algos.networks.acting_rule import Acting
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import DQN
 
 EPISODES = TrainFreq(2, TrainFrequencyUnit.EPISODE)
 STEPS = TrainFreq(3, TrainFrequencyUnit.STEP)

@@ -26,13 +26,7 @@ import animarl_envs
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.offline import train_epoch
-from animarl_algos.recipes.bc import BC
-from animarl_algos.recipes.dqaas import DQAAS
-from animarl_algos.recipes.dqcil import DQCIL
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.qrdqn import QRDQN
-from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN, QRDQN, named_recipe
 from animarl_algos.runs.run_settings import RunSettings, asked_species, checked_species
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError

@@ -12,25 +12,25 @@ from given_values import GivenValues
 from sb3_contrib.common.utils import quantile_huber_loss
 from torch import nn
 
-from animarl_algos.losses.gradient_reversal import reverse_gradient
 from animarl_algos.losses.losses import (
     action_cross_entropy,
     clip_grad_norm_per_individual,
     masked_mean,
     mean_recall,
+    reverse_gradient,
     soft_action_cross_entropy,
     squared_l2,
     treatment_counts,
     treatment_cross_entropy,
 )
-from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.quantile_huber import quantile_huber, quantile_huber_definition
-from animarl_algos.losses.terms import MinibatchValues
+from animarl_algos.losses.terms import MinibatchValues, Phase
 from animarl_algos.losses.values import (
     ErrorLoss,
     ExpectedValue,
     Quantiles,
     one_step_target,
+    quantile_huber,
+    quantile_huber_definition,
     take_action,
     value_distribution,
 )

@@ -18,7 +18,7 @@ from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.offline import OfflineProgress, _decay, train_epoch
 from animarl_algos.learner.offline_settings import OfflineSettings
-from animarl_algos.recipes.soft_bc import SoftBC
+from animarl_algos.recipes.registry import SoftBC
 from animarl_envs.errors import InputError
 
 STEPS = {

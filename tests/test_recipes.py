@@ -17,8 +17,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger, configure
 
 from animarl_algos.networks.acting_rule import Acting, Kind
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.registry import RECIPES
+from animarl_algos.recipes.registry import DQN, RECIPES
 
 
 @pytest.mark.parametrize("name", RECIPES)

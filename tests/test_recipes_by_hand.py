@@ -18,7 +18,7 @@ from animarl_algos.losses.terms import (
     TemporalDifference,
     TreatmentAdversary,
 )
-from animarl_algos.recipes.dqdil import DQDIL
+from animarl_algos.recipes.registry import DQDIL
 from animarl_algos.replay.batch import SequenceBatch
 
 

@@ -12,8 +12,7 @@ from pair_learners import SETTINGS, demonstrations, evaluated, make_pair_learner
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.gradient_step import update
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.recipes.registry import DQDIL, named_recipe
 
 
 def assert_weights_of_one(

@@ -14,9 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.losses.terms import ActionSupervision
-from animarl_algos.recipes.dqaas import DQAAS
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.wrappers import DTWReward
 

@@ -26,10 +26,7 @@ from animarl_algos.learner.checkpoint import (
 )
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.networks.acting_rule import Kind
-from animarl_algos.recipes.dqaas import DQAAS
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.qrdqn import QRDQN
+from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN, QRDQN
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.errors import InputError
 

@@ -18,8 +18,7 @@ from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learn
 
 import animarl_algos.learner.offline
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import DQDIL, DQN
 from animarl_envs.errors import InputError
 
 

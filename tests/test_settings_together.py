@@ -13,10 +13,7 @@ import animarl_envs
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.recipes.bc import BC
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.qrdqn import QRDQN
+from animarl_algos.recipes.registry import BC, DQDIL, DQN, QRDQN
 from animarl_envs.errors import InputError
 from animarl_envs.wrappers import DTWReward
 

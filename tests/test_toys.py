@@ -14,11 +14,7 @@ from treatment_probe import probe_balanced_accuracy
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.recipes.bc import BC
-from animarl_algos.recipes.dqaas import DQAAS
-from animarl_algos.recipes.dqcil import DQCIL
-from animarl_algos.recipes.dqdil import DQDIL
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN
 
 LEARN: dict[str, Any] = {
     "learning_rate": 3e-3,

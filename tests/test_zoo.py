@@ -28,8 +28,7 @@ from zoo_commands import small as small
 from zoo_commands import zoo as zoo
 
 from animarl_algos.learner.presets import known_settings, learner_preset
-from animarl_algos.recipes.registry import RECIPES
-from animarl_algos.recipes.soft_bc import SoftBC
+from animarl_algos.recipes.registry import RECIPES, SoftBC
 from animarl_algos.zoo import manager, samplers
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment

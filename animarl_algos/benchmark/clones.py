@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from animarl_algos.benchmark.pieces import cost, write_cost
 from animarl_algos.learner.presets import constructed
-from animarl_algos.losses.recipe import OfflineLoss
-from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.recipes.soft_bc import SOFT_BC_RECIPE
+from animarl_algos.losses.terms import OfflineLoss
+from animarl_algos.recipes.registry import SoftBC, named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import RunSettings
@@ -105,7 +104,7 @@ def cloning(settings: RunSettings) -> RunSettings | None:
     own, determining = algorithm.recipe, _determining(settings)
     if settings.learner().arguments.get("offline_loss") == OfflineLoss.CLONING:
         own = own.cloning()
-    alike = own.offline == SOFT_BC_RECIPE.offline and own.selection is SOFT_BC_RECIPE.selection
+    alike = own.offline == SoftBC.recipe.offline and own.selection is SoftBC.recipe.selection
     if not (alike and determining["offline_epochs"]):
         return None
     alone = replace(

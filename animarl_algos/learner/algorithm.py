@@ -62,8 +62,7 @@ from animarl_algos.learner.settings import (
 )
 from animarl_algos.learner.updating import Updater
 from animarl_algos.learner.validation import demonstrated_values
-from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.recipe import OfflineLoss, Recipe
+from animarl_algos.losses.terms import OfflineLoss, Phase, Recipe
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.networks.value_stream import into_logits

@@ -11,8 +11,7 @@ from animarl_algos.learner.exploration import Exploration, LinearDecay
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.recorder import check_environment
 from animarl_algos.learner.settings import as_frequency
-from animarl_algos.losses.phase import WEIGHTS, Phase
-from animarl_algos.losses.recipe import OfflineLoss
+from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase
 from animarl_algos.ranges import (
     COUNT,
     COUNT_OR_NONE,

@@ -11,8 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.losses.losses import clip_grad_norm_per_individual, share_gradients
-from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.terms import LossTerm, MinibatchValues, WeightDecay
+from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
 from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.gru import Packing

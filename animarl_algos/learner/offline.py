@@ -31,7 +31,7 @@ from animarl_algos.learner.validation import (
     named_figures,
     validation_figures,
 )
-from animarl_algos.losses.recipe import OfflineLoss, Selection
+from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.networks.dropout import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.value_stream import zero_value_stream

@@ -11,8 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.slots import SlotLayout
 from animarl_algos.learner.offline_settings import OfflineSettings
-from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.recipe import Recipe
+from animarl_algos.losses.terms import Phase, Recipe
 from animarl_algos.networks.policies import GruPolicy
 
 if TYPE_CHECKING:

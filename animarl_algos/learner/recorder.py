@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.slots import Feedback, SlotLayout, provided
-from animarl_algos.losses.recipe import Recipe
+from animarl_algos.losses.terms import Recipe
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 

@@ -9,7 +9,7 @@ from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.losses.phase import PhaseSettings
+from animarl_algos.losses.terms import PhaseSettings
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
 from animarl_algos.ranges import COUNT, POSITIVE
 from animarl_envs.errors import InputError
@@ -30,7 +30,7 @@ class LearnerSettings(PhaseSettings, total=False):
     batch_size, offline_batch_size
         Sequences per individual and update.
     gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
-        Of the online phase; see :class:`animarl_algos.losses.phase.Phase`. Those with
+        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
         ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
         measures the penalties of all actions in units of their mean instead of arena units, as in
         the paper.

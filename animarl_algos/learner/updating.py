@@ -8,8 +8,7 @@ import torch
 
 from animarl_algos.learner.gradient_step import minibatch_values, update
 from animarl_algos.losses.losses import mean_recall, treatment_counts
-from animarl_algos.losses.phase import Phase
-from animarl_algos.losses.terms import LossTerm, MinibatchValues
+from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer

@@ -1,12 +1,13 @@
-"""Loss terms of the recipes, each a number per individual, and clipping per individual.
+"""Losses per individual, the gradient reversal layer, and clipping per individual.
 
-A term is averaged over the valid steps of the individual itself, so that summing the terms of all
+A loss is averaged over the valid steps of the individual itself, so that summing the losses of all
 individuals gives each the gradient it would have if trained alone. Axes: (individual, time, batch).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 from torch.nn import functional
@@ -202,3 +203,20 @@ def clip_grad_norm_per_individual(
         for gradient in gradients:
             gradient.mul_(scale.view(-1, *[1] * (gradient.dim() - 1)))
     return total
+
+
+class _GradientReversal(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, features: torch.Tensor, strength: float) -> torch.Tensor:
+        ctx.strength = strength
+        return features.view_as(features)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor, None]:
+        return -ctx.strength * grad_outputs[0], None
+
+
+def reverse_gradient(features: torch.Tensor, strength: float = 1.0) -> torch.Tensor:
+    """Return ``features`` unchanged; their gradient comes back times ``-strength``."""
+    out: torch.Tensor = _GradientReversal.apply(features, strength)  # type: ignore[no-untyped-call]
+    return out

@@ -1,15 +1,18 @@
-"""The loss terms that recipes are made of (paper, "Offline and online policy learning").
+"""What learners minimise: loss terms, the weights of a phase, and recipes made of terms.
 
-A term looks at :class:`MinibatchValues`, the networks' view of a minibatch of sequences, and gives
-one number per individual, averaged over its valid steps. A recipe's loss is the sum of its terms,
-each with its weight of the phase (offline or online).
+A term (paper, "Offline and online policy learning") looks at :class:`MinibatchValues`, the
+networks' view of a minibatch of sequences, and gives one number per individual, averaged over its
+valid steps. A recipe's loss is the sum of its terms, each with its weight of the phase (offline or
+online). A new weight is named in :class:`Phase` and among the settings of learners, and has its
+value in ``zoo_configs/learner.yml``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
+from typing import Protocol, TypedDict
 
 import torch
 from torch.nn import functional
@@ -21,10 +24,79 @@ from animarl_algos.losses.losses import (
     squared_l2,
     treatment_cross_entropy,
 )
-from animarl_algos.losses.phase import Phase
 from animarl_algos.losses.values import ValueDistribution, n_step_target
+from animarl_algos.ranges import NOT_NEGATIVE, POSITIVE_OR_NONE, PROBABILITY
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The numbers of one phase of training.
+
+    Attributes
+    ----------
+    name
+        ``"offline"`` or ``"online"``, for messages and logs.
+    gamma
+        Discount per step.
+    alpha
+        Weight of the distance penalty in the reward, ``R - alpha * penalty``.
+    lambda1, lambda2, lambda3
+        Weights of squared l2 norm, treatment cross-entropy and action supervision.
+    max_grad_norm
+        Largest gradient norm of one individual; ``None`` does not clip.
+    scaled_penalties
+        Whether penalties of all actions are taken in units of their mean over actions and steps
+        (per individual and batch) instead of arena units. That mean is about ``u dt^2``, how far
+        one thrust moves the animal in a step: 0.03 for the agents and 0.0001 for the newts.
+    n_steps
+        Rewards that are summed before the value of what follows (Sutton 1988; Hessel et al. 2018).
+    """
+
+    name: str
+    gamma: float
+    alpha: float
+    lambda1: float
+    lambda2: float
+    lambda3: float
+    max_grad_norm: float | None
+    scaled_penalties: bool = False
+    n_steps: int = 1
+
+    def __post_init__(self) -> None:
+        prefix = "" if self.name == "online" else f"{self.name}_"
+        PROBABILITY.check(prefix + "gamma", self.gamma)
+        for key in WEIGHTS:
+            NOT_NEGATIVE.check(prefix + key, getattr(self, key))
+        POSITIVE_OR_NONE.check(prefix + "max_grad_norm", self.max_grad_norm)
+
+
+WEIGHTS = tuple(
+    each.name
+    for each in fields(Phase)
+    if each.name not in ("name", "gamma", "max_grad_norm", "scaled_penalties", "n_steps")
+)
+
+
+class PhaseSettings(TypedDict, total=False):
+    """The numbers of both phases as settings of a learner; ``lambda1`` holds in both."""
+
+    lambda1: float
+
+    gamma: float
+    alpha: float
+    lambda2: float
+    lambda3: float
+    max_grad_norm: float | None
+    n_steps: int
+
+    offline_gamma: float
+    offline_alpha: float
+    offline_lambda2: float
+    offline_lambda3: float
+    offline_max_grad_norm: float | None
+    offline_scaled_penalties: bool
 
 
 class ActionValues(Protocol):
@@ -298,3 +370,105 @@ class WeightDecay:
     @torch.no_grad()
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         return squared_l2(minibatch.parameters)
+
+
+def soft_value(q_values: torch.Tensor) -> torch.Tensor:
+    """``log sum_a exp Q``: (..., actions) to (...)."""
+    return q_values.logsumexp(-1)
+
+
+def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Tensor:
+    """``V(s')``, (K, T, B); ``end_value`` (K,) after an end that the task does not punish."""
+    batch = minibatch.batch
+    after = soft_value(minibatch.online.q_values[:, 1:])
+    at_end = torch.where(batch.rewards < 0, 0.0, end_value.view(-1, 1, 1))
+    return torch.where(batch.terminated > 0, at_end, after)
+
+
+@dataclass(frozen=True)
+class InverseSoftQ:
+    """The loss above. A demonstrated step with a soft label counts for each action by its share."""
+
+    name: str = "iq"
+    needs_target: bool = False
+
+    def weight(self, phase: Phase) -> float:
+        return 1.0
+
+    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
+        shown = minibatch.demonstrated
+        assert shown is not None
+        end_value = masked_mean(soft_value(shown.q_values), shown.valid).detach()
+        loss = torch.zeros_like(end_value)
+        for steps in (shown, minibatch):
+            shares = steps.batch.label_shares
+            if shares is None:
+                shares = functional.one_hot(steps.batch.actions, steps.q_values.shape[-1])
+            following = minibatch.phase.gamma * next_values(steps, end_value)
+            rewards = steps.q_values - following.unsqueeze(-1)
+            worth = soft_value(steps.q_values) - following
+            squares = 0.5 * (shares * rewards.square()).sum(-1)
+            loss = loss + 0.5 * masked_mean(worth + squares, steps.valid)
+            if steps is shown:
+                loss = loss - masked_mean((shares * rewards).sum(-1), steps.valid)
+        return loss
+
+
+class Selection(StrEnum):
+    """Validation figure (the lower the better) by which the best offline epoch is kept."""
+
+    CROSS_ENTROPY = "cross_entropy"  # of the demonstrated action, values as logits [nat]
+    LABEL_CROSS_ENTROPY = "label_cross_entropy"  # of the labels learned from, soft ones too [nat]
+    MEAN_RANK = "mean_rank"  # of the demonstrated action's value among all actions, best 1
+
+
+class OfflineLoss(StrEnum):
+    """What the offline phase minimises."""
+
+    RECIPE = "recipe"  # the recipe's own terms (the paper)
+    CLONING = "cloning"  # cross-entropy of soft labels
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """The loss terms of a learner (paper, "Baseline methods").
+
+    Attributes
+    ----------
+    name
+        As on the command line, without the prefix ``qr-``.
+    online, offline
+        Terms of the two phases; empty where a recipe has no such phase.
+    selection
+        How its best offline epoch is chosen.
+    needs_distance
+        Whether the environment must hand out ``dtw_penalty``.
+    needs_alignment
+        Whether it must hand out ``aligned_action``.
+    needs_condition
+        Whether the last observation component must be the condition flag (treatment head).
+    inverse
+        Whether the online phase learns from demonstrated steps beside its own, action values being
+        the logits of the policy: it acts by ``softmax Q`` at temperature 1.
+    """
+
+    name: str
+    online: tuple[LossTerm, ...] = ()
+    offline: tuple[LossTerm, ...] = ()
+    selection: Selection = Selection.MEAN_RANK
+    needs_distance: bool = False
+    needs_alignment: bool = False
+    needs_condition: bool = False
+    inverse: bool = False
+
+    def cloning(self) -> Recipe:
+        """The same with an offline phase that clones, and keeps only the adversary of its own.
+
+        Values regressed towards penalties are soft labels too, of a scale that nobody chose.
+        """
+        kept = (term for term in self.offline if isinstance(term, TreatmentAdversary))
+        return replace(
+            self,
+            offline=(SoftActionSupervision(), *kept),
+            selection=Selection.LABEL_CROSS_ENTROPY,
+        )

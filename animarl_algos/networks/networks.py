@@ -36,7 +36,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from animarl_algos.losses.gradient_reversal import reverse_gradient
+from animarl_algos.losses.losses import reverse_gradient
 from animarl_algos.networks.dropout import DropoutMasks
 from animarl_algos.networks.gru import Packing
 from animarl_algos.networks.kernels import feed_forward

@@ -1,27 +1,192 @@
-"""The learners by their names on the command line and in ``zoo_configs``.
+"""What each learner minimises, and the learners by their names.
 
-The classes imported here are also public names of :mod:`animarl_algos`.
+A recipe is the list of its loss terms; a learner is a recipe on expected values (:class:`DQN`) or
+on quantiles of the return (:class:`QRDQN`, the names ``QR...``). All learners are also public names
+of :mod:`animarl_algos`; ``RECIPES`` holds them as the command line and ``zoo_configs`` call them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import sb3_contrib
+import stable_baselines3
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.recipes.bc import BC, QRBC
-from animarl_algos.recipes.dqaas import DQAAS, QRDQAAS
-from animarl_algos.recipes.dqcil import DQCIL, QRDQCIL
-from animarl_algos.recipes.dqdil import DQDIL, QRDQDIL
-from animarl_algos.recipes.dqn import DQN
-from animarl_algos.recipes.iq_learn import IQLearn
-from animarl_algos.recipes.qrdqn import QRDQN
-from animarl_algos.recipes.soft_bc import QRSoftBC, SoftBC
+from animarl_algos.losses.terms import (
+    ActionSupervision,
+    InverseSoftQ,
+    Recipe,
+    ScoredActionsTemporalDifference,
+    Selection,
+    SoftActionSupervision,
+    TemporalDifference,
+    TreatmentAdversary,
+    WeightDecay,
+)
 from animarl_envs.errors import InputError
 
 __all__ = [
     "BC", "DQAAS", "DQCIL", "DQDIL", "DQN", "QRBC", "QRDQAAS", "QRDQCIL", "QRDQDIL", "QRDQN",
     "RECIPES", "IQLearn", "NamedRecipe", "QRSoftBC", "SoftBC", "named_recipe",
 ]  # fmt: skip
+
+
+class DQN(SequenceQLearning, stable_baselines3.DQN):  # type: ignore[misc]
+    """Deep Q-network of the paper: ``J = J_DQ + lambda1 J_l2``.
+
+    Recurrent dueling double Q-learning on the task reward alone, without demonstrations.
+    """
+
+    recipe: ClassVar[Recipe] = Recipe(name="dqn", online=(TemporalDifference(), WeightDecay()))
+    quantiles: ClassVar[bool] = False
+    preset: ClassVar[str] = "dqn"
+
+
+class QRDQN(SequenceQLearning, sb3_contrib.QRDQN):  # type: ignore[misc]
+    """Quantile twin of :class:`DQN` (Dabney et al. 2018).
+
+    The number of quantiles is ``policy_kwargs={"n_quantiles": ...}``.
+    """
+
+    recipe: ClassVar[Recipe] = DQN.recipe
+    quantiles: ClassVar[bool] = True
+    preset: ClassVar[str] = "qr-dqn"
+
+
+class BC(DQN):
+    """Behavioural cloning, ``J = J_AS + lambda1 J_l2``: cross-entropy on demonstrations.
+
+    Offline only: ``learn`` runs the offline epochs and returns.
+    """
+
+    recipe: ClassVar[Recipe] = Recipe(
+        name="bc",
+        offline=(ActionSupervision(weighted=False), WeightDecay()),
+        selection=Selection.CROSS_ENTROPY,
+    )
+    preset: ClassVar[str] = "bc"
+
+
+class QRBC(QRDQN):
+    """BC on the mean of quantiles."""
+
+    recipe: ClassVar[Recipe] = BC.recipe
+    preset: ClassVar[str] = "qr-bc"
+
+
+class SoftBC(DQN):
+    """Soft-label cloning: actions are as right as they are near, and nothing else is learned.
+
+    Offline only; ``offline_kwargs`` shrink the weights.
+    """
+
+    recipe: ClassVar[Recipe] = Recipe(
+        name="soft-bc",
+        offline=(SoftActionSupervision(),),
+        selection=Selection.LABEL_CROSS_ENTROPY,
+    )
+    preset: ClassVar[str] = "soft-bc"
+
+
+class QRSoftBC(QRDQN):
+    """Soft-label cloning on the mean of quantiles."""
+
+    recipe: ClassVar[Recipe] = SoftBC.recipe
+    preset: ClassVar[str] = "qr-soft-bc"
+
+
+class IQLearn(DQN):
+    """Inverse soft Q-learning (Garg et al. 2021) from a soft-label clone, on shown and own steps.
+
+    A clone errs where its own errors lead it; here it meets those states, and the soft values of
+    its future tell them from the demonstrated ones. Some 25 collections improve a clone; by 60 it
+    drifts. There is no twin on quantiles: the loss asks nothing of a return's distribution, so that
+    all but the quantiles' mean would be left to chance.
+    """
+
+    recipe: ClassVar[Recipe] = Recipe(
+        name="iq-learn",
+        online=(InverseSoftQ(),),
+        offline=(SoftActionSupervision(),),
+        selection=Selection.LABEL_CROSS_ENTROPY,
+        inverse=True,
+    )
+    preset: ClassVar[str] = "iq-learn"
+
+
+class DQAAS(DQN):
+    """Q-learning with adaptive action supervision (Fujii et al. 2024).
+
+    ``J = J_DQ + lambda3 J_AS + lambda1 J_l2``, the label aligned by dynamic time warping.
+    """
+
+    recipe: ClassVar[Recipe] = Recipe(
+        name="dqaas",
+        online=(TemporalDifference(), ActionSupervision(), WeightDecay()),
+        offline=(TemporalDifference(), ActionSupervision(), WeightDecay()),
+        selection=Selection.CROSS_ENTROPY,
+        needs_alignment=True,
+    )
+    preset: ClassVar[str] = "dqaas"
+
+
+class QRDQAAS(QRDQN):
+    """DQAAS on quantiles."""
+
+    recipe: ClassVar[Recipe] = DQAAS.recipe
+    preset: ClassVar[str] = "qr-dqaas"
+
+
+class DQDIL(DQN):
+    """Distance-based imitation: ``J = J_DQ + lambda1 J_l2`` on the reward ``R - alpha R_DTW``.
+
+    With ``offline_epochs > 0`` (DQDIL-PT) it is first trained on demonstrations, where the fitted
+    dynamics scores all actions.
+    """
+
+    recipe: ClassVar[Recipe] = Recipe(
+        name="dqdil",
+        online=(TemporalDifference(shaped=True), WeightDecay()),
+        offline=(ScoredActionsTemporalDifference(), WeightDecay()),
+        needs_distance=True,
+    )
+    preset: ClassVar[str] = "dqdil"
+    pretrained_preset: ClassVar[str | None] = "dqdil-pt"
+
+
+class QRDQDIL(QRDQN):
+    """DQDIL on quantiles."""
+
+    recipe: ClassVar[Recipe] = DQDIL.recipe
+    preset: ClassVar[str] = "qr-dqdil"
+    pretrained_preset: ClassVar[str | None] = "qr-dqdil-pt"
+
+
+class DQCIL(DQN):
+    """DQDIL whose memory is made blind to the experimental condition.
+
+    DQDIL plus ``lambda2 J_tr``, the treatment predicted through gradient reversal.
+    """
+
+    recipe: ClassVar[Recipe] = replace(
+        DQDIL.recipe,
+        name="dqcil",
+        online=(*DQDIL.recipe.online, TreatmentAdversary()),
+        offline=(*DQDIL.recipe.offline, TreatmentAdversary()),
+        needs_condition=True,
+    )
+    preset: ClassVar[str] = "dqcil"
+    pretrained_preset: ClassVar[str | None] = "dqcil-pt"
+
+
+class QRDQCIL(QRDQN):
+    """DQCIL on quantiles."""
+
+    recipe: ClassVar[Recipe] = DQCIL.recipe
+    preset: ClassVar[str] = "qr-dqcil"
+    pretrained_preset: ClassVar[str | None] = "qr-dqcil-pt"
 
 
 @dataclass(frozen=True)
@@ -54,7 +219,7 @@ RECIPES: dict[str, NamedRecipe] = {
 
 
 def named_recipe(name: str) -> NamedRecipe:
-    """The learner called ``name``.
+    """Return the learner called ``name``.
 
     Raises
     ------

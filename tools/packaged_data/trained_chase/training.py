@@ -22,7 +22,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.teams import META, load_weights, trained_species
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
 from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.recipes.dqn import DQN
+from animarl_algos.recipes.registry import DQN
 from animarl_envs.demos.packaged import packaged_team
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
