@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
@@ -88,7 +89,7 @@ class Bar:
     def met(self, found: Verdict, row: Mapping[str, Any]) -> bool | None:
         """Whether it holds; None where that cannot be said."""
         value, limit = {
-            "alike": (0.0 if row["alike"] else 1.0, 0.5),
+            "alike": (0.0 if row["judgement"] in (SAME, BY_LITTLE) else 1.0, 0.5),
             "null": (row["distance"], row["recorded_null"]),
             "p": (-row["p"], -self.limit),
             "auc": (row["simulated"], self.limit),

@@ -283,6 +283,7 @@ def speed(_: int) -> None:
         row |= dict(zip(("path_length", "duration", "dtw", "dtw_per_step"), values.T))
         row["captured"] = rng.random(100) < 0.5
         row["return"] = row["captured"].astype(float)
+        row["repetition"] = np.arange(100) % 2
         tables.append(pd.DataFrame(row))
     metrics = pd.concat(tables, ignore_index=True)
     start, wall = time.process_time(), time.perf_counter()

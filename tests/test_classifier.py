@@ -182,6 +182,45 @@ def test_the_filter_keeps_straight_lines_and_never_mixes_episodes() -> None:
         smoothed(line, lengths, 2)
 
 
+def pixel_walks(rng: np.random.Generator, episodes: int) -> list[np.ndarray]:
+    """Paths on a pixel grid, of a pair that mostly rests, away from the origin."""
+    paths = []
+    for frames in rng.integers(22, 60, episodes).tolist():
+        moves = rng.random((frames, 1, 1)) < 0.3
+        steps = np.cumsum(rng.normal(0, 0.004, (frames, 2, 2)), axis=0) * moves
+        place = rng.uniform(0.3, 0.7, (2, 2)) + np.cumsum(steps, axis=0)
+        paths.append(np.round(place / 0.01) * 0.01)
+    return paths
+
+
+def rollouts_of(paths: list[np.ndarray], starts: int) -> Rollouts:
+    count = len(paths)
+    return Rollouts(
+        method="dealt", individuals=("male", "female"), roles=("pursuer", "target"), dt=0.1,
+        positions=np.concatenate(paths), lengths=[len(path) for path in paths],
+        outcome=np.ones(count), condition=np.zeros(count), cue=np.full(count, -1),
+        demo=np.arange(count) % starts, seed=np.zeros(count), repetition=np.zeros(count),
+    )  # fmt: skip
+
+
+def test_a_redeal_of_recordings_on_a_pixel_grid_is_ranked_by_chance() -> None:
+    areas = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        paths = pixel_walks(rng, 330)
+        few, many = rollouts_of(paths[:30], 30), rollouts_of(paths[30:], 30)
+        sides = [window_features(each, ARENA, smoothing=3) for each in (few, many)]
+        areas.append(tell_apart(*sides, rng, deals=1).auc.estimate)
+    assert np.mean(areas) == pytest.approx(0.5, abs=0.03)
+
+
+def test_smoothing_an_episode_does_not_depend_on_those_before_it() -> None:
+    paths = pixel_walks(np.random.default_rng(0), 200)
+    lengths = np.array([len(path) for path in paths])
+    last = smoothed(np.concatenate(paths), lengths, 3)[-lengths[-1] :]
+    assert np.array_equal(last, smoothed(paths[-1], lengths[-1:], 3))
+
+
 def test_the_tracking_noise_is_found_and_a_filter_suggested() -> None:
     recorded = Rollouts.from_demonstrations(recorded_pairs())
     assert suggested_smoothing(recorded) == 1

@@ -216,9 +216,7 @@ def _auc(found: Verdict, same: bool) -> Measured:
     """
     if same:
         return _of(AUC, "", found.among, null=found.among.high)
-    reason = "" if math.isfinite(found.auc.low) else found.row(AUC)["verdict"]
-    value = Interval(found.auc.estimate, found.auc.low, found.auc.high, reason)
-    return _of(AUC, "", value, null=found.among.high)
+    return _of(AUC, "", found.auc, null=found.among.high)
 
 
 def _endings(found: Verdict) -> Measured:

@@ -49,7 +49,7 @@ class Telling:
     """How well two sets of windows are told apart.
 
     ``auc`` has a 95 % interval over demonstrations and training sets, and is undefined (NaN) where
-    there are not two demonstrations of each side; ``windows`` counts both sides; ``importance`` is
+    there are not two demonstrations of each side or all scores are tied; ``windows`` counts both sides; ``importance`` is
     by how much the area falls when the features of one kind are shuffled.
     """
 
@@ -105,13 +105,14 @@ def tell_apart(
     folds = min([FOLDS, *(int(side.sum()) for side in sides)])
     sizes = (len(first), len(second))
     if folds < 2:
-        return Telling(UNDEFINED, sizes)
+        return Telling(Interval.without_ends(math.nan, "too few recordings to split"), sizes)
     if deals is None:
         few = len(names) < FEWEST_DEALT
         deals = DEALS if few else max(DEALS, math.ceil(DEALT / len(names)))
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}
+    tied = True
     for deal in range(deals):
         fold = _deal(kind, folds, rng)[group]
         for number in range(folds):
@@ -120,7 +121,9 @@ def tell_apart(
                 continue
             model = _fitted(values[~test], simulated[~test])
             sides_here, group_here = simulated[test], group[test]
-            won, met = _compare(model(values[test]), sides_here, group_here, len(names))
+            scores = model(values[test])
+            tied &= bool(np.ptp(scores) == 0)
+            won, met = _compare(scores, sides_here, group_here, len(names))
             wins += won
             pairs += met
             if importance and deal == 0:
@@ -129,6 +132,9 @@ def tell_apart(
                     shuffled[:, columns] = rng.permutation(shuffled[:, columns])
                     without, _ = _compare(model(shuffled), sides_here, group_here, len(names))
                     fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
+    if tied:
+        reason = "the classifier found no split: all scores are tied"
+        return Telling(Interval.without_ends(math.nan, reason), sizes)
     drawn = _resampled(kind, rng)
     with np.errstate(invalid="ignore", divide="ignore"):
         areas = np.einsum("rg,rg->r", drawn @ wins, drawn) / np.einsum(

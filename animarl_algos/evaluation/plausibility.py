@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from animarl_algos.evaluation.verdict import WORSE, Verdict
+from animarl_algos.evaluation.verdict_rows import SAME
 
 HALF = 0.5  # of the recorded value: a larger gap is implausible
 LEAST_SHARE = 0.1  # of episodes, that a gap of shares has at least
@@ -34,7 +35,7 @@ def implausible(verdict: Verdict) -> list[str]:
         least = max(HALF * abs(recorded), LEAST_SHARE if share else 0.0)
         if not math.isfinite(recorded + simulated) or abs(simulated - recorded) <= least:
             continue
-        if share and row["alike"]:  # shares of few episodes are off by half by chance
+        if share and row["judgement"] == SAME:  # shares of few episodes are off by half by chance
             continue
         values = (
             f"{100 * simulated:.0f} % simulated, {100 * recorded:.0f} % recorded"

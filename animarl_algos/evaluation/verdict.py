@@ -3,7 +3,7 @@
 Every row compares recordings and rollouts from the same starts, says how far apart they are, what
 chance alone would give (:mod:`animarl_algos.evaluation.null`), and puts it in words: endings and
 motion in :mod:`animarl_algos.evaluation.verdict_rows`, the classifier in
-:mod:`animarl_algos.evaluation.told_apart`.
+:mod:`animarl_algos.evaluation.classifier_row`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,15 @@ from animarl_algos.evaluation.energy_score import energy_scores
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval, bootstrap_mean, cells
-from animarl_algos.evaluation.told_apart import AUC, Classified, Tracked, auc_row
-from animarl_algos.evaluation.verdict_rows import OUTCOMES, rows_of
+from animarl_algos.evaluation.classifier_row import AUC, Classified, Tracked, auc_row
+from animarl_algos.evaluation.verdict_rows import (
+    BY_LITTLE,
+    DIFFERS,
+    OUTCOMES,
+    SAME,
+    UNKNOWN,
+    rows_of,
+)
 from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -34,7 +41,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-LIKE = "moves like the recordings"
+FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
 AREAS = ("auc", "among", "floor", "perturbed", "ceiling")
@@ -49,7 +56,8 @@ class Verdict:
     table
         One row per question, columns ``measure, label, unit, recorded, simulated, difference,
         difference_low, difference_high, distance, null, p, covers, reason, recorded_null, energy,
-        energy_pooled, alike, verdict``. ``covers`` says what the interval of the difference speaks
+        energy_pooled, judgement, verdict``. ``judgement`` is one of
+        :data:`~animarl_algos.evaluation.verdict_rows.JUDGEMENTS`, ``verdict`` says it in words. ``covers`` says what the interval of the difference speaks
         of, ``reason`` why there is none.
         ``distance`` is what was tested against ``null``, the 95 % quantile of exchanged recordings:
         the Wasserstein distance where there is a ``recorded_null`` (the upper end of the central
@@ -58,11 +66,14 @@ class Verdict:
         starts score. In the row ``auc``, ``recorded`` and ``null`` are those of
         recordings among themselves.
     words
-        What is wrong, in the order of its weight; ``("moves like the recordings",)`` if nothing is.
+        What differs, in the order of its weight; where nothing does, what differs by little; where
+        nothing does that either, ``("not distinguishable",)``.
     learner
         The method.
     starts, rollouts
         How many count; of a policy that always does the same, one rollout a start.
+    too_little
+        Why there is too little data to say anything; empty where there is enough.
     smoothing
         Frames of the moving average that both sides went through.
     auc, among, floor, perturbed, ceiling
@@ -80,6 +91,7 @@ class Verdict:
     learner: str
     starts: int
     rollouts: int
+    too_little: str = ""
     smoothing: int = 1
     auc: Interval = UNDEFINED
     among: Interval = UNDEFINED
@@ -95,9 +107,12 @@ class Verdict:
         return ", ".join(self.words)
 
     @property
-    def like(self) -> bool:
-        """Whether nothing was found wrong."""
-        return self.words == (LIKE,)
+    def judgement(self) -> str:
+        """The headline, which says no more than the weakest row."""
+        if self.too_little:
+            return UNKNOWN
+        found = set(self.table["judgement"])
+        return next(one for one in (DIFFERS, UNKNOWN, BY_LITTLE, SAME) if one in found)
 
     def row(self, measure: str) -> dict[str, Any]:
         """The row of one measure, by column."""
@@ -193,9 +208,9 @@ def verdict(
         prepared, counted, floor, perturbed, baselines or {}, references, streams[1:3]
     )
     rows.append(auc_row(comparison))
-    words = _overall(rows, comparison)
+    words = _overall(rows)
     untrained = (baselines or {}).get("untrained")
-    if untrained is not None and words != (LIKE,):
+    if untrained is not None and words != (SAME,):
         other = prepared.filtered(factual(untrained, recorded))
         if _farther(prepared, counted, other, streams[3]):
             words = (WORSE, *words)
@@ -205,6 +220,7 @@ def verdict(
         learner=rollouts.method,
         starts=len(np.unique(counted.demo)),
         rollouts=int(np.count_nonzero(~counted.copies)),
+        too_little=_too_little(recorded, counted),
         smoothing=smoothing,
         auc=comparison.simulated.auc,
         among=comparison.among,
@@ -216,14 +232,29 @@ def verdict(
     )
 
 
-def _overall(rows: list[dict[str, Any]], found: Classified) -> tuple[str, ...]:
-    """What is wrong, each thing once; the areas and the endings only if nothing else is said."""
-    wrong = [row for row in rows if not row["alike"]]
-    plain = {row["measure"]: row["verdict"] for row in wrong}
-    rest = [plain.pop(key) for key in (OUTCOMES, AUC) if key in plain]
-    if "leaving" in plain:  # who left is in the table
-        plain = {k: words for k, words in plain.items() if k not in ("target_out", "pursuer_out")}
-    return tuple(dict.fromkeys(plain.values())) or tuple(rest) or (LIKE,)
+def _overall(rows: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Return what differs (else what differs by little), each thing once.
+
+    The classifier and the endings together come in only if nothing else is said.
+    """
+    for judgement in (DIFFERS, BY_LITTLE):
+        plain = {row["measure"]: row["verdict"] for row in rows if row["judgement"] == judgement}
+        rest = [plain.pop(key) for key in (OUTCOMES, AUC) if key in plain]
+        if "leaving" in plain:  # who left is in the table
+            plain = {k: v for k, v in plain.items() if k not in ("target_out", "pursuer_out")}
+        if plain or rest:
+            return tuple(dict.fromkeys(plain.values())) or tuple(rest)
+    return (SAME,)
+
+
+def _too_little(recorded: Demonstrations, counted: Rollouts) -> str:
+    """Return why there is too little data for a headline, or nothing."""
+    starts = np.unique(counted.demo)
+    recordings = len(np.unique(recorded.recording[starts]))
+    for number, name in ((len(starts), "test start"), (recordings, "recording")):
+        if number < FEWEST:
+            return f"{number} {name}{'s' * (number != 1)}, and {FEWEST} are needed"
+    return ""
 
 
 def _farther(prepared: Prepared, ours: Rollouts, other: Rollouts, rng: np.random.Generator) -> bool:

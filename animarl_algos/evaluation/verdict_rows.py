@@ -1,6 +1,8 @@
 """The rows of a verdict: endings and motion, each beside what chance alone would give.
 
-A row is taken for alike if chance explains it, or if the gap is small (``NEAR``, ``NEAR_SHARE``).
+Every row is judged in one of four ways: it is not distinguishable from the recordings (chance gives
+as much), it differs by little (``LITTLE``, ``LITTLE_SHARE``), it differs, or there is too little
+data to say.
 """
 
 from __future__ import annotations
@@ -29,10 +31,12 @@ from animarl_envs.demos.units import RECORDED_SCALE, Unit
 
 Floats = NDArray[np.float64]
 
-NEAR = 0.10  # of the recorded mean: a gap that is called small even if chance does not explain it
-NEAR_SHARE = 0.05  # the same for a share of episodes or steps
+SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
+    "not distinguishable", "differs, but by little", "differs", "too little data to say",
+)  # fmt: skip
+LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
+LITTLE_SHARE = 0.05  # the same for a share of episodes or steps
 OUTCOMES = "outcomes"
-ALIKE, NEARLY = "as recorded", "nearly as recorded"
 
 
 def rows_of(
@@ -44,7 +48,10 @@ def rows_of(
     exchanges = Exchanges.draw(counted.demo, num_demos, rng, copies=counted.copies)
     true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
     ends = [ending(one) for one in (prepared.recorded, counted)]
-    rows = [_outcome_row(exchanges.chi_squared(np.concatenate(ends)))]
+    shares = [[(side == end).mean() for end in np.unique(np.concatenate(ends))]
+              for side in (ends[0][starts], ends[1])]  # fmt: skip
+    moved = 0.5 * float(np.abs(np.subtract(*shares)).sum())
+    rows = [_outcome_row(exchanges.chi_squared(np.concatenate(ends)), moved)]
     for measure in MEASURES:
         a, b = true[measure.key], simulated[measure.key]
         if measure.is_outcome and not (a.any() or b.any()):
@@ -64,7 +71,7 @@ def rows_of(
                 "energy": float(np.mean(scores)),
                 "energy_pooled": pooled_score(a[starts]),
             }
-        row["alike"], row["verdict"] = _judged(measure, row, tested, a[starts], b)
+        row["judgement"], row["verdict"] = _judge(measure, row, tested, a[starts], b)
         rows.append(row)
     return rows
 
@@ -92,27 +99,38 @@ def row_of(
     }
 
 
-def _judged(
+def _judge(
     measure: Measure, row: Mapping[str, Any], tested: Tested, recorded: Floats, simulated: Floats
-) -> tuple[bool, str]:
-    """Whether it counts as alike, and in words."""
+) -> tuple[str, str]:
+    """Return the judgement of a row, and the words for it."""
     if tested.inside:
-        return True, ALIKE
-    allowed = NEAR_SHARE if measure.is_share else NEAR * abs(row["recorded"])
-    if tested.value <= allowed:
-        return True, NEARLY
+        return SAME, SAME
     if abs(row["difference"]) < tested.value / 2:  # means agree more than the values do
-        return False, (
+        wrong = (
             f"{measure.noun} too much alike"
             if simulated.std() < recorded.std()
             else f"{measure.noun} too varied"
         )
-    return False, measure.too_much if row["difference"] > 0 else measure.too_little
+    else:
+        wrong = measure.too_much if row["difference"] > 0 else measure.too_little
+    allowed = LITTLE_SHARE if measure.is_share else LITTLE * abs(row["recorded"])
+    if tested.value > allowed:
+        return DIFFERS, wrong
+    much = (
+        f"{100 * tested.value:.2g} percentage points"
+        if measure.is_share
+        else f"{100 * tested.value / abs(row['recorded']):.2g} %"
+    )
+    return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {much}"
 
 
-def _outcome_row(tested: Tested) -> dict[str, Any]:
+def _outcome_row(tested: Tested, moved: float) -> dict[str, Any]:
+    """Return the row of all endings; ``moved``: the share of episodes that end in another way."""
     outcomes = Measure(OUTCOMES, "Endings together (chi-squared)", "", "endings differ", "", "")
     row = row_of(outcomes, RECORDED_SCALE, math.nan, math.nan, UNDEFINED, tested)
-    return row | {
-        "alike": tested.inside, "verdict": ALIKE if tested.inside else outcomes.too_much
-    }  # fmt: skip
+    if tested.inside:
+        return row | {"judgement": SAME, "verdict": SAME}
+    if moved <= LITTLE_SHARE:
+        words = f"{BY_LITTLE}: {outcomes.too_much} in {100 * moved:.2g} % of episodes"
+        return row | {"judgement": BY_LITTLE, "verdict": words}
+    return row | {"judgement": DIFFERS, "verdict": outcomes.too_much}

@@ -26,6 +26,7 @@ FEWEST_STEPS = 4  # of a window, where decisions are slow
 MOST_PARTS = 10_000  # of one demonstration
 FEWEST_GROUPS = 5  # recordings, for their demonstrations to be kept together
 NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
+DECIMALS = 9  # [arena unit] of smoothed positions
 HALF_POWER = 0.443  # cutoff of a moving average times its length
 SPEED, ACCELERATION, TURNING = "speed", "acceleration", "turning"
 DISTANCE, BEARING, PLACE = "distances", "bearings", "place in the arena"
@@ -138,6 +139,13 @@ def smoothed(positions: Floats, lengths: NDArray[np.int64], frames: int) -> Floa
         ``(frames, individuals, 2)``, episodes end to end.
     frames
         Odd; 1 leaves the positions as they are.
+
+    Returns
+    -------
+    Each average depends on its own frames only, and is rounded: positions on a pixel grid that
+    agreed before still do. (Differences of one running sum over all episodes would carry rounding
+    errors that grow with the size of the set, by which a classifier tells a large set from a small
+    one.)
     """
     if frames < 1 or frames % 2 == 0:
         raise InputError(f"smoothing is over {frames} frames: give an odd number, 1 for none")
@@ -147,9 +155,11 @@ def smoothed(positions: Floats, lengths: NDArray[np.int64], frames: int) -> Floa
     last, begin = np.repeat(ends - 1, lengths), np.repeat(ends - lengths, lengths)
     here = np.arange(len(positions))
     reach = np.minimum(frames // 2, np.minimum(here - begin, last - here))
-    total = np.concatenate([np.zeros((1, *positions.shape[1:])), np.cumsum(positions, axis=0)])
-    summed = total[here + reach + 1] - total[here - reach]
-    return np.asarray(summed / (2 * reach + 1)[:, None, None])
+    total = np.array(positions, dtype=np.float64)
+    for offset in range(1, frames // 2 + 1):
+        inside = np.flatnonzero(reach >= offset)
+        total[inside] += positions[inside - offset] + positions[inside + offset]
+    return np.asarray((total / (2 * reach + 1)[:, None, None]).round(DECIMALS))
 
 
 def suggested_smoothing(recorded: Rollouts) -> int:

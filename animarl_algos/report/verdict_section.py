@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.motion import MEASURES
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.told_apart import AUC
+from animarl_algos.evaluation.classifier_row import AUC
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import ALIKE
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
 from animarl_algos.report.blocks import Block, Gallery, Group, Row, Table, Text
@@ -28,7 +28,15 @@ COLUMNS = (
     "Verdict",
 )  # fmt: skip
 SHARES = frozenset(measure.key for measure in MEASURES if measure.is_share)
-ALIKE_WORDS = {ALIKE: "not told apart"}
+COLOURS = {SAME: "green", BY_LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
+MARKS = {SAME: "\u2248", BY_LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
+SIZE = " at this sample size"
+HEADLINES = {
+    SAME: "{learner} is not distinguishable from the recordings" + SIZE + " ({size})",
+    BY_LITTLE: "{learner} differs from the recordings, but by little ({size})",
+    DIFFERS: "{learner} differs from the recordings ({size})",
+    UNKNOWN: "Too little data to say whether {learner} moves like the recordings ({size}{why})",
+}
 DEMONSTRATED = Words(synthetic=True)
 """Where nobody says what the demonstrations are, they are called that."""
 SPREADS = tuple(measure.key for measure in MEASURES if measure.spread)
@@ -36,28 +44,45 @@ SPREADS = tuple(measure.key for measure in MEASURES if measure.spread)
 
 @dataclass(frozen=True)
 class Lead:
-    """What stands at the top of the page: whether it was told apart, by what, how surely."""
+    """What stands at the top of the page: the judgement, what differs, how surely, what limits it.
 
-    like: bool
+    The ``judgement`` is one of :data:`~animarl_algos.evaluation.verdict_rows.JUDGEMENTS`.
+    """
+
+    judgement: str
     headline: str
     details: Sequence[str]
     cautions: Sequence[str] = ()
 
+    @property
+    def colour(self) -> str:
+        """Green, amber, red, or grey where there is too little data."""
+        return COLOURS[self.judgement]
+
+    @property
+    def mark(self) -> str:
+        """A sign for the judgement, for readers who do not see colours."""
+        return MARKS[self.judgement]
+
 
 def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -> Lead:
     """The verdict as a line and what it rests on, every figure with its interval."""
-    learner = method_label(verdict.learner)
-    told = "cannot be told apart" if verdict.like else "can be told apart"
-    at = " at this sample size" if verdict.like else ""
-    size = f"{verdict.rollouts} rollouts from {verdict.starts} starts"
-    details = [] if verdict.like else [f"{word[:1].upper()}{word[1:]}." for word in _wrong(verdict)]
+    details = [f"{word[:1].upper()}{word[1:]}." for word in _differences(verdict)]
     if math.isfinite(verdict.auc.estimate):
         details.append(f"{_classifier(verdict)}.")
     return Lead(
-        verdict.like,
-        words.say(f"{learner} {told} from the recordings{at} ({size})."),
+        verdict.judgement,
+        words.say(f"{_headline(verdict)}."),
         [words.say(detail) for detail in details],
         cautions,
+    )
+
+
+def _headline(verdict: Verdict) -> str:
+    return HEADLINES[verdict.judgement].format(
+        learner=method_label(verdict.learner),
+        size=f"{verdict.rollouts} rollouts from {verdict.starts} starts",
+        why=f"; {verdict.too_little}" if verdict.too_little else "",
     )
 
 
@@ -65,7 +90,7 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     """Sentence, table and the two figures of the classifier."""
     say = words.say
     yield Text(verdict_sentence(verdict, words))
-    lines = [Row(cells, faint=bool(row["alike"])) for row, cells in verdict_lines(verdict, words)]
+    lines = [Row(cells, faint=row["judgement"] == SAME) for row, cells in verdict_lines(verdict, words)]
     columns = [say(column) for column in COLUMNS]
     yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
     yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
@@ -88,13 +113,8 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
 
 def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
     """The verdict in one sentence, with the intervals that it rests on."""
-    size = f"{verdict.rollouts} rollouts from {verdict.starts} starts"
-    learner = method_label(verdict.learner)
-    found = (
-        f"{learner} cannot be told apart from the recordings at this sample size ({size})"
-        if verdict.like
-        else f"{learner}: {', '.join(_wrong(verdict))} ({size})"
-    )
+    differences = ", ".join(_differences(verdict))
+    found = f"{_headline(verdict)}{f': {differences}' if differences else ''}"
     auc = f". {_classifier(verdict)}" if math.isfinite(verdict.auc.estimate) else ""
     return words.say(f"{found}{auc}.")
 
@@ -102,16 +122,19 @@ def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
 def _classifier(verdict: Verdict) -> str:
     return (
         "A classifier ranks a simulated window above a recorded one in "
-        f"{with_interval(verdict.auc, percent=True)} % of pairs (50: cannot tell them apart)"
+        f"{with_interval(verdict.auc, percent=True)} % of pairs (50: chance)"
     )
 
 
-def _wrong(verdict: Verdict) -> Iterator[str]:
-    """What is wrong, each with the figure it rests on."""
+def _differences(verdict: Verdict) -> Iterator[str]:
+    """What differs, each with the figure it rests on; nothing where nothing does."""
     rows = [row for _, row in verdict.table.iterrows()]
     for word in verdict.words:
+        if word == SAME:
+            continue
         row = next((row for row in rows if row["verdict"] == word), None)
-        yield word if row is None else f"{word} ({_evidence(row)})"
+        evidence = "" if row is None else _evidence(row)
+        yield f"{word} ({evidence})" if evidence else word
 
 
 def _evidence(row: Any) -> str:
@@ -153,7 +176,7 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
             words.say(heading), justify="left" if wide else "right", no_wrap=not wide
         )  # fmt: skip
     for row, cells in verdict_lines(verdict, words):
-        table.add_row(*(Text(cell) for cell in cells), style="" if row["alike"] else "bold")
+        table.add_row(*(Text(cell) for cell in cells), style="" if row["judgement"] == SAME else "bold")
     return table
 
 
@@ -179,7 +202,7 @@ def verdict_lines(verdict: Verdict, words: Words) -> Iterator[tuple[Any, list[st
             with_interval(gap, unit == "%"),
             number(scale * row["distance"]),
             number(scale * row["null"]),
-            words.say(ALIKE_WORDS.get(str(row["verdict"]), str(row["verdict"]))),
+            words.say(str(row["verdict"])),
         ]
         if row["measure"] == AUC:
             cells[2] = with_interval(verdict.auc)
@@ -245,7 +268,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
     shown = {name: area for name, area in areas.items() if math.isfinite(area.estimate)}
     if shown:
         figure = figures.interval_rows(
-            shown, "Area under the ROC curve", title="Told apart", reference=0.5,
+            shown, "Area under the ROC curve", title="Distinguished", reference=0.5,
             limits=(min(0.4, *(a.low for a in shown.values())), 1.02), label=str,
         )  # fmt: skip
         yield to_image(figure, "Area under the ROC curve of the classifier, with its references")

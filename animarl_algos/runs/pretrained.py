@@ -15,6 +15,7 @@ from typing import Any
 
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.evaluation.verdict import Verdict
+from animarl_algos.evaluation.verdict_rows import SAME, UNKNOWN
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.report.provenance import flattened
 from animarl_algos.report.verdict_section import COLUMNS, verdict_lines, verdict_sentence
@@ -231,6 +232,8 @@ def _limits(demos: Demonstrations, verdict: Verdict, seed: int) -> list[str]:
     ]
     if demos.synthetic:
         limits.insert(0, "The data are synthetic: it says nothing about living animals.")
-    if not verdict.like:
-        limits.insert(0, f"What was found wrong on the test split: {verdict.overall}.")
+    if verdict.judgement == UNKNOWN:
+        limits.insert(0, f"The test split is too small to say: {verdict.too_little}.")
+    elif verdict.judgement != SAME:
+        limits.insert(0, f"What differs on the test split: {verdict.overall}.")
     return limits

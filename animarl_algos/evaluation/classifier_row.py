@@ -1,8 +1,8 @@
-"""The row ``auc`` of a verdict: whether a classifier tells rollouts and recordings apart.
+"""The row ``auc`` of a verdict: whether a classifier distinguishes rollouts from recordings.
 
-Its area is read beside that of recordings among themselves, of the locomotion model's closed-loop
-tracking, of the same with some actions at random, and of random actions. Up to ``NEAR_AUC`` the two
-are taken for alike.
+Its area is printed beside that of recordings among themselves, of the locomotion model's
+closed-loop tracking, of the same with some actions at random, and of random actions. None of these
+excuses it: the row is judged by its own interval.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from animarl_algos.evaluation.null import Tested
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
-from animarl_algos.evaluation.verdict_rows import row_of
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, row_of
 from animarl_algos.evaluation.windows import WINDOW, Windows, resting_step, window_features
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.resolution import rounded
@@ -30,8 +30,7 @@ from animarl_envs.errors import InputError
 
 Floats = NDArray[np.float64]
 
-NEAR_AUC = 0.65  # up to here a classifier hardly tells the two apart
-FLOOR_MARGIN = 0.10  # ... or up to this much above what the locomotion model allows
+LITTLE_AUC = 0.60  # up to here it differs by little: two normal curves 0.36 sd apart
 FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
 PART = 15  # windows of such a part
 AUC = "auc"
@@ -118,21 +117,21 @@ class Classified:
 
 
 def auc_row(found: Classified) -> dict[str, Any]:
+    """Return the classifier's row. What tracking comes to is printed beside it, not subtracted."""
     auc, among = found.simulated.auc, found.among
-    measure = Measure(AUC, f"Told apart by a classifier on {WINDOW:g} s (AUC)", "", "", "", "")
+    measure = Measure(
+        AUC, f"Distinguished by a classifier on {WINDOW:g} s (AUC)", "", "", "", ""
+    )  # fmt: skip
     low, high = auc.low - among.estimate, auc.high - among.estimate
     gap = Interval(auc.estimate - among.estimate, low, high)
     tested = Tested(abs(auc.estimate - 0.5), abs(among.high - 0.5), math.nan)
     row = row_of(measure, RECORDED_SCALE, among.estimate, auc.estimate, gap, tested)
     if not math.isfinite(auc.estimate):
-        return row | {"alike": True, "verdict": "too few demonstrations to say"}
-    if auc.low <= np.fmax(0.5, among.estimate):
-        return row | {"alike": True, "verdict": "not told apart"}
-    if auc.estimate <= NEAR_AUC:
-        return row | {"alike": True, "verdict": "hardly told apart"}
-    if math.isfinite(found.floor.estimate) and (
-        auc.estimate <= found.floor.estimate + FLOOR_MARGIN
-    ):
-        return row | {"alike": True, "verdict": "as near as the fitted locomotion allows"}
+        return row | {"judgement": UNKNOWN, "verdict": auc.reason or UNKNOWN}
+    if auc.low <= 0.5:
+        return row | {"judgement": SAME, "verdict": SAME}
     by = max(found.simulated.importance.items(), key=lambda item: item[1])[0]
-    return row | {"alike": False, "verdict": f"told apart, most of all by {by}"}
+    if auc.estimate <= LITTLE_AUC:
+        words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
+        return row | {"judgement": BY_LITTLE, "verdict": words}
+    return row | {"judgement": DIFFERS, "verdict": f"distinguished, most of all by {by}"}
