@@ -35,6 +35,14 @@ Floats = NDArray[np.float64]
 
 SEEDS, DEMOS = (1, 3, 5, 10), (10, 20, 50)
 ROLLOUTS, RESAMPLES, AT_ONCE = 3, 2000, 500
+STARTS = (10, 20, 50)  # of the null references
+SETS = tuple(packaged_names())  # that random actions are told from
+EPISODES = 100  # of the comparison that is timed
+GATES = ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10))
+STARTS = (10, 20, 50)  # of the null references
+SETS = tuple(packaged_names())  # that random actions are told from
+EPISODES = 100  # of the comparison that is timed
+GATES = ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10))
 # Standard deviations: of seeds, demonstrations, their cells and rollouts; of normal values, and of
 # the logarithm of lognormal ones.
 SPREAD = {"normal": (0.5, 1.0, 0.5, 1.0), "lognormal": (0.3, 0.6, 0.3, 0.5)}
@@ -177,7 +185,7 @@ def energy(experiments: int) -> None:
 def null(experiments: int) -> None:
     rows = []
     for kind in SPREAD:
-        for starts in (10, 20, 50):
+        for starts in STARTS:
             rng, demo = (
                 np.random.default_rng([2, starts, len(kind)]),
                 np.repeat(np.arange(starts), 5),
@@ -202,7 +210,7 @@ def copies(experiments: int) -> None:
     """Simulators that do the same from a start however often, five rollouts of each start."""
     rows = []
     for counted in (False, True):
-        for starts in (10, 20, 50):
+        for starts in STARTS:
             rng, demo = np.random.default_rng([5, starts]), np.repeat(np.arange(starts), 5)
             repeats = None if counted else np.tile(np.arange(5) > 0, starts)
             alarms = np.zeros(3, dtype=int)
@@ -223,7 +231,7 @@ def copies(experiments: int) -> None:
 
 def gate(experiments: int) -> None:
     rng, rows = np.random.default_rng(3), []
-    for sizes in ((1, 1, 1), (2, 2, 2), (3, 3), (3, 3, 3), (5, 5, 5), (3, 5, 4), (10, 10, 10)):
+    for sizes in GATES:
         passed, decided = 0, False
         for _ in range(experiments):
             found = permutation_anova([rng.normal(size=n) for n in sizes], rng, 499)
@@ -258,7 +266,7 @@ def classifier(experiments: int) -> None:
 def random_actions() -> None:
     """The other end: recordings, or what stands for them, against random actions."""
     rows = []
-    for name in packaged_names():
+    for name in SETS:
         demos, scenario = load_packaged(name).select(split="val"), make_scenario(name, split="val")
         rollouts = collect_rollouts(
             partial(make_world, scenario), RandomPolicy(0), method="random", seed=0, repetitions=1
@@ -274,23 +282,23 @@ def random_actions() -> None:
 
 
 def speed(_: int) -> None:
-    rng, tables = np.random.default_rng(5), []
+    rng, tables, number = np.random.default_rng(5), [], EPISODES
     for name in ("recorded", *"ABCDEF"):
-        values = rng.lognormal(size=(100, 4))
-        row = {"method": name, "seed": np.arange(100) % 2 if name != "recorded" else -1}
-        row |= {"demo": np.arange(100) // 2 * (name != "recorded"), "condition": 0, "cue": -1}
-        row["demo"] = np.arange(50)[np.arange(100) // 2] if name != "recorded" else np.arange(100)
+        recorded = name == "recorded"
+        values = rng.lognormal(size=(number, 4))
+        each = np.arange(number)
+        row = {"method": name, "seed": -1 if recorded else each % 2, "repetition": each % 2}
+        row |= {"demo": each if recorded else each // 2, "condition": 0, "cue": -1}
         row |= dict(zip(("path_length", "duration", "dtw", "dtw_per_step"), values.T))
-        row["captured"] = rng.random(100) < 0.5
+        row["captured"] = rng.random(number) < 0.5
         row["return"] = row["captured"].astype(float)
-        row["repetition"] = np.arange(100) % 2
         tables.append(pd.DataFrame(row))
     metrics = pd.concat(tables, ignore_index=True)
     start, wall = time.process_time(), time.perf_counter()
-    comparison_table(metrics, 100, rng)
-    pair_table(metrics, 100, rng)
+    comparison_table(metrics, number, rng)
+    pair_table(metrics, number, rng)
     used = f"{time.process_time() - start:.1f}", f"{time.perf_counter() - wall:.1f}"
-    what = "6 methods, 5 metrics, 100 episodes, 10,000 resamples, distances and pairs"
+    what = f"6 methods, 5 metrics, {number} episodes, 10,000 resamples, distances and pairs"
     show("Speed", ["comparison", "processor s", "wall s"], [[what, *used]])
 
 

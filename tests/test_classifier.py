@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from moving_pairs import ARENA, recorded_pairs, simulated_pairs
 
-from animarl_algos.evaluation.classifier import DEALS, among_themselves, tell_apart
+from animarl_algos.evaluation.classifier import DEALS, among_themselves, tell_apart, widen_for_folds
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.windows import (
     Windows,
     smoothed,
@@ -79,6 +80,15 @@ def test_how_few_demonstrations_are_dealt_hardly_matters() -> None:
 def test_copies_of_the_recordings_are_ranked_by_chance_exactly() -> None:
     recorded = window_features(Rollouts.from_demonstrations(recorded_pairs()), ARENA)
     assert tell_apart(recorded, recorded, np.random.default_rng(0)).auc.estimate == 0.5
+
+
+def test_the_interval_is_widened_for_what_folds_share() -> None:
+    """Nadeau and Bengio (2003): the variance times 1 + folds n_test / n_train."""
+    for folds, factor in ((2, np.sqrt(3.0)), (5, 1.5), (3, np.sqrt(2.5))):
+        wide = widen_for_folds(Interval(0.6, 0.55, 0.64), folds)
+        assert (wide.estimate, wide.low) == (0.6, pytest.approx(0.6 - factor * 0.05))
+        assert wide.high == pytest.approx(0.6 + factor * 0.04)
+    assert widen_for_folds(Interval(0.9, 0.1, 0.99), 2) == Interval(0.9, 0.0, 1.0)
 
 
 def test_random_actions_are_found_out() -> None:

@@ -13,8 +13,17 @@ from animarl_algos.evaluation.energy_score import energy_cells
 from animarl_algos.evaluation.null import Exchanges
 from animarl_algos.evaluation.statistics import bootstrap_difference, bootstrap_mean
 from animarl_algos.evaluation.studentised import Draws
+from benchmarks import stated_coverage
 
 EXPERIMENTS = 500
+TINY = {
+    "SEEDS": (1, 3), "DEMOS": (10,), "RESAMPLES": 50, "STARTS": (10,), "SETS": ("fly",),
+    "EPISODES": 10, "GATES": ((3, 3),),
+}  # fmt: skip
+TINY = {
+    "SEEDS": (1, 3), "DEMOS": (10,), "RESAMPLES": 50, "STARTS": (10,), "SETS": ("fly",),
+    "EPISODES": 10, "GATES": ((3, 3),),
+}  # fmt: skip
 CHANCE = 0.035  # three and a half standard errors of a share of 0.95 in 500 experiments
 
 
@@ -127,3 +136,15 @@ def test_the_energy_statistics_of_cells_prefer_the_perfect_simulator() -> None:
         perfect = energy_cells(centre[demo] + rng.normal(size=120), seed, demo, recorded)
         wins += perfect.mean < energy_cells(centre[demo], seed, demo, recorded).mean
     assert wins >= 198
+
+
+@pytest.mark.parametrize("section", list(stated_coverage.SECTIONS))
+def test_every_section_of_the_benchmark_runs_to_its_end(
+    section: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, value in TINY.items():
+        monkeypatch.setattr(stated_coverage, name, value)
+    arguments = ["stated_coverage.py", "--experiments", "1", "--only", section]
+    monkeypatch.setattr("sys.argv", arguments)
+    stated_coverage.main()
+    assert "|---|" in capsys.readouterr().out

@@ -15,6 +15,7 @@ import pytest
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import Verdict
+from animarl_algos.evaluation.verdict_rows import SAME
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import cross_validated
@@ -39,10 +40,10 @@ def found(floor: float = 0.6, among: float = 0.5, auc: float = 0.65) -> Verdict:
     row = dict.fromkeys(
         ("recorded", "difference", "difference_low", "difference_high", "distance", "null",
          "recorded_null", "p"), math.nan,
-    ) | {"measure": "auc", "label": "Told apart", "simulated": auc, "alike": True}  # fmt: skip
+    ) | {"measure": "auc", "label": "Told apart", "simulated": auc, "judgement": SAME}  # fmt: skip
     words = {"unit": "", "covers": "", "reason": "", "verdict": "hardly told apart"}
     return Verdict(
-        table=pd.DataFrame([row | words]), words=("moves like the recordings",), learner="soft-bc",
+        table=pd.DataFrame([row | words]), words=(SAME,), learner="soft-bc",
         starts=5, rollouts=250, importance={},
         auc=Interval(auc, auc - 0.05, auc + 0.05), among=Interval(among, 0.4, 0.6),
         floor=Interval(floor, floor, floor),

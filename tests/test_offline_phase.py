@@ -67,7 +67,7 @@ def test_a_clone_of_coin_tosses_is_said_to_know_nothing() -> None:
         for _ in range(2)
     ]  # fmt: skip
     model = cloning(demonstrations=Split(*split), offline_epochs=2)
-    with pytest.warns(UserWarning, match="seeker, avoider knows no more than how often"):
+    with pytest.warns(UserWarning, match="seeker, avoider is no better than predicting"):
         model.pretrain()
 
 

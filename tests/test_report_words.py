@@ -14,7 +14,8 @@ from report_inputs import locomotion_fit, make_demos, make_rollouts
 from animarl_algos.evaluation import evaluate
 from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.verdict import LIKE, Verdict
+from animarl_algos.evaluation.verdict import Verdict
+from animarl_algos.evaluation.verdict_rows import DIFFERS, SAME
 from animarl_algos.report import ReportInputs
 from animarl_algos.report.report import render_report
 from animarl_algos.report.sentences import cautions, headline, number, with_interval
@@ -162,7 +163,11 @@ def judged(words: tuple[str, ...], **row: float) -> Verdict:
     numbers = {"recorded": 3.0, "simulated": 2.0, "difference": -1.0, "difference_low": -1.5,
                "difference_high": -0.5, "distance": 1.0, "null": 0.4}  # fmt: skip
     told = {"measure": "path_length", "label": "Path length", "unit": "mm", "verdict": words[0]}
-    told |= {"energy": float("nan"), "energy_pooled": float("nan"), "alike": words == (LIKE,)}
+    told |= {
+        "energy": float("nan"),
+        "energy_pooled": float("nan"),
+        "judgement": SAME if words == (SAME,) else DIFFERS,
+    }
     table = pd.DataFrame([told | numbers | row])
     return Verdict(
         table=table, words=words, learner="bc", starts=5, rollouts=10,
@@ -173,20 +178,21 @@ def judged(words: tuple[str, ...], **row: float) -> Verdict:
 def test_every_verdict_carries_its_interval() -> None:
     sentence = verdict_sentence(judged(("paths too short",)), Words())
     assert sentence.startswith(
-        "BC: paths too short (difference \u22121.0 [\u22121.5, \u22120.5] mm)"
+        "BC differs from the recordings (10 rollouts from 5 starts): paths too short (difference "
+        "\u22121.0 [\u22121.5, \u22120.5] mm)"
     )
     assert "80 [70, 90] % of pairs" in sentence
     spread = judged(("path lengths too much alike",), difference_low=-1.5, difference_high=0.5)
     told = "[\u22121.5, 0.5] mm; distance 1.00, by chance up to 0.400 mm)"
     assert told in verdict_sentence(spread, Words())
     lead = verdict_lead(judged(("paths too short",)), Words())
-    assert not lead.like and "can be told apart from the recordings" in lead.headline
+    assert lead.colour == "red" and "BC differs from the recordings" in lead.headline
     assert lead.details[0].startswith("Paths too short (difference")
 
 
 def test_what_is_not_told_apart_is_not_called_equal() -> None:
-    found = judged((LIKE,))
+    found = judged((SAME,))
     for words, name in ((Words(), "recordings"), (Words(synthetic=True), "demonstrations")):
         for text in (verdict_sentence(found, words), verdict_lead(found, words).headline):
-            assert f"cannot be told apart from the {name} at this sample size" in text
+            assert f"is not distinguishable from the {name} at this sample size" in text
             assert "equal" not in text

@@ -13,11 +13,13 @@ from moving_pairs import recorded_pairs, simulated_pairs
 
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.motion import MEASURES, SlowSpeeds, episode_measures
-from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.null import Exchanges, Tested
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.verdict import LIKE, WORSE, Verdict, verdict
+from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, verdict
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, judge_row
 from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
@@ -33,9 +35,8 @@ def judged(kind: str) -> Verdict:
 
 def test_the_true_simulator_moves_like_the_recordings() -> None:
     found = judged("true")
-    assert found.like
-    assert found.overall == LIKE
-    assert found.table["alike"].all()
+    assert found.judgement == found.overall == SAME
+    assert (found.table["judgement"] == SAME).all()
     assert found.auc.low <= 0.5 <= found.auc.high
 
 
@@ -45,7 +46,7 @@ def test_the_recordings_themselves_move_like_the_recordings() -> None:
         demos, replace(Rollouts.from_demonstrations(demos), method="replay"), seed=0,
         references=recorded_pairs(seed=9),
     )  # fmt: skip
-    assert found.like
+    assert found.judgement == SAME
     assert found.row("duration")["distance"] == 0
     assert found.auc.estimate == 0.5
 
@@ -63,6 +64,82 @@ def test_what_is_wrong_is_called_by_its_name(kind: str, words: set[str]) -> None
     found = judged(kind)
     assert words <= set(found.words)
     assert found.auc.estimate > 0.9 or kind == "leaving"
+
+
+def by_little(demos: Demonstrations) -> Rollouts:
+    """The recordings, two of each, four in a hundred of their steps left out at the end."""
+    whole = Rollouts.from_demonstrations(demos)
+    paths = [whole.path(i)[: 1 + round(0.96 * (n - 1))] for i, n in enumerate(whole.lengths)]
+    return replace(
+        whole, method="shortened", positions=np.concatenate(paths), lengths=[*map(len, paths)]
+    )
+
+
+def test_a_headline_says_no_more_than_the_weakest_row() -> None:
+    demos = recorded_pairs()
+    rows = verdict(demos, by_little(demos), seed=0).table
+    assert set(rows["judgement"]) <= {SAME, BY_LITTLE, DIFFERS, UNKNOWN}
+    for judgement, others in ((DIFFERS, {SAME, BY_LITTLE, UNKNOWN}), (BY_LITTLE, {SAME})):
+        table = judged("true").table.copy()
+        assert set(table["judgement"]) == {SAME}
+        for other, place in zip(sorted(others), range(len(others))):
+            table.loc[place, "judgement"] = other
+        table.loc[len(table) - 1, "judgement"] = judgement
+        assert replace(judged("true"), table=table).judgement == judgement
+    unknown = judged("true").table.copy()
+    unknown.loc[0, "judgement"], unknown.loc[1, "judgement"] = UNKNOWN, BY_LITTLE
+    assert replace(judged("true"), table=unknown).judgement == UNKNOWN
+
+
+def test_what_differs_by_little_is_said_with_how_much() -> None:
+    measure = MEASURES[[m.key for m in MEASURES].index("mean_speed")]
+    row = {"recorded": 2.0, "difference": -0.1}
+    values = np.array([2.0, 2.1, 1.9])
+    little = judge_row(measure, row, Tested(0.1, 0.05, 0.001), values, values - 0.1)
+    assert little == (BY_LITTLE, "differs, but by little: too slow by 5 %")
+    much = judge_row(measure, row | {"difference": -0.5}, Tested(0.5, 0.05, 0.001), values, values)
+    assert much == (DIFFERS, "too slow")
+    chance = judge_row(measure, row, Tested(0.1, 0.2, 0.4), values, values)
+    assert chance == (SAME, SAME)
+    share = MEASURES[0]
+    row = {"recorded": 0.5, "difference": 0.04}
+    found = judge_row(share, row, Tested(0.04, 0.02, 0.01), values, values)
+    assert found[1] == (
+        "differs, but by little: reaches the target too often by 4 percentage points"
+    )
+
+
+def test_tracking_excuses_nothing() -> None:
+    demos = recorded_pairs()
+    slow = simulated_pairs(demos, "slow")
+    excused = verdict(demos, slow, seed=0, floor=by_tracking(demos, slow), references=demos)
+    assert excused.floor.estimate > 0.9
+    assert excused.row("auc")["judgement"] == DIFFERS
+
+
+def by_tracking(demos: Demonstrations, rollouts: Rollouts) -> Demonstrations:
+    """A tracking as bad as can be: everybody stays where the episode begins."""
+    first = np.repeat(demos.positions[demos.offsets[:-1]], demos.lengths, axis=0)
+    return replace(demos, positions=first)
+
+
+def test_few_starts_or_recordings_are_too_little_to_say() -> None:
+    demos = recorded_pairs()
+    few = demos.select(episodes=np.arange(FEWEST - 1))
+    found = verdict(few, simulated_pairs(few, "true"), seed=0, references=demos)
+    assert found.judgement == UNKNOWN
+    assert found.too_little == "9 test starts, and 10 are needed"
+    assert "Too little data to say whether TRUE moves like" in verdict_sentence(found)
+    pieces = replace(demos, recording=np.full(len(demos), "one"))
+    found = verdict(pieces, simulated_pairs(pieces, "true"), seed=0, references=demos)
+    assert (found.judgement, found.too_little) == (UNKNOWN, "1 recording, and 10 are needed")
+
+
+def test_tied_scores_are_no_evidence_of_likeness() -> None:
+    demos = recorded_pairs().select(episodes=np.arange(2))
+    found = verdict(demos, simulated_pairs(demos, "dead"), seed=0)
+    row = found.row("auc")
+    assert row["judgement"] == UNKNOWN and "all scores are tied" in row["verdict"]
 
 
 def test_a_simulator_without_spread_is_found_out() -> None:
@@ -137,7 +214,7 @@ def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
         assert getattr(again, key) == getattr(found, key)
     assert np.isnan(again.floor.estimate)
     sentence = verdict_sentence(found)
-    assert sentence.startswith("SLOW: ")
+    assert sentence.startswith("SLOW differs from the demonstrations (")
     assert "60 rollouts from 30 starts" in sentence
     table, blocks = verdict_table(found), list(verdict_blocks(found))
     assert table.row_count == len(found.table)

@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.benchmark.nearest import NearestSegment
+from animarl_algos.evaluation.classifier_row import followed
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.evaluation.classifier_row import followed
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable

@@ -52,6 +52,7 @@ def run_command(
     from animarl_algos.report.verdict_section import verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
+    from animarl_algos.runs.run_warnings import far_acting_rules
     from animarl_envs.fitting.doubts import doubts
 
     console = _console()
@@ -65,7 +66,7 @@ def run_command(
     pipeline.learn_all(run)
     _say(console, "3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
-    for sentence in implausible(evaluation.verdict):
+    for sentence in [*implausible(evaluation.verdict), *far_acting_rules(run)]:
         _warn(console, sentence)
     console.print(evaluation_table(evaluation))
     _say(console, "4/4", "writing the report")

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval, percentile_interval
+from animarl_algos.evaluation.statistics import Interval, percentile_interval
 from animarl_algos.evaluation.windows import Windows
 from animarl_envs.errors import MissingExtraError
 
@@ -48,9 +48,10 @@ TREES: dict[str, Any] = {
 class Telling:
     """How well two sets of windows are told apart.
 
-    ``auc`` has a 95 % interval over demonstrations and training sets, and is undefined (NaN) where
-    there are not two demonstrations of each side or all scores are tied; ``windows`` counts both sides; ``importance`` is
-    by how much the area falls when the features of one kind are shuffled.
+    ``auc`` has a 95 % interval over demonstrations and training sets. It is undefined (NaN) where
+    there are not two demonstrations of each side, or too few windows for a tree to split; its
+    ``reason`` says which. ``windows`` counts both sides; ``importance`` is by how much the area
+    falls when the features of one kind are shuffled.
     """
 
     auc: Interval
@@ -112,7 +113,7 @@ def tell_apart(
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}
-    tied = True
+    splits = False
     for deal in range(deals):
         fold = _deal(kind, folds, rng)[group]
         for number in range(folds):
@@ -122,7 +123,7 @@ def tell_apart(
             model = _fitted(values[~test], simulated[~test])
             sides_here, group_here = simulated[test], group[test]
             scores = model(values[test])
-            tied &= bool(np.ptp(scores) == 0)
+            splits |= int((~test).sum()) >= 2 * TREES["min_samples_leaf"]
             won, met = _compare(scores, sides_here, group_here, len(names))
             wins += won
             pairs += met
@@ -132,15 +133,15 @@ def tell_apart(
                     shuffled[:, columns] = rng.permutation(shuffled[:, columns])
                     without, _ = _compare(model(shuffled), sides_here, group_here, len(names))
                     fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
-    if tied:
-        reason = "the classifier found no split: all scores are tied"
+    if not splits:
+        reason = "too few windows for a tree to split: all scores are tied"
         return Telling(Interval.without_ends(math.nan, reason), sizes)
     drawn = _resampled(kind, rng)
     with np.errstate(invalid="ignore", divide="ignore"):
         areas = np.einsum("rg,rg->r", drawn @ wins, drawn) / np.einsum(
             "rg,rg->r", drawn @ pairs, drawn
         )
-    auc = _widened(percentile_interval(float(wins.sum() / pairs.sum()), areas), folds)
+    auc = widen_for_folds(percentile_interval(float(wins.sum() / pairs.sum()), areas), folds)
     return Telling(auc, sizes, {what: float(np.mean(by)) for what, by in fallen.items()})
 
 
@@ -162,7 +163,7 @@ def among_themselves(
     return Interval(estimate, low, high)
 
 
-def _widened(interval: Interval, folds: int) -> Interval:
+def widen_for_folds(interval: Interval, folds: int) -> Interval:
     """The interval with the variance between training sets, which a bootstrap of scores lacks.
 
     What one fold is tested on, the others were trained on, so folds err together. Nadeau and

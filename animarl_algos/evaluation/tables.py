@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from animarl_algos.evaluation.classifier_row import Tracked
 from animarl_algos.evaluation.comparison import (
     comparison_table,
     factual,
@@ -21,7 +22,6 @@ from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.evaluation.classifier_row import Tracked
 from animarl_algos.evaluation.verdict import Verdict, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError

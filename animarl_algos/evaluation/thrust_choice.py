@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from animarl_algos.evaluation.classifier import tell_apart
+from animarl_algos.evaluation.classifier_row import PART, followed
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.classifier_row import PART, followed
 from animarl_algos.evaluation.windows import comparison_smoothing, resting_step, window_features
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.classifier_row import AUC, Classified, Tracked, auc_row
 from animarl_algos.evaluation.energy_score import energy_scores
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval, bootstrap_mean, cells
-from animarl_algos.evaluation.classifier_row import AUC, Classified, Tracked, auc_row
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
     DIFFERS,
@@ -57,8 +57,8 @@ class Verdict:
         One row per question, columns ``measure, label, unit, recorded, simulated, difference,
         difference_low, difference_high, distance, null, p, covers, reason, recorded_null, energy,
         energy_pooled, judgement, verdict``. ``judgement`` is one of
-        :data:`~animarl_algos.evaluation.verdict_rows.JUDGEMENTS`, ``verdict`` says it in words. ``covers`` says what the interval of the difference speaks
-        of, ``reason`` why there is none.
+        :data:`~animarl_algos.evaluation.verdict_rows.JUDGEMENTS`, ``verdict`` says it in words.
+        ``covers`` says what the interval of the difference speaks of, ``reason`` why there is none.
         ``distance`` is what was tested against ``null``, the 95 % quantile of exchanged recordings:
         the Wasserstein distance where there is a ``recorded_null`` (the upper end of the central
         95 % for recordings drawn from recordings), the absolute difference elsewhere.

@@ -48,9 +48,9 @@ def rows_of(
     exchanges = Exchanges.draw(counted.demo, num_demos, rng, copies=counted.copies)
     true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
     ends = [ending(one) for one in (prepared.recorded, counted)]
-    shares = [[(side == end).mean() for end in np.unique(np.concatenate(ends))]
-              for side in (ends[0][starts], ends[1])]  # fmt: skip
-    moved = 0.5 * float(np.abs(np.subtract(*shares)).sum())
+    known = np.unique(np.concatenate(ends))
+    shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
+    moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
     rows = [_outcome_row(exchanges.chi_squared(np.concatenate(ends)), moved)]
     for measure in MEASURES:
         a, b = true[measure.key], simulated[measure.key]
@@ -71,7 +71,7 @@ def rows_of(
                 "energy": float(np.mean(scores)),
                 "energy_pooled": pooled_score(a[starts]),
             }
-        row["judgement"], row["verdict"] = _judge(measure, row, tested, a[starts], b)
+        row["judgement"], row["verdict"] = judge_row(measure, row, tested, a[starts], b)
         rows.append(row)
     return rows
 
@@ -99,7 +99,7 @@ def row_of(
     }
 
 
-def _judge(
+def judge_row(
     measure: Measure, row: Mapping[str, Any], tested: Tested, recorded: Floats, simulated: Floats
 ) -> tuple[str, str]:
     """Return the judgement of a row, and the words for it."""

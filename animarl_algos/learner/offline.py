@@ -272,7 +272,7 @@ def _warn_of_ignorance(model: OfflineLearner) -> None:
             ignorant.append(who)
     if ignorant:
         warnings.warn(
-            f"the clone of {', '.join(ignorant)} knows no more than how often each action is taken "
+            f"the clone of {', '.join(ignorant)} is no better than predicting action frequencies "
             "(validation cross-entropy not below the marginal entropy): give more demonstrations, "
             "more updates, or standardised inputs",
             stacklevel=4,

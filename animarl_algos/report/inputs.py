@@ -61,6 +61,8 @@ class ReportInputs:
         What the run was made with and on: commit, processor, accelerator.
     wall_time
         Seconds by stage, where they were measured.
+    warnings
+        What was doubtful while the run was made; said beside the verdict.
 
     Raises
     ------
@@ -88,6 +90,7 @@ class ReportInputs:
     environment: Mapping[str, Any] = field(default_factory=dict)
     machine: Mapping[str, str] = field(default_factory=dict)
     wall_time: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def words(self) -> Words:

@@ -46,7 +46,8 @@ def lead(inputs: ReportInputs) -> Lead:
     comparison, words = inputs.evaluation.comparison, inputs.words
     limits = wording.cautions(comparison, inputs.learner, inputs.demos.synthetic)
     doubtful = [words.say(sentence) for sentence in implausible(inputs.evaluation.verdict)]
-    return verdict_lead(inputs.evaluation.verdict, words, [*doubtful, *limits])
+    cautions = dict.fromkeys([*doubtful, *inputs.warnings, *limits])
+    return verdict_lead(inputs.evaluation.verdict, words, list(cautions))
 
 
 def build_sections(inputs: ReportInputs) -> list[Section]:

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from animarl_algos.evaluation.classifier_row import AUC
 from animarl_algos.evaluation.motion import MEASURES
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.classifier_row import AUC
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN
 from animarl_algos.evaluation.windows import WINDOW
@@ -90,7 +90,9 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     """Sentence, table and the two figures of the classifier."""
     say = words.say
     yield Text(verdict_sentence(verdict, words))
-    lines = [Row(cells, faint=row["judgement"] == SAME) for row, cells in verdict_lines(verdict, words)]
+    lines = [
+        Row(cells, faint=row["judgement"] == SAME) for row, cells in verdict_lines(verdict, words)
+    ]
     columns = [say(column) for column in COLUMNS]
     yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
     yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
@@ -176,7 +178,8 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
             words.say(heading), justify="left" if wide else "right", no_wrap=not wide
         )  # fmt: skip
     for row, cells in verdict_lines(verdict, words):
-        table.add_row(*(Text(cell) for cell in cells), style="" if row["judgement"] == SAME else "bold")
+        style = "" if row["judgement"] == SAME else "bold"
+        table.add_row(*(Text(cell) for cell in cells), style=style)
     return table
 
 

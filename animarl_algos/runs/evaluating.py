@@ -32,6 +32,7 @@ from animarl_algos.runs.rolling_out import (
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
+from animarl_algos.runs.run_warnings import run_warnings
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
@@ -166,6 +167,7 @@ def report_inputs(found: EvaluatedRuns, folders: Sequence[str | Path]) -> Report
         environment=first.environment_options,
         machine=runs.machine,
         wall_time=runs.wall_time,
+        warnings=tuple(sentence for run in runs.runs for sentence in run_warnings(run)),
     )
 
 

@@ -46,6 +46,7 @@ from animarl_algos.runs.rolling_out import (
 )
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
+from animarl_algos.runs.run_warnings import run_warnings
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
@@ -233,6 +234,7 @@ def report(run: RunFolder) -> Path:
             environment=run.environment_options,
             machine=record.get("machine", {}),
             wall_time=wall_times(run.path),
+            warnings=tuple(run_warnings(run)),
         ),
         run.path / "report.html",
     )
