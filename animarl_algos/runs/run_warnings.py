@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from animarl_algos.evaluation.acting_choice import NEAR
-from animarl_algos.losses.recipe import OfflineLoss, Selection
+from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.acting import acting_file
 from animarl_algos.runs.run_folder import RunFolder
