@@ -4,8 +4,8 @@
 
 The examples run one after the other in processes of their own, a few thousand steps each; the
 command stops at the first that fails. Clients whose libraries ask for other versions than this
-project's tests get an environment of their own, made here. ``tests/test_clients.py`` runs the same
-examples, those in their own environments among the slow tests.
+project's tests get an environment of their own, made here. ``tests/public/test_clients.py`` runs
+the same examples, those in their own environments among the slow tests.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python docs/make_env_pages.py              # pages and pictures
     python docs/make_env_pages.py --text-only  # pages; pictures as they are
 
-``tests/test_docs_pages.py`` compares the pages with the specs.
+``tests/project/test_docs_pages.py`` compares the pages with the specs.
 """
 
 from __future__ import annotations

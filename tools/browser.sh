@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Have a headless Chromium for tests/test_report_browser.py: the system's, or the one of its packages.
+# Have a headless Chromium for tests/algos/report/test_report_browser.py: the system's, or the one of its packages.
 set -euo pipefail
 for name in chromium-headless-shell chromium chromium-browser google-chrome; do
   if command -v "$name" >/dev/null; then exit 0; fi

@@ -111,7 +111,7 @@ def _run_tests(copy: Path, tests: tuple[str, ...]) -> None:
     sys.path.insert(0, str(copy))
     code = pytest.main(
         ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow and not realdata"]
-        + [f"tests/{name}" for name in tests]
+        + [str(path) for name in tests for path in Path("tests").rglob(name)]
     )
     os._exit(int(code))
 

@@ -5,10 +5,10 @@ episodes from that start might as well have been the recorded one. So the null o
 found by exchanging, start by start, the recording with one of the episodes from there. That is an
 exact permutation test: a perfect simulator falls inside 95 % of its null in 95 % of experiments,
 whatever starts have in common and however values are distributed (checked in
-``tests/test_verdict.py``). Who acts by a fixed rule in a world without chance does the same from a
-start however often it is let go: such copies are one rollout, and counting them would make the null
-too narrow. What recordings against recordings give, drawn from each other without regard to their
-starts, is :func:`animarl_algos.evaluation.distances.null_distances`.
+``tests/algos/evaluation/test_verdict.py``). Who acts by a fixed rule in a world without chance does
+the same from a start however often it is let go: such copies are one rollout, and counting them
+would make the null too narrow. What recordings against recordings give, drawn from each other
+without regard to their starts, is :func:`animarl_algos.evaluation.distances.null_distances`.
 """
 
 from __future__ import annotations

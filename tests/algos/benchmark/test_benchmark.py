@@ -1,0 +1,395 @@
+"""The benchmark as a whole, on tiny trainings: same bytes however it is run, errors recorded."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import Done as Ended
+
+from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.leaderboard import write_leaderboard
+from animarl_algos.benchmark.matrix import Matrix, matrix_names, read_matrix
+from animarl_algos.benchmark.pieces import Done, Piece, attempt, recorded_error
+from animarl_algos.benchmark.plan import Plan, claim_folder, plan
+from animarl_algos.cli.main import main
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+
+BYTES = ("leaderboard.md", "leaderboard.csv", "leaderboard.json", "leaderboard.html")
+TINY: dict[str, Any] = {
+    "species": ["agent"],
+    "recipes": ["soft-bc"],
+    "seeds": [0, 1],
+    "references": ["recordings", "still"],
+    "episodes": {"train": 8, "val": 3, "test": 4},
+    "repetitions": 2,
+    "resamples": 20,
+    "thrusts": "1",
+    "acting": "boltzmann:1",
+    "settings": {
+        "soft-bc": {"offline_epochs": 1, "offline_kwargs": {"updates_per_epoch": 2, "warm_up": 1}}
+    },
+}
+
+
+class Told:
+    """What was started and how it ended."""
+
+    def __init__(self) -> None:
+        self.begun: list[str] = []
+        self.errors: dict[str, str] = {}
+
+    def at_once(self, number: int) -> None:
+        self.side_by_side = number
+
+    def started(self, piece: Piece) -> None:
+        self.begun.append(piece.name)
+
+    def ended(self, piece: Piece, done: Done) -> None:
+        if done.error:
+            self.errors[piece.name] = done.error
+
+
+def tiny(**changed: Any) -> Matrix:
+    asked = TINY | changed
+    if "recipes" in changed and "settings" not in changed:
+        asked["settings"] = {}
+    return Matrix(**asked)
+
+
+def run(matrix: Matrix, out: Path, *, processes: int = 1, only: Sequence[str] = ()) -> Told:
+    return run_plan(plan(matrix).only(only), out, processes)
+
+
+def run_plan(asked: Plan, out: Path, processes: int = 1) -> Told:
+    told = Told()
+    claim_folder(out)
+    perform_all(asked, out, processes, told)
+    write_leaderboard(asked, out)
+    return told
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny matrix, made by one process."""
+    out = tmp_path_factory.mktemp("benchmark") / "one"
+    assert not run(tiny(), out).errors
+    return out
+
+
+def bytes_of(out: Path) -> list[bytes]:
+    return [(out / name).read_bytes() for name in BYTES]
+
+
+def test_benchmark_holds_every_row_with_nulls_and_intervals(finished: Path) -> None:
+    content = json.loads((finished / "leaderboard.json").read_text())
+    rows = {row["method"]: row for row in content["rows"]}
+    assert set(rows) == {"soft-bc", "recordings", "still"}
+    assert rows["soft-bc"]["seeds"] == [0, 1] and rows["soft-bc"]["rollouts"] == 2 * 4 * 2
+    assert "training runs" in rows["soft-bc"]["covers"]
+    measures = {one["measure"]: one for one in rows["soft-bc"]["measures"]}
+    assert list(measures)[:2] == ["auc", "energy"]
+    for key in ("energy", "duration", "dtw_per_step", "kde_duration"):
+        one = measures[key]
+        assert one["low"] <= one["value"] <= one["high"] or key.startswith("kde"), key
+        assert one["null"] is not None, key
+    path = {one["measure"]: one for one in rows["still"]["measures"]}["path_length"]
+    assert path["high"] < 0 and not path["inside"]  # who stands still goes nowhere
+    assert rows["recordings"]["rank"] == "" and rows["soft-bc"]["rank"]
+    costs = (finished / "costs.csv").read_text()
+    assert "processor_seconds" in costs
+    assert not any("processor_seconds" in (finished / name).read_text() for name in BYTES)
+
+
+def test_benchmark_runs_nothing_twice(finished: Path) -> None:
+    before = bytes_of(finished)
+    assert run(tiny(), finished).begun == []
+    assert bytes_of(finished) == before
+
+
+def test_benchmark_runs_again_what_a_setting_touches(finished: Path) -> None:
+    first, other = plan(tiny()), plan(tiny(settings={"soft-bc": {"offline_epochs": 2}}))
+    changed = {a.name for a, b in zip(first.cells, other.cells) if a.key != b.key}
+    assert changed == {"agent/soft-bc/0", "agent/soft-bc/1"}
+    fewer = plan(tiny(episodes={"train": 7, "val": 3, "test": 4}))
+    assert not {cell.key for cell in fewer.cells} & {cell.key for cell in first.cells}
+    scores = plan(tiny(resamples=21))
+    assert [c.key for c in scores.cells] == [c.key for c in first.cells]
+    assert scores.scorings[0].key != first.scorings[0].key
+
+
+def test_benchmark_of_two_processes_is_the_same(finished: Path, tmp_path: Path) -> None:
+    assert not run(tiny(), tmp_path / "two", processes=2).errors
+    assert bytes_of(tmp_path / "two") == bytes_of(finished)
+
+
+def children_of(number: int) -> list[int]:
+    """Processes that a process started."""
+    file = Path(f"/proc/{number}/task/{number}/children")
+    return [int(child) for child in file.read_text().split()]
+
+
+def is_alive(number: int) -> bool:
+    status = Path(f"/proc/{number}/stat")
+    return status.exists() and status.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from test_benchmark import run, tiny
+if __name__ == "__main__":
+    run(tiny(), Path(sys.argv[1]), processes=2)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="it looks into /proc")
+def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
+    out, here = tmp_path / "killed", Path(__file__).parent
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    paths = os.pathsep.join(map(str, (here.parents[2], here.parents[1], here)))
+    child = subprocess.Popen(
+        [sys.executable, str(script), str(out)],
+        env={**os.environ, "PYTHONPATH": paths},
+    )
+    began = time.monotonic()
+    while not list(out.glob("cells/*/cost.json")) and child.poll() is None:
+        assert time.monotonic() - began < 240
+        time.sleep(0.05)
+    workers = children_of(child.pid)
+    child.kill()  # which leaves it no time to tell its workers
+    child.wait(60)
+    assert len(workers) >= 2
+    while any(is_alive(worker) for worker in workers):
+        assert time.monotonic() - began < 240
+        time.sleep(0.05)
+    run(tiny(), out)
+    assert bytes_of(out) == bytes_of(finished)
+
+
+def test_benchmark_records_an_error_and_goes_on(finished: Path, tmp_path: Path) -> None:
+    bad = "test_benchmark_methods:make_raising"
+    asked = plan(tiny(recipes=[], references=["still"], seeds=[0]), {"bad": bad})
+    out = tmp_path / "out"
+    told = run_plan(asked, out)
+    assert "agent/bad/0" in told.errors and "predict raised ZeroDivisionError" in str(told.errors)
+    content = json.loads((out / "leaderboard.json").read_text())
+    assert [row["method"] for row in content["rows"]] == ["still"]
+    assert content["missing"][0]["row"] == "agent/bad"
+    assert "## Not there" in (out / "leaderboard.md").read_text()
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
+    processes: int, tmp_path: Path
+) -> None:
+    methods = {name: f"test_benchmark_methods:make_{name}" for name in ("ending", "nothing")}
+    out = tmp_path / "out"
+    told = run_plan(
+        plan(tiny(recipes=[], references=["still"], seeds=[0]), methods), out, processes
+    )
+    assert "method ending: its predict raised SystemExit (0)" in told.errors["agent/ending/0"]
+    said = told.errors["agent/nothing/0"]
+    assert "method nothing: its factory raised ValueError (bad ## fly2 second): mend it" in said
+    content = json.loads((out / "leaderboard.json").read_text())
+    assert [row["method"] for row in content["rows"]] == ["still"]
+    assert "\n## fly2" not in (out / "leaderboard.md").read_text()
+    assert "its factory raised ValueError" in (out / "leaderboard.html").read_text()
+
+
+def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
+    asked = plan(tiny(recipes=[]))
+    broken = replace(asked.worlds[0], settings=replace(asked.worlds[0].settings, algo="dqn"))
+    folder = broken.folder(tmp_path)
+    folder.mkdir(parents=True)
+    (folder / "settings.json").write_text("{")
+    assert "damaged" in attempt(broken, tmp_path).error
+    assert "damaged" in recorded_error(broken, tmp_path)
+    told = Told()
+    perform_all(replace(asked, worlds=(broken,)), tmp_path, 1, told)
+    assert "could not be fitted" in told.errors["agent/still/0"]
+
+
+def test_benchmark_only_takes_rows_and_cells() -> None:
+    asked = plan(tiny())
+    assert [c.name for c in asked.only(["agent/still"]).cells] == ["agent/still/0"]
+    one = asked.only(["*/soft-bc/1"])
+    assert [c.name for c in one.cells] == ["agent/soft-bc/1"] and not one.scorings
+    with pytest.raises(InputError, match="no cell is called so"):
+        asked.only(["fly/still"])
+
+
+def test_benchmark_presets_can_be_read() -> None:
+    assert matrix_names() == ["paper", "short", "smoke"]
+    for name in matrix_names():
+        assert read_matrix(name).species == ("agent", "fly", "newt", "silkmoth")
+    paper = read_matrix("paper")
+    settings = paper.run_settings("agent", paper.recorded()["agent"][0], "dqn", 4)
+    assert settings.steps == 1_005_000 and len(paper.seeds) == 5
+
+
+def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
+    """Every recipe and reference on every packaged species finishes, and has its score."""
+    asked, out = plan(read_matrix("smoke")), tmp_path / "smoke"
+    told = run_plan(asked, out, 2)
+    assert told.errors == {}
+    assert all(piece.finished(out) for stage in asked.stages for piece in stage)
+    content = json.loads((out / "leaderboard.json").read_text())
+    assert len(content["rows"]) == len(asked.scorings) and content["missing"] == []
+    headings = re.findall(r"^## (.+)$", (out / "leaderboard.md").read_text(), re.MULTILINE)
+    assert set(asked.matrix.species) <= set(headings)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"species": ["cat"]}, "species 'cat' is unknown"),
+        ({"species": []}, "species is empty"),
+        ({"recipes": ["dqnn"]}, "algorithm 'dqnn' is unknown"),
+        ({"recipes": "dqn"}, "give a list of names"),
+        ({"seeds": [0, 0]}, "names 0 twice"),
+        ({"seeds": [-1]}, "none negative"),
+        ({"references": ["dead"]}, "reference 'dead' is unknown"),
+        ({"episodes": {"dev": 1}}, "episodes names 'dev'"),
+        ({"repetitions": 0}, "at least 1"),
+        ({"settings": {"bcc": {}}}, "algorithm 'bcc' is unknown"),
+        ({"preset": "best"}, "preset 'best' is unknown"),
+        ({"settings": {"bc": 3}}, "settings of bc is 3"),
+        ({"settings": {"dqn": {"learning_speed": 3}}}, "'dqn', which is not among the recipes"),
+        ({"settings": [1]}, "give a table"),
+        ({"files": {"agent": "x.npz"}}, "no packaged species"),
+        ({"files": {"mine": 3}}, "files of mine is 3"),
+        ({"acting": 0.5}, "acting is 0.5"),
+    ],
+)
+def test_benchmark_refuses_a_wrong_matrix(changed: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        tiny(**changed)
+
+
+def test_benchmark_refuses_unknown_keys_and_settings(tmp_path: Path) -> None:
+    file = tmp_path / "own.yml"
+    file.write_text("species: [agent]\nlearners: [dqn]\n")
+    with pytest.raises(InputError, match="key 'learners' is unknown"):
+        read_matrix("smoke", file)
+    with pytest.raises(InputError, match="preset 'huge' is unknown"):
+        read_matrix("huge")
+    with pytest.raises(InputError, match="setting 'learning_speed'"):
+        plan(tiny(settings={"soft-bc": {"learning_speed": 1}}))
+    with pytest.raises(InputError, match="needs two experimental conditions"):
+        plan(tiny(species=["fly"], recipes=["dqcil"], settings={}))
+    with pytest.raises(InputError, match="nothing to do: name recipes or references"):
+        plan(tiny(recipes=[], references=[]))
+    nothing = plan(tiny(recipes=[], references=[]), {"bad": "test_benchmark_methods:make_raising"})
+    assert [cell.name for cell in nothing.cells] == ["agent/bad/0", "agent/bad/1"]
+
+
+def test_benchmark_names_the_file_of_refused_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    file = tmp_path / "own.yml"
+    for text, said in (
+        ("recipes: [bc]\nsettings: {bc: {learning_speed: 3}}", "bc: setting 'learning_speed'"),
+        ("recipes: [bc]\nsettings: {dqn: {}}", "settings are given for 'dqn'"),
+        ("recipes: []\nreferences: []", "there is nothing to do"),
+        ("recipes: [bc]\nfolds: {agent: 1}", ""),
+        ("recipes: [bc]\nfiles: {mine: none.npz}", ""),
+        ("recipes: [bc]\nseeds: [0]\nrecipes: [dqn]", "line 4: key 'recipes' was given in line 2"),
+    ):
+        file.write_text(f"species: [agent]\n{text}\n")
+        refused = said_by(["--config", str(file), "--list"], monkeypatch, capsys)
+        assert refused.returncode == 2 and f"{file}: {said}" in refused.stderr, refused
+
+
+def test_benchmark_says_each_cause_once_and_that_it_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    file, out = tmp_path / "tiny.yml", tmp_path / "out"
+    few = {"recipes": [], "settings": {}, "references": ["still"], "seeds": [0]}
+    file.write_text(json.dumps(TINY | few))
+    bad = ["--method", "bad=test_benchmark_methods:make_raising"]
+    ended = said_by(["--config", str(file), "--out", str(out), *bad], monkeypatch, capsys)
+    assert ended.returncode == 1 and ended.stderr == ""
+    assert ended.stdout.count(" failed: ") == 1 and "agent/bad/0 failed: method" in ended.stdout
+    content = json.loads((out / "leaderboard.json").read_text())
+    assert [row["method"] for row in content["rows"]] == ["still"]
+
+
+def test_benchmark_refuses_other_results(tmp_path: Path) -> None:
+    (tmp_path / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')
+    with pytest.raises(InputError, match=r"results are of animarl 0\.0\.1"):
+        claim_folder(tmp_path)
+    begun = tmp_path / "begun"  # by another command, which is about to mark it
+    with write_then_rename(begun / "benchmark.json"):
+        claim_folder(begun)
+    other = tmp_path / "thesis"
+    other.mkdir()
+    (other / "chapter.txt").write_text("1")
+    with pytest.raises(InputError, match="no benchmark"):
+        claim_folder(other)
+
+
+def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
+    cell = plan(tiny()).cells[0]
+    assert cell.settings is not None
+    moved = replace(cell, settings=replace(cell.settings, file="elsewhere"))
+    assert moved.key == cell.key
+
+
+def said_by(arguments: Sequence[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> Ended:
+    """The command in this process."""
+    monkeypatch.setattr(sys, "argv", ["animarl", "benchmark", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr()
+    return Ended(int(ended.value.code or 0), said.out, said.err)
+
+
+def test_benchmark_command_lists_and_refuses(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    file = tmp_path / "tiny.yml"
+    file.write_text(json.dumps(TINY))  # JSON is YAML
+    asked = ["--config", str(file), "--out", str(finished)]
+    listed = said_by([*asked, "--list"], monkeypatch, capsys)
+    assert listed.returncode == 0 and listed.stdout.count("finished") == 4
+    before = bytes_of(finished)
+    done = said_by([*asked, "--engine", "local", "--processes", "2"], monkeypatch, capsys)
+    assert done.returncode == 0 and "leaderboard.md" in done.stdout
+    assert bytes_of(finished) == before
+    part = said_by([*asked, "--only", "agent/soft-bc/1"], monkeypatch, capsys)
+    assert part.returncode == 0 and bytes_of(finished) == before  # the table is of the whole matrix
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "benchmark.json").write_text('{"format": 0, "animarl": "0.0.1"}')
+    refused = said_by([*asked, "--out", str(other), "--list"], monkeypatch, capsys)
+    assert refused.returncode == 2 and "are of animarl 0.0.1" in refused.stderr
+    new = tmp_path / "new"
+    assert said_by([*asked, "--out", str(new), "--list"], monkeypatch, capsys).returncode == 0
+    assert not new.exists() and [f.name for f in other.iterdir()] == ["benchmark.json"]
+    monkeypatch.setitem(sys.modules, "ray", None)  # as where it is not installed
+    for wrong, sentence in (
+        (["--engine", "cloud"], "engine 'cloud' is unknown"),
+        (["--engine", "ray"], "pip install 'animarl[ray]'"),
+        (["--processes", "0"], "at least 1"),
+        (["--species", "fly"], "it is not in the matrix"),
+        (["--only", "agent/x"], "no cell is called so"),
+        (["--method", "soft-bc=test_benchmark_methods:make_raising"], "a row of that name"),
+        (["--method", "mine=nowhere:f"], "cannot be imported"),
+    ):
+        refused = said_by([*asked, "--out", str(new), *wrong], monkeypatch, capsys)
+        assert refused.returncode == 2 and sentence in refused.stderr, refused
+        assert refused.stderr.count("\n") == 1 and refused.stdout == "" and not new.exists()
+    refused = said_by(["score", str(tmp_path / "none.json")], monkeypatch, capsys)
+    assert refused.returncode == 2 and "there is no such file" in refused.stderr

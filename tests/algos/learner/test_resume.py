@@ -1,0 +1,343 @@
+"""Exact resume: a run that was killed ends with the same weights as one that never was (CPU)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import toys
+from pair_learners import SETTINGS, demonstrations, weights
+
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import (
+    in_short,
+    latest_checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+    serialised,
+)
+from animarl_algos.learner.checkpoint_callback import CheckpointCallback
+from animarl_algos.networks.acting_rule import Kind
+from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN, QRDQN
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.errors import InputError
+
+STEPS = 400
+
+
+def make(recipe: type[SequenceQLearning] = DQDIL, **more: Any) -> SequenceQLearning:
+    return recipe("GruPolicy", toys.Pair(2), **SETTINGS | more)
+
+
+def go_on(model: SequenceQLearning, folder: Path, steps: int = STEPS) -> SequenceQLearning:
+    load_checkpoint(model, folder)
+    return model.learn(steps - model.num_timesteps, reset_num_timesteps=False)
+
+
+class Stop(CheckpointCallback):
+    """Interrupts the online phase."""
+
+    def at_boundary(self) -> None:
+        super().at_boundary()
+        if self.model.num_timesteps >= 200:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("recipe", [DQDIL, DQAAS, QRDQN])
+def test_a_resumed_run_equals_an_uninterrupted_one(
+    recipe: type[SequenceQLearning], tmp_path: Path
+) -> None:
+    """The checkpoint is taken in mid-episode, with another seed and other weights to overwrite."""
+    straight = make(recipe, offline_epochs=0).learn(STEPS)
+    with pytest.raises(KeyboardInterrupt):
+        make(recipe, offline_epochs=0).learn(STEPS, callback=Stop(tmp_path, every=150))
+    other = make(recipe, offline_epochs=0, seed=99)
+    resumed = go_on(other, tmp_path)
+    assert torch.equal(weights(straight), weights(resumed))
+    assert straight.num_timesteps == resumed.num_timesteps
+    assert straight.exploration_rate == resumed.exploration_rate
+    assert straight._n_updates == resumed._n_updates > 0
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+@pytest.mark.parametrize("average", [0.0, 0.9])
+def test_the_offline_phase_resumes_too(average: float, device: str, tmp_path: Path) -> None:
+    data = demonstrations()
+    offline = {"demonstrations": data, "offline_epochs": 5, "device": device}
+    offline["offline_kwargs"] = {"average": average}
+    straight = make(**offline).learn(100)
+
+    class Stop(CheckpointCallback):
+        def at_boundary(self) -> None:
+            super().at_boundary()
+            if self.model.offline_progress.epoch == 3:  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make(**offline).learn(100, callback=Stop(tmp_path, every=1000))
+    resumed = make(**offline)
+    load_checkpoint(resumed, tmp_path)
+    assert resumed.offline_progress.epoch == 3
+    resumed.learn(100, reset_num_timesteps=False)
+    assert torch.equal(weights(straight), weights(resumed))
+    assert resumed.offline_progress.history == straight.offline_progress.history
+
+
+def test_a_resumed_run_samples_at_the_same_temperatures(tmp_path: Path) -> None:
+    def learner() -> SequenceQLearning:
+        data = demonstrations()
+        return make(demonstrations=data, offline_epochs=2, exploration="boltzmann")
+
+    straight = learner().learn(STEPS)
+    with pytest.raises(KeyboardInterrupt):
+        learner().learn(STEPS, callback=Stop(tmp_path, every=150))
+    resumed = go_on(learner(), tmp_path)
+    assert straight.policy.acting == resumed.policy.acting
+    assert straight.policy.acting.kind is Kind.BOLTZMANN
+    assert torch.equal(weights(straight), weights(resumed))
+
+
+FOLDERS = (str(Path(__file__).parent), str(Path(__file__).parents[2]))
+KILLED = """
+import sys, os, signal
+sys.path[:0] = sys.argv[2:]
+from test_resume import make, CheckpointCallback, STEPS
+class Kill(CheckpointCallback):
+    def _on_step(self):
+        if self.model.num_timesteps >= 300:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return True
+make().learn(STEPS, callback=Kill(sys.argv[1], every=100))
+"""
+
+
+def test_a_run_killed_by_sigkill_goes_on(tmp_path: Path) -> None:
+    run = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), *FOLDERS], check=False)
+    assert run.returncode == -signal.SIGKILL
+    resumed = go_on(make(seed=5), tmp_path)
+    assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
+
+
+@pytest.mark.parametrize(
+    ("number", "raised"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
+)
+def test_a_run_that_is_told_to_stop_writes_a_checkpoint_first(
+    number: int,
+    raised: type[BaseException],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+
+    class Interrupt(CheckpointCallback):
+        def _on_step(self) -> bool:
+            if self.model.num_timesteps == 120:
+                os.kill(os.getpid(), number)
+            return True
+
+    before = signal.getsignal(number)
+    with pytest.raises(raised):
+        make().learn(STEPS, callback=Interrupt(tmp_path, every=10_000), progress_bar=True)
+    assert signal.getsignal(number) is before
+    assert capsys.readouterr().err.endswith("\n")  # what is said next has a line of its own
+    resumed = go_on(make(), tmp_path)
+    assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
+
+
+def test_an_unfinished_checkpoint_is_passed_over(tmp_path: Path) -> None:
+    model = make().learn(100)
+    whole = save_checkpoint(model, tmp_path)
+    (tmp_path / "checkpoint_000001.part").mkdir()
+    assert latest_checkpoint(tmp_path) == whole
+    assert save_checkpoint(model, tmp_path).name == "checkpoint_000001"
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint_000001"]
+
+
+FULL = """
+import resource, signal, sys
+sys.path[:0] = sys.argv[2:]
+from pathlib import Path
+from animarl_algos.runs.run_folder import RunFolder
+from test_resume import make, InputError, load_checkpoint, save_checkpoint, weights
+folder = Path(sys.argv[1]) / "checkpoints"
+run = RunFolder(folder.parent)
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+model = make().learn(100)
+sizes = [file.stat().st_size for file in save_checkpoint(model, folder).iterdir()]
+for limit in (0, 100, 5000, *(size - 1 for size in sizes)):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    for save in (lambda: save_checkpoint(model, folder), lambda: run.save_policy("dqdil", model)):
+        try:
+            save()
+        except InputError as error:
+            print(error)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    assert [path.name for path in folder.iterdir()] == ["checkpoint_000000"], limit
+    assert not [path for path in run.path.glob("policies/*") if ".part" in path.name], limit
+    restored = make(seed=9)
+    load_checkpoint(restored, folder)
+    assert (weights(restored) == weights(model)).all()
+"""
+
+
+def test_a_full_disk_leaves_the_last_one(tmp_path: Path) -> None:
+    """Files that may not grow, up to one byte less than a whole file of the checkpoint."""
+    run = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path), *FOLDERS],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
+    said = run.stdout.splitlines()
+    assert sum("checkpoint" in line for line in said) == 7
+    assert sum("dqdil.pt" in line for line in said) >= 2
+    assert all("cannot be written (File too large)" in line for line in said), said
+
+
+def test_superseded_checkpoints_go_with_the_next_and_copies_stay(tmp_path: Path) -> None:
+    """A kill between the renaming of the new one and the removal of the old one leaves both."""
+    model = make().learn(20)
+    old = save_checkpoint(model, tmp_path)
+    shutil.copytree(old, tmp_path / "mine")
+    last = save_checkpoint(model, tmp_path)
+    (tmp_path / "mine").rename(old)
+    shutil.copytree(old, tmp_path / "checkpoint_000000_copy")
+    assert latest_checkpoint(tmp_path) == last
+    save_checkpoint(model, tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {"checkpoint_000002", "checkpoint_000000_copy"}
+
+
+def test_a_folder_without_checkpoint_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no checkpoint"):
+        load_checkpoint(make(), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: make(DQN), "algorithm is 'DQDIL' there, 'DQN' here"),
+        (lambda: make(QRDQN), "algorithm is 'DQDIL' there, 'QRDQN' here"),
+        (lambda: make(policy_kwargs={"hidden": 16}), "parameters is"),
+        (lambda: DQDIL("GruPolicy", toys.Pair(4), **SETTINGS), "num_copies is 2 there, 4 here"),
+        (lambda: DQDIL("MlpPolicy", toys.Pair(2), **SETTINGS), "policy is 'GruPolicy' there"),
+    ],
+)
+def test_a_foreign_checkpoint_is_refused(
+    other: Callable[[], SequenceQLearning], words: str, tmp_path: Path
+) -> None:
+    save_checkpoint(make().learn(20), tmp_path)
+    with pytest.raises(InputError, match=words):
+        load_checkpoint(other(), tmp_path)
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda _: b"",
+    "text": lambda _: b"not a checkpoint",
+    "a word": lambda _: b"text",
+    "head of an archive": lambda _: b"PK\x03\x04",
+    "another object": lambda _: b"{}",
+    "a list": lambda _: b"[1, 2]",
+    "half": lambda whole: whole[: len(whole) // 2],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz", "state.json"])
+def test_a_damaged_checkpoint_is_refused(name: str, damage: str, tmp_path: Path) -> None:
+    file = save_checkpoint(make().learn(100), tmp_path) / name
+    whole = file.read_bytes()
+    file.write_bytes(DAMAGE[damage](whole))
+    with pytest.raises(InputError, match="damaged"):
+        load_checkpoint(make(), tmp_path)
+    file.write_bytes(whole)
+    load_checkpoint(make(), tmp_path)
+
+
+def flip_a_bit(file: Path, model: SequenceQLearning) -> None:
+    """In the middle of the model's largest weights, as they stand in ``file``."""
+    largest = max(model.policy.q_net.state_dict().values(), key=torch.numel)
+    stored = largest.numpy().tobytes()
+    content = bytearray(file.read_bytes())
+    content[content.index(stored) + len(stored) // 2] ^= 0x40
+    file.write_bytes(content)
+
+
+def test_one_flipped_bit_of_the_weights_is_seen(tmp_path: Path) -> None:
+    """PyTorch would load them: it does not look at the checksums of its archives."""
+    model, other, run = make().learn(20), make(seed=9), RunFolder(tmp_path)
+    before = weights(other)
+    checkpoint = save_checkpoint(model, tmp_path)
+    flip_a_bit(checkpoint / "model.pt", model)
+    torch.load(checkpoint / "model.pt", weights_only=True)
+    with pytest.raises(InputError, match=r"damaged \(model.pt has changed since it was written"):
+        load_checkpoint(other, tmp_path)
+    run.save_policy("dqdil", model)
+    flip_a_bit(tmp_path / "policies" / "dqdil.pt", model)
+    with pytest.raises(InputError, match=r"dqdil.pt has changed .* remove it and train again"):
+        run.load_policy("dqdil", other)
+    assert torch.equal(weights(other), before)
+
+
+def test_what_is_wrong_is_said_in_whole_words(tmp_path: Path) -> None:
+    """Not in those of PyTorch, which explains at length how to open a pickle all the same."""
+    checkpoint = save_checkpoint(make().learn(20), tmp_path)
+    (checkpoint / "model.pt").write_bytes(serialised({"torch_random_state": make}))
+    with pytest.raises(InputError) as caught:
+        load_checkpoint(make(), tmp_path)
+    assert str(caught.value) == (
+        f"{checkpoint}: the checkpoint is damaged (model.pt is no whole archive of tensors): "
+        "put a copy of this folder in its place, or remove it and start the run anew"
+    )
+    assert in_short(OSError("word " * 40)) == "OSError: " + "word " * 21 + "..."
+    assert in_short(KeyError("format")) == "KeyError: 'format'"
+
+
+@pytest.mark.parametrize("name", ["checkpoint_runs", "checkpoint_1"])
+def test_a_runs_own_folder_may_be_called_as_a_checkpoint(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / name
+    with pytest.raises(InputError, match=r"there is no checkpoint"):
+        load_checkpoint(make(), folder)
+    model, resumed = make().learn(20), make(seed=9)
+    save_checkpoint(model, folder)
+    load_checkpoint(resumed, folder)
+    assert torch.equal(weights(resumed), weights(model))
+
+
+@pytest.mark.parametrize("name", ["checkpoint_000000", "checkpoint_000000_copy", "mine"])
+def test_a_checkpoint_may_be_named_itself(name: str, tmp_path: Path) -> None:
+    model, resumed = make().learn(20), make(seed=9)
+    save_checkpoint(model, tmp_path).rename(tmp_path / name)
+    load_checkpoint(resumed, tmp_path / name)
+    assert torch.equal(weights(resumed), weights(model))
+    (tmp_path / name / "model.pt").unlink()
+    with pytest.raises(InputError, match=rf"{name}: the checkpoint is damaged"):
+        load_checkpoint(resumed, tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["model.pt", "replay.npz", "run.npz"])
+def test_a_checkpoint_without_one_of_its_files_is_refused(name: str, tmp_path: Path) -> None:
+    (save_checkpoint(make().learn(100), tmp_path) / name).unlink()
+    with pytest.raises(InputError, match=rf"damaged \({name} is missing\)"):
+        load_checkpoint(make(), tmp_path)
+
+
+def test_a_checkpoint_that_may_not_be_read_is_not_called_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(file: Path, **_: Any) -> None:
+        raise PermissionError(13, "Permission denied", str(file))
+
+    save_checkpoint(make().learn(20), tmp_path)
+    monkeypatch.setattr(Path, "read_bytes", forbidden)
+    with pytest.raises(InputError, match=r"model.pt: it cannot be read: see to its permissions"):
+        load_checkpoint(make(), tmp_path)

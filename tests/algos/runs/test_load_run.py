@@ -1,0 +1,95 @@
+"""A run in Python: what ``load_run`` gives, and the program of docs/what_if.md."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_runs import few, made
+
+from animarl_algos import load_run
+from animarl_algos.runs.pretrained import model_folder
+from animarl_algos.runs.run_folder import RunFolder
+from animarl_envs.errors import InputError
+
+PAGE = Path(__file__).parents[3] / "docs" / "what_if.md"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    return made(tmp_path_factory.mktemp("runs"), "soft-bc", demos=few(), rolled_out=False)
+
+
+def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: RunFolder) -> None:
+    loaded = load_run(run.path)
+    assert loaded.demos.fingerprint() == run.demos.fingerprint()
+    assert loaded.scenario.species.locomotion == run.fit.locomotion
+    observation = np.zeros((3, *loaded.policy.observation_space.shape), dtype=np.float32)
+    actions, _ = loaded.policy.predict(observation)
+    assert actions.shape == (3,)
+    with pytest.raises(InputError, match="no such folder and no packaged model"):
+        load_run(run.path / "nowhere")
+    with pytest.raises(InputError, match="not a run folder"):
+        load_run(PAGE.parent)
+
+
+def test_a_packaged_model_is_loaded_by_its_name() -> None:
+    loaded = load_run("fly")
+    assert loaded.folder.path == model_folder("fly")
+    assert loaded.scenario.species.locomotion == loaded.folder.fit.locomotion
+
+
+def test_a_change_is_all_that_differs(run: RunFolder) -> None:
+    loaded = load_run(run.path)
+    first, again = loaded.simulate(repetitions=2), loaded.simulate(repetitions=2)
+    np.testing.assert_array_equal(first.positions, again.positions)
+    short = loaded.simulate(repetitions=2, time_limit=5)
+    assert short.lengths.max() == 6
+    for i in range(len(first)):
+        same = min(len(first.path(i)), len(short.path(i)))
+        np.testing.assert_array_equal(first.path(i)[:same], short.path(i)[:same])
+    still = loaded.simulate(locomotion={"prey": {"thrust": 1e-9}})
+    moved = [np.abs(np.diff(still.path(i)[:, -1], axis=0)).sum() for i in range(len(still))]
+    assert max(moved) < 1e-3
+    with pytest.raises(InputError, match="changes what the policy is shown"):
+        loaded.simulate(num_pursuers=1)
+    with pytest.raises(InputError, match="choose 'habit' or 'knows'"):
+        loaded.simulate(reading="mixed")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="time_limitt"):
+        loaded.simulate(time_limitt=3)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"rebound": True}, "rebound changes"),
+        ({"contact_radius": 0.05, "senses_course": True}, "senses_course changes"),
+        ({"senses_past": True}, "senses_past changes"),
+        ({"arena": "open", "time_limit": 9}, "arena changes"),
+        ({"num_pursuers": 1}, "num_pursuers changes"),
+    ],
+)
+def test_what_would_show_the_policy_something_else_is_refused_by_name(
+    options: dict[str, Any], word: str, run: RunFolder
+) -> None:
+    with pytest.raises(InputError, match=f"^{word} what the policy is shown"):
+        load_run(run.path).simulate(**options)
+
+
+def test_the_page_runs_in_ten_lines(
+    run: RunFolder,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (program,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), re.M | re.S)
+    assert len(program.splitlines()) <= 10
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "first").symlink_to(run.path)
+    exec(compile(program, str(PAGE), "exec"), {})
+    said = capsys.readouterr().out
+    assert said.count("caught in") == 2 and "prey 20 % stronger" in said

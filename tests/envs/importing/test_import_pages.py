@@ -1,0 +1,139 @@
+"""Every line that can be copied from the pages on data runs, and the fitting table is current."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from test_import import animarl
+
+from animarl_envs.importing.readers import registry
+from tools.fuzz.layouts import KINDS, POSE, write_slp
+
+DOCS = Path(__file__).resolve().parents[3] / "docs"
+PAGES = DOCS / "data"
+WITH_FILES, WITH_DATA = ("README.md", "readers.md"), "examples.md"
+
+
+def console_lines(page: str) -> list[list[str]]:
+    """The words of each line after ``$ animarl``, in the order of the page."""
+    blocks = re.findall(r"```console\n(.*?)```", (PAGES / page).read_text(), flags=re.DOTALL)
+    lines = [line for block in blocks for line in block.splitlines()]
+    assert lines and all(line.startswith("$ animarl ") for line in lines)
+    return [shlex.split(line.removeprefix("$ animarl ")) for line in lines]
+
+
+def section(page: str, number: int) -> list[list[str]]:
+    """The lines under one heading of the second level."""
+    parts = (PAGES / page).read_text().split("\n## ")[1:]
+    lines = re.findall(r"^\$ animarl (.*)$", parts[number], flags=re.MULTILINE)
+    return [shlex.split(line) for line in lines]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory that holds a file of every layout."""
+    for name, kind in KINDS.items():
+        own = tmp_path / "made" / name
+        own.mkdir(parents=True)
+        kind.write(own)
+        shutil.copytree(own, tmp_path / "here", dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path / "here")
+    return tmp_path / "here"
+
+
+@pytest.mark.parametrize("page", WITH_FILES)
+def test_import_lines_of_the_page_run(page: str, folder: Path) -> None:
+    longer = np.cumsum(np.random.default_rng(0).normal(0, 1, (200, 2, 1, 2)), axis=0)
+    write_slp(folder, longer + POSE[0] - longer[0])
+    for words in console_lines(page):
+        assert animarl(*words).strip()
+        if "--out" in words:
+            assert (folder / words[words.index("--out") + 1]).exists()
+
+
+def test_the_readers_page_has_a_line_for_every_reader(folder: Path) -> None:
+    used = set()
+    for words in console_lines("readers.md"):
+        named = words[words.index("--source") + 1] if "--source" in words else None
+        used.add(registry.find_reader(words[1], named).name)
+    assert used == {reader.name for reader in registry.available_readers()}
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("number", range(4))
+def test_import_of_the_worked_examples(
+    number: int, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert len(re.findall(r"^## ", (PAGES / WITH_DATA).read_text(), flags=re.MULTILINE)) == 4
+    for words in section(WITH_DATA, number):
+        given = [word.replace("$DATA", str(data_dir)) for word in words]
+        said = animarl(*(name for word in given for name in expanded(word)))
+        assert said.strip()
+    assert len(list(tmp_path.glob("*.png"))) == len(list(tmp_path.glob("*.recipe.yaml"))) == 1
+
+
+def expanded(word: str) -> list[str]:
+    """What the shell makes of a pattern."""
+    if "*" not in word:
+        return [word]
+    path = Path(word)
+    return sorted(map(str, path.parent.glob(path.name)))
+
+
+def test_python_of_the_reader_pages_runs() -> None:
+    for page in ("cleaning.md", "readers.md"):
+        for part in (PAGES / page).read_text().split("```python\n")[1:]:
+            exec(compile(part.split("```")[0], page, "exec"), {"__name__": page})
+    assert "two-columns" in {reader.name for reader in registry.available_readers()}
+    registry._READERS.pop("two-columns")
+
+
+def test_links_between_the_import_pages_lead_somewhere() -> None:
+    for page in PAGES.glob("*.md"):
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+            assert (PAGES / target).exists(), f"{page.name} links to {target}"
+
+
+# -- the fitting table ---------------------------------------------------------------------------
+
+
+def table_maker() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("table", DOCS / "make_fitting_table.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+SETS = list(table_maker().SETS)
+
+
+@pytest.mark.realdata
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SETS)
+def test_reader_to_fit_joint_rmse_is_below_onset_rmse_and_in_the_table(
+    name: str, data_dir: Path
+) -> None:
+    maker = table_maker()
+    demos = maker.SETS[name](data_dir)
+    onset, joint = maker.both_fits(demos)
+    assert maker.pooled(joint) < maker.pooled(onset)
+    page = (PAGES / "fitting.md").read_text()
+    for row in maker.rows(name, demos):
+        assert row in page
+
+
+@pytest.mark.realdata
+def test_reader_to_fit_joint_rmse_is_below_onset_rmse_of_moths_and_clip(data_dir: Path) -> None:
+    maker = table_maker()
+    for load in (maker.silkmoths, maker.sleap_clip, maker.fly_pair):
+        onset, joint = maker.both_fits(load(data_dir))
+        assert maker.pooled(joint) < maker.pooled(onset)

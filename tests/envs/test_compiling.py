@@ -1,0 +1,121 @@
+"""Compiled code follows its sources, and there is always a place to keep it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import animarl_algos
+from animarl_envs.compiling import _folder, _kernel_sources, source_key
+from animarl_envs.dtw import _closed_end
+
+ROOT = Path(__file__).resolve().parents[2]
+KERNEL = """
+from animarl_envs.compiling import jit
+from animarl_envs.locomotion import NUM_ACTIONS
+from animarl_envs.kinematics import next_velocity
+
+@jit
+def after(velocity):
+    return next_velocity(velocity, 0.0, 0.5, 1.0, 1.0) + NUM_ACTIONS
+"""
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """A folder with a copy of the environments' sources and one small kernel of their own."""
+    ignored = shutil.ignore_patterns("*.npz", "__pycache__")
+    shutil.copytree(ROOT / "animarl_envs", tmp_path / "animarl_envs", ignore=ignored)
+    (tmp_path / "animarl_envs" / "probe.py").write_text(KERNEL)
+    return tmp_path
+
+
+def run_kernel(copied: Path, **environment: str) -> tuple[float, int, str]:
+    """What the kernel gives for 1.0, how often it was loaded from disk, and what was warned of."""
+    program = (
+        "from animarl_envs.probe import after; "
+        "print(after(1.0), sum(after.stats.cache_hits.values()))"
+    )
+    kept = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=copied, capture_output=True, text=True, check=True,
+        env=kept | {"PYTHONPATH": str(copied)} | environment,
+    )  # fmt: skip
+    value, hits = done.stdout.split()
+    return float(value), int(hits), done.stderr
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+
+
+def test_an_edit_of_an_inlined_kernel_or_a_constant_is_compiled_anew(copied: Path) -> None:
+    envs = copied / "animarl_envs"
+    assert run_kernel(copied)[:2] == (13.5, 0)
+    assert run_kernel(copied)[:2] == (13.5, 1)  # kept on disk
+    edit(envs / "locomotion.py", "(1.0 - damping) * vel", "(2.0 - damping) * vel")
+    assert run_kernel(copied)[:2] == (14.5, 0)
+    constant = re.search(r"^NUM_ACTIONS.*$", (envs / "locomotion.py").read_text(), re.MULTILINE)
+    assert constant is not None
+    edit(envs / "locomotion.py", constant[0], "NUM_ACTIONS = 20")
+    assert run_kernel(copied)[:2] == (21.5, 0)
+
+
+def test_what_kernels_take_from_modules_without_kernels_is_in_the_key() -> None:
+    root = ROOT / "animarl_envs"
+    found = {str(path.relative_to(root)) for path in _kernel_sources({"animarl_envs": root})}
+    # the transition, columns of an observation (both imported whole), codes of outcomes
+    assert {"locomotion.py", "worlds/chase/layout.py", "demos/episode.py"} <= found
+    assert "drawing/render.py" not in found
+
+
+def test_the_users_own_folder_is_kept_to(copied: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    assert run_kernel(copied, NUMBA_CACHE_DIR=str(own))[:2] == (13.5, 0)
+    assert run_kernel(copied, NUMBA_CACHE_DIR=str(own))[:2] == (13.5, 1)
+    assert list(own.glob("kernels-*/*/probe.after-*.nbc"))
+    assert not list((copied / "animarl_envs").glob("__pycache__/kernels-*"))
+
+
+def test_a_read_only_install_uses_a_temporary_folder_and_says_so_once(
+    copied: Path, tmp_path: Path
+) -> None:
+    # Files where folders should be are refused to everybody, root included.
+    (copied / "animarl_envs" / "__pycache__").write_text("")
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    home = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "TMPDIR": str(temporary)}
+    for environment in (home, {"NUMBA_CACHE_DIR": "/dev/null/x", "TMPDIR": str(temporary)}):
+        value, hits, said = run_kernel(copied, **environment)
+        assert (value, hits) == (13.5, 0)
+        assert said.count("set NUMBA_CACHE_DIR to a folder that can be written") == 1
+        assert list(temporary.iterdir()) == []  # tidied up
+
+
+def test_the_key_is_of_the_kernels_of_the_package_and_of_the_environments() -> None:
+    assert source_key("animarl_envs") == source_key("animarl_envs")
+    assert animarl_algos.__path__
+    assert source_key("animarl_algos") != source_key("animarl_envs")
+    assert source_key("no_package_at_all") == source_key("animarl_envs")
+
+
+def test_numbas_own_setting_is_left_as_it_was() -> None:
+    import numba
+
+    assert str(_folder("animarl_envs", numba.config.CACHE_DIR)) in _closed_end._cache.cache_path
+    assert "kernels-" not in (numba.config.CACHE_DIR or "")
+
+
+def test_no_kernel_is_kept_elsewhere() -> None:
+    for package in ("animarl_envs", "animarl_algos", "tools"):
+        for path in (ROOT / package).rglob("*.py"):
+            if path.name != "compiling.py":
+                assert "cache=True" not in path.read_text(), path

@@ -1,0 +1,381 @@
+"""Every registered id, view, condition and wrapper passes the libraries' checks and agrees."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import json
+import pickle
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+from recordings import dogs, recordings_of
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import animarl_envs
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import CUSTOM, SPECIES
+from animarl_envs.worlds import make_world
+from animarl_envs.wrappers import (
+    ConditionFlag,
+    ConditionFlagParallel,
+    ConditionFlagVector,
+    DTWReward,
+    DTWRewardParallel,
+    DTWRewardVector,
+)
+
+pytestmark = [
+    pytest.mark.filterwarnings("error"),
+    pytest.mark.filterwarnings(
+        "ignore:reset has no option .options.:UserWarning"
+    ),  # PettingZoo asks
+    pytest.mark.usefixtures("_garbage_collected"),
+]
+
+NAMES = (*SPECIES, CUSTOM)
+WRAPPERS: dict[str, tuple[tuple[Any, Any, Any], ...]] = {  # single, vector, parallel
+    "bare": (),
+    "dtw": ((DTWReward, DTWRewardVector, DTWRewardParallel),),
+    "flag": ((ConditionFlag, ConditionFlagVector, ConditionFlagParallel),),
+}
+WRAPPERS["dtw+flag"] = WRAPPERS["dtw"] + WRAPPERS["flag"]
+SINGLE, VECTOR, PARALLEL = range(3)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One environment of the table: a species, with or without demonstrations, in a condition."""
+
+    name: str
+    recorded: bool
+    condition: Any
+    wrappers: str
+
+    @property
+    def options(self) -> dict[str, Any]:
+        made = dogs(2) if self.name == CUSTOM else recordings_of(self.name)
+        return {"demos": made if self.recorded else None, "condition": self.condition}
+
+    def single(self, **more: Any) -> gym.Env[Any, Any]:
+        env = gym.make(animarl_envs.environment_id(self.name), **self.options, **more)
+        return self._wrapped(env, SINGLE)
+
+    def vector(self, num_envs: int, **more: Any) -> Any:
+        name = animarl_envs.environment_id(self.name)
+        env = gym.make_vec(name, num_envs=num_envs, **self.options, **more)
+        return self._wrapped(env, VECTOR)
+
+    def parallel(self) -> Any:
+        return self._wrapped(animarl_envs.parallel_env(self.name, **self.options), PARALLEL)
+
+    def _wrapped(self, env: Any, view: int) -> Any:
+        for forms in WRAPPERS[self.wrappers]:
+            env = forms[view](env)
+        return env
+
+    def __str__(self) -> str:
+        start = "recorded" if self.recorded else "free"
+        return f"{self.name}-{start}-{self.condition}-{self.wrappers}"
+
+
+def table() -> Iterator[Case]:
+    for name, recorded, wrappers in itertools.product(NAMES, (True, False), WRAPPERS):
+        two = name in SPECIES and bool(SPECIES[name].conditions)
+        if name == CUSTOM and not recorded:
+            continue  # it is made from its demonstrations
+        if "dtw" in wrappers and not recorded:
+            continue  # refused, see test_wrappers
+        if "flag" in wrappers and not two:
+            continue  # refused, see test_wrappers
+        for condition in (0, 1, "demo") if two else (0, "demo"):
+            yield Case(name, recorded, condition, wrappers)
+
+
+CASES = tuple(table())
+every_case = pytest.mark.parametrize("case", CASES, ids=str)
+
+
+def test_registry_is_what_is_tested() -> None:
+    ids = {name for name in gym.registry if name.startswith("AnimaRL/")}
+    assert ids == {animarl_envs.environment_id(name) for name in NAMES}
+    assert len(CASES) > 40
+
+
+# -- the libraries' own checks --------------------------------------------------------------------
+
+
+@every_case
+def test_registry_single_passes_the_libraries_checks(case: Case) -> None:
+    env = case.single()
+    sb3_check_env(env)
+    if case.wrappers == "bare":
+        check_env(env.unwrapped, skip_render_check=True)
+        return
+    warnings.filterwarnings("ignore", ".*different from the unwrapped version")
+    check_env(env, skip_render_check=True)
+
+
+@every_case
+def test_registry_parallel_passes_the_libraries_checks(case: Case) -> None:
+    parallel_api_test(case.parallel(), num_cycles=60)
+    parallel_seed_test(case.parallel, num_cycles=30)
+
+
+# -- the views agree ------------------------------------------------------------------------------
+
+
+@every_case
+def test_registry_vector_equals_singles(case: Case) -> None:
+    """Beyond several ends of episodes: the limit is shorter than the run."""
+    copies, most = 3, 25
+    vector = case.vector(copies, time_limit=most)
+    views = [case.single(time_limit=most) for _ in range(copies)]
+    rng = np.random.default_rng(0)
+    observations = vector.reset(seed=20)[0]
+    assert vector.observation_space.contains(observations)
+    assert np.array_equal(observations, [v.reset(seed=20 + b)[0] for b, v in enumerate(views)])
+    ended = np.zeros(copies, dtype=bool)
+    for _ in range(3 * most):
+        actions = rng.integers(13, size=copies)
+        observations, rewards, terminated, truncated, _ = vector.step(actions)
+        assert vector.observation_space.contains(observations)
+        for b, view in enumerate(views):
+            if ended[b]:
+                row, reward, over, cut = view.reset()[0], 0.0, False, False
+            else:
+                row, reward, over, cut, _ = view.step(actions[b])
+            assert np.array_equal(row, observations[b])
+            assert (reward, over, cut) == (rewards[b], terminated[b], truncated[b])
+        ended = terminated | truncated
+
+
+@every_case
+def test_registry_parallel_equals_single(case: Case) -> None:
+    """The others of the single view follow policies that say what the parallel view is told."""
+    everyone = case.parallel()
+    plan = np.random.default_rng(1).integers(13, size=(30, len(everyone.possible_agents)))
+    clock = {"t": 0}
+
+    def planned(i: int) -> Any:
+        return lambda seen: np.full(len(seen), plan[clock["t"], i])
+
+    focal, *rest = everyone.possible_agents
+    env = case.single(others={name: planned(i) for i, name in enumerate(rest, start=1)})
+    assert np.array_equal(env.reset(seed=2)[0], everyone.reset(seed=2)[0][focal])
+    for t, row in enumerate(plan):
+        clock["t"] = t
+        seen, reward, over, cut, info = env.step(int(row[0]))
+        all_seen, rewards, overs, cuts, infos = everyone.step(
+            dict(zip(everyone.possible_agents, row.tolist(), strict=True))
+        )
+        assert np.array_equal(seen, all_seen[focal])
+        assert (reward, over, cut) == (rewards[focal], overs[focal], cuts[focal])
+        assert info["outcome"] == infos[focal]["outcome"]
+        if over or cut:
+            break
+
+
+# -- determinism, copies, memory ------------------------------------------------------------------
+
+
+def digest(name: str) -> str:
+    """Of all that 60 steps of five copies return."""
+    case = Case(name, recorded=True, condition="demo", wrappers="bare")
+    vector = case.vector(5)
+    returned = hashlib.sha256(vector.reset(seed=11)[0].tobytes())
+    for k in range(60):
+        observations, rewards, *_ = vector.step(np.array([(k // 3 + b) % 13 for b in range(5)]))
+        returned.update(observations.tobytes() + rewards.tobytes())
+    return returned.hexdigest()
+
+
+def test_registry_same_seed_same_bytes_in_another_process() -> None:
+    program = (
+        f"import sys; sys.path[:0] = {sys.path!r}\n"
+        f"from test_registry import digest\nprint([digest(n) for n in {NAMES}])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.strip() == str([digest(name) for name in NAMES])
+
+
+def _same(one: Any, two: Any) -> bool:
+    """Equality of what a step returns, arrays in dictionaries included."""
+    if isinstance(one, dict):
+        return one.keys() == two.keys() and all(_same(v, two[k]) for k, v in one.items())
+    if isinstance(one, tuple):
+        return len(one) == len(two) and all(map(_same, one, two))
+    if isinstance(one, np.ndarray) and one.dtype == object:
+        return all(map(_same, one.tolist(), two.tolist()))
+    return bool(np.array_equal(one, two))
+
+
+def _everyone(action: int, agents: list[str]) -> dict[str, int]:
+    return {agent: (action + k) % 13 for k, agent in enumerate(agents)}
+
+
+@every_case
+def test_registry_copies_continue_identically(case: Case) -> None:
+    """Pickled or deeply copied in the middle of an episode, in every view."""
+    single, vector, everyone = case.single(), case.vector(3), case.parallel()
+    for env in (single, vector, everyone):
+        env.reset(seed=4)
+    agents = everyone.possible_agents
+    act: list[tuple[Any, Any]] = [
+        (single, lambda a: a),
+        (vector, lambda a: np.array([a, (a + 5) % 13, 12])),
+        (everyone, lambda a: _everyone(a, agents)),
+    ]
+    for env, actions in act:
+        for _ in range(5):
+            env.step(actions(3))
+        twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+        for action in (0, 12, 7, 1):
+            expected = env.step(actions(action))
+            for twin in twins:
+                assert _same(twin.step(actions(action)), expected)
+
+
+def _arrays(value: Any) -> list[NDArray[Any]]:
+    if isinstance(value, np.ndarray):
+        return [value, *_arrays(value.tolist())] if value.dtype == object else [value]
+    if isinstance(value, dict):
+        return [a for v in value.values() for a in _arrays(v)]
+    return [a for v in value for a in _arrays(v)] if isinstance(value, tuple | list) else []
+
+
+@every_case
+def test_registry_nothing_returned_shares_memory(case: Case) -> None:
+    """Not with what is returned later, nor between individuals, nor with the world."""
+    single, everyone = case.single(), case.parallel()
+    vector = case.vector(3, time_limit=11, autoreset_mode=AutoresetMode.SAME_STEP)
+    agents = everyone.possible_agents
+    for env, actions in (
+        (single, 3), (vector, np.array([3, 3, 3])), (everyone, _everyone(3, agents)),
+    ):  # fmt: skip
+        returned = _arrays(env.reset(seed=0)[0])
+        kept = [array.copy() for array in returned]
+        for _ in range(11):
+            step = env.step(actions)
+            returned += _arrays(step)
+            kept += [array.copy() for array in _arrays(step)]
+            if env is single and (step[2] or step[3]):
+                break
+        assert all(_same(a, b) for a, b in zip(returned, kept, strict=True))
+        world = env.unwrapped.world
+        owned = [a for a in vars(world).values() if isinstance(a, np.ndarray) and a.size]
+        for a in returned:
+            assert not any(np.shares_memory(a, b) for b in owned)
+
+
+# -- specs and infos ------------------------------------------------------------------------------
+
+
+@every_case
+def test_registry_spec_round_trip(case: Case) -> None:
+    env, vector = case.single(time_limit=30), case.vector(2, time_limit=30)
+    again = gym.make(env.spec)  # type: ignore[arg-type]
+    assert type(again.unwrapped) is type(env.unwrapped)
+    assert again.spec == env.spec
+    assert np.array_equal(env.reset(seed=3)[0], again.reset(seed=3)[0])
+    for action in (0, 4, 12):
+        assert _same(env.step(action), again.step(action))
+    if case.wrappers == "bare":
+        twin = gym.make_vec(vector.spec)
+        assert np.array_equal(vector.reset(seed=3)[0], twin.reset(seed=3)[0])
+        assert twin.unwrapped.scenario.species == vector.unwrapped.scenario.species
+
+
+@pytest.mark.parametrize("name", SPECIES)
+def test_registry_spec_goes_through_json(name: str) -> None:
+    options = {
+        "demos": None, "contact_radius": 0.06, "time_limit": 77, "observation_noise": 0.01,
+        "observation_delay": 2, "arena": 1.5, "locomotion": {SPECIES[name].individuals[0]: 1.2},
+    }  # fmt: skip
+    env = gym.make(animarl_envs.environment_id(name), **options)
+    assert env.spec is not None
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert np.array_equal(env.reset(seed=3)[0], again.reset(seed=3)[0])
+    said = again.reset(seed=3)[1]["scenario"]
+    assert said["contact_radius"] == 0.06
+    assert said["time_limit"] == 77
+    assert said["observation_delay"] == 2
+    assert said["arena"]["size"] == 1.5
+    assert said["locomotion"][0]["thrust"] == 1.2 * SPECIES[name].locomotion[0].thrust
+
+
+@every_case
+def test_registry_info_at_reset_is_plain_and_complete(case: Case) -> None:
+    info = case.single().reset(seed=0)[1]
+    infos = case.vector(2).reset(seed=0)[1]
+    everyone = case.parallel()
+    spoken = [everyone.reset(seed=0)[1][agent] for agent in everyone.possible_agents]
+    said = info["scenario"]
+    assert json.loads(json.dumps(said)) == said
+    drivers = ("drivers",)  # differ: the others of a single view replay or follow a script
+    for other in (*infos["scenario"], *(one["scenario"] for one in spoken)):
+        assert all(other[key] == said[key] for key in said if key not in drivers)
+    spec = case.single().unwrapped.scenario.species  # type: ignore[attr-defined]
+    assert {"species", "drivers", "condition", "start", "demonstrations", "split"} <= set(said)
+    assert set(vars(spec)) - {"name", "version_history"} <= set(said)
+    assert said["episodes"] == (
+        len(case.options["demos"].select(split="train")) if case.recorded else 0
+    )
+    if case.name == "silkmoth":
+        assert said["plume"] == "model"
+
+
+@pytest.mark.parametrize("name", packaged_names())
+def test_registry_packaged_demonstrations_are_the_default(name: str) -> None:
+    env = gym.make(animarl_envs.environment_id(name))
+    _, info = env.reset(seed=0)
+    assert (info["scenario"]["start"], info["scenario"]["split"]) == ("demo", "train")
+    assert info["demo"] >= 0
+    check_env(env.unwrapped, skip_render_check=True)
+    sb3_check_env(env.unwrapped)
+    parallel_api_test(animarl_envs.parallel_env(name), num_cycles=60)
+    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8)
+    observations, _ = vector.reset(seed=0)
+    for k in range(200):
+        assert vector.observation_space.contains(observations)
+        observations, *_ = vector.step(np.full(8, k // 10 % 13))
+
+
+@pytest.mark.parametrize("name", packaged_names())
+def test_registry_packaged_demonstrations_end_as_recorded(name: str) -> None:
+    """Replayed in their world, all of them, at the recorded step and with the recorded outcome."""
+    demos = load_packaged(name)
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    world = make_world(make_scenario(name, split=None, drivers=drivers), len(demos))
+    world.reset(demo=np.arange(len(demos)))
+    steps = demos.lengths - 1
+    for t in range(1, int(steps.max()) + 1):
+        world.step(np.zeros((len(demos), demos.num_individuals), dtype=int))
+        running = steps >= t
+        over = world.terminated | world.truncated
+        assert np.array_equal(over[running], steps[running] == t)
+        assert np.array_equal(world.outcome[steps == t], demos.outcome[steps == t])
+
+
+@pytest.mark.parametrize("name", SPECIES)
+def test_registry_another_seed_is_another_episode(name: str) -> None:
+    vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8, demos=None)
+    vector.reset(seed=0)  # copy b is seeded with b
+    paths = np.stack([vector.step(np.zeros(8, dtype=int))[0] for _ in range(15)])
+    assert np.abs(paths - paths[:, :1]).max() > 0.0

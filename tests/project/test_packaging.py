@@ -1,0 +1,173 @@
+"""What is asked of an installation, and that a built wheel holds all that the project needs."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import venv
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def pins() -> dict[str, str]:
+    """Version by name in ``constraints.txt``, names as pip compares them."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pairs = (line.split("==") for line in lines if line and not line.startswith("#"))
+    return {canonical(name): version for name, version in pairs}
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def requirements() -> list[str]:
+    """Everything that ``setup.cfg`` asks for, extras included."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    lists = [config["options"]["install_requires"], *config["options.extras_require"].values()]
+    return [line for entry in lists for line in entry.split() if not line.startswith("animarl[")]
+
+
+def test_versions_are_fixed_in_the_constraints_alone() -> None:
+    fixed = pins()
+    for requirement in requirements():
+        name = re.split(r"[<>=!~]", requirement)[0]
+        assert "==" not in requirement, requirement
+        assert canonical(name) in fixed, f"{name} is not in constraints.txt"
+    assert "torch>=2.2" in requirements()
+    # No version of torch stands anywhere else, so that nothing can ask for another build.
+    assert "torch==" not in (ROOT / "Makefile").read_text()
+
+
+def test_everybody_uses_the_same_ruff() -> None:
+    config = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
+    (hooks,) = config["repos"]
+    assert hooks["rev"] == f"v{pins()['ruff']}"
+    assert [hook["id"] for hook in hooks["hooks"]] == ["ruff-check", "ruff-format"]
+
+
+def test_hosted_tests_are_those_of_the_makefile() -> None:
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text())
+    commands = [step["run"] for step in workflow["jobs"]["test"]["steps"] if "run" in step]
+    assert [command.split()[:2] for command in commands] == [["make", "test"]]
+
+
+def test_the_page_of_a_registry_links_to_nothing_that_is_not_there() -> None:
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    _, _, name = config["metadata"]["long_description"].partition("file: ")
+    page = (ROOT / name).read_text()
+    links = re.findall(r"\]\(([^)]*)\)", page)
+    assert links and all(link.startswith("https://") for link in links)
+    for extra in config["options.extras_require"]:
+        assert extra == "test" or f"| `{extra}` |" in page
+    for name in re.findall(r"`(\w+\.(?:md|cff))`", page):
+        assert (ROOT / name).exists() or (ROOT / "docs" / name).exists()
+
+
+WATCHED = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+sys.argv = ["animarl", *sys.argv[1:]]
+from animarl_algos.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    "more", [("AnimaRL/Agent-v0",), ("AnimaRL/Newt-v0", "--by", "script"), ("AnimaRL/Silkmoth-v0",)]
+)
+def test_animals_are_watched_without_what_learns(tmp_path: Path, more: tuple[str, ...]) -> None:
+    """The packages that ``render`` and ``cli`` bring are enough."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    wanted = config["options.extras_require"]
+    enough = {wanted[e] for e in ("render", "cli")} | {config["options"]["install_requires"]}
+    here = {re.split(r"[<>=]", line)[0] for text in enough for line in text.split()}
+    asked = {re.split(r"[<>=]", line)[0] for e in ("algos", "data") for line in wanted[e].split()}
+    modules = {"scikit-learn": "sklearn", "pyyaml": "yaml"}
+    absent = {modules.get(name, name).replace("-", "_") for name in asked - here}
+    assert {"torch", "stable_baselines3", "scipy", "pandas"} <= absent
+    script = WATCHED.replace("{absent}", repr(absent))
+    clip = tmp_path / "clip.gif"
+    command = (sys.executable, "-c", script, "watch", *more, "--steps", "3", "--out", str(clip))
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert clip.stat().st_size > 0
+
+
+USED = """
+import importlib, pkgutil, sys
+from pathlib import Path
+import gymnasium as gym
+import animarl_algos, animarl_envs
+from animarl_envs.demos.packaged import load_packaged
+
+for package in (animarl_envs, animarl_algos):
+    assert Path(package.__file__).is_relative_to(sys.prefix), package.__file__
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+for name in animarl_envs.SPECIES:
+    load_packaged(name)
+    env = gym.make(animarl_envs.environment_id(name))
+    env.reset(seed=0)
+    env.step(0)
+from animarl_algos import DQN, SlotVecEnv
+from animarl_algos.learner.presets import learner_preset
+DQN("GruPolicy", SlotVecEnv("agent", 2), seed=0).learn(20)
+"""
+
+
+@pytest.mark.slow
+def test_a_wheel_is_built_and_used_in_an_empty_environment(tmp_path: Path) -> None:
+    """Its own packages come from the wheel, those of others from where the tests run."""
+    source = tmp_path / "source"
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "out", "build", "dist", "*.egg-info")
+    shutil.copytree(ROOT, source, ignore=ignored)
+    files = {str(path.relative_to(source)) for path in source.rglob("*") if path.is_file()}
+    dist = tmp_path / "dist"
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(dist), cwd=source)
+    made = sorted(dist.iterdir())
+    assert [path.suffix for path in made] == [".whl", ".gz"]
+    checked = run(sys.executable, "-m", "twine", "check", "--strict", *map(str, made), cwd=tmp_path)
+    assert checked.count("PASSED") == 2
+    with tarfile.open(made[1]) as archive:  # whole, so that its tests run as they do here
+        held = {name.partition("/")[2] for name in archive.getnames()}
+    assert files <= held, sorted(files - held)
+
+    empty = tmp_path / "empty"
+    venv.create(empty, with_pip=True)
+    python = empty / "bin" / "python"
+    install = ("-m", "pip", "install", "--no-deps", "--no-index", "--quiet", str(made[0]))
+    run(str(python), *install, cwd=tmp_path)
+    (site,) = (empty / "lib").glob("python*/site-packages")
+    others = [path for path in sys.path if path.endswith("site-packages")]
+    # Folders named in a .pth file are looked in, but their own .pth files are not followed: the
+    # project as it stands here, if it is installed from its source, is not found through them.
+    (site / "others.pth").write_text("\n".join(others))
+    run(str(python), "-c", USED, cwd=tmp_path)
+    assert "train" in run(str(empty / "bin" / "animarl"), "--help", cwd=tmp_path)
+
+
+def run(*command: str, cwd: Path) -> str:
+    """What a command prints; if it fails, that is shown."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout

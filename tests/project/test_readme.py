@@ -1,0 +1,69 @@
+"""README.md: short, its programs run, its commands parse, and its picture is small."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import pytest
+import typer.main
+from small_runs import few, made
+
+from animarl_algos.cli.main import app
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "README.md").read_text()
+
+
+def blocks(kind: str) -> list[str]:
+    """Return the fenced blocks of a kind, in their order."""
+    fenced = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    return [content for found, content in fenced if found == kind]
+
+
+def test_the_readme_is_short() -> None:
+    assert len(PAGE.splitlines()) <= 150
+
+
+def test_the_programs_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = made(tmp_path, "soft-bc", demos=few(), rolled_out=False)
+    monkeypatch.chdir(tmp_path)
+    Path("out").mkdir()
+    Path("out/demo").symlink_to(run.path)
+    programs = blocks("python")
+    assert len(programs) == 2
+    for program in programs:
+        statements = [line for line in program.splitlines() if line and "import " not in line]
+        assert len(statements) <= 10
+        exec(compile(program, "README.md", "exec"), {})
+    assert capsys.readouterr().out.count("caught in") == 2
+    assert Path("model.zip").exists()
+
+
+def test_the_commands_parse() -> None:
+    """Every command and option exists."""
+    root = typer.main.get_command(app)
+    lines = [line for block in blocks("") for line in block.splitlines()]
+    commands = [shlex.split(line, comments=True) for line in lines if line.startswith("animarl ")]
+    assert len(commands) >= 7
+    for words in commands:
+        context = root.make_context("animarl", words[1:], resilient_parsing=False)
+        name, command, rest = root.resolve_command(context, words[1:])  # type: ignore[attr-defined]
+        command.make_context(name, rest)
+    targets = re.findall(r"^make (\w+)", PAGE, re.MULTILINE)
+    makefile = (ROOT / "Makefile").read_text()
+    assert targets and all(f"\n{target}:" in makefile for target in targets)
+
+
+def test_the_moving_picture_is_small() -> None:
+    assert 50_000 < (ROOT / "docs" / "images" / "demo.gif").stat().st_size < 2_000_000
+
+
+def test_the_script_of_the_picture_runs(tmp_path: Path) -> None:
+    make = runpy.run_path(str(ROOT / "docs" / "make_readme_clip.py"))
+    make["main"](tmp_path / "clip.gif", episodes=1, steps=3)
+    assert (tmp_path / "clip.gif").read_bytes().startswith(b"GIF")

@@ -1,0 +1,77 @@
+"""The examples run, in every library that the documentation names."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def load(path: Path) -> ModuleType:
+    """A script as a module."""
+    spec = importlib.util.spec_from_file_location(f"script_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look it up
+    spec.loader.exec_module(module)
+    return module
+
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+PAGE = load(ROOT / "docs" / "make_clients_page.py")
+CLIENTS = PAGE.CLIENTS
+OWN = {client.example: client for client in CLIENTS if client.own}
+OPTIONAL = {"torchrl_env": "torchrl", "tianshou_env": "tianshou"}
+HERE = [path for path in EXAMPLES if path.stem not in OWN]
+
+
+@pytest.mark.parametrize("path", HERE, ids=lambda path: path.stem)
+@pytest.mark.filterwarnings("ignore")
+def test_example_runs_and_gives_a_number(path, capsys):
+    if path.stem in OPTIONAL:
+        pytest.importorskip(OPTIONAL[path.stem])
+    result = load(path).main(["--steps", "400", "--seed", "1"])
+    numbers = result if isinstance(result, tuple) else (result,)
+    assert all(math.isfinite(number) for number in numbers)
+    assert "400 steps" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OWN)
+def test_clients_of_other_versions_run_in_environments_of_their_own(name, tmp_path):
+    client = OWN[name]
+    try:
+        python = PAGE.interpreter(client, tmp_path)
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"{', '.join(client.own)} cannot be installed here: {error}")
+    assert "400 steps" in PAGE.run(client, python, 400)
+    assert re.search(rf"{client.libraries[0]} \d+\.\d+", PAGE.versions(client, python))
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_time_outs_are_stored_as_time_outs():
+    example = load(ROOT / "examples" / "pettingzoo_supersuit_sb3.py")
+    time_outs, ends = example.main(["--steps", "1500", "--copies", "1", "--seed", "0"])
+    assert time_outs > 0
+    assert time_outs < ends  # others end by contact or at the boundary
+    assert time_outs % 3 == 0  # all three individuals of a copy at once
+    assert (time_outs, ends) == example.main(["--steps", "1500", "--copies", "1", "--seed", "0"])
+
+
+def test_the_page_names_every_example_and_a_version_of_every_library():
+    page = (ROOT / "docs" / "clients.md").read_text()
+    assert {client.example for client in CLIENTS} == {path.stem for path in EXAMPLES}
+    for client in CLIENTS:
+        row = next(line for line in page.splitlines() if f"`{client.example}.py`" in line)
+        assert client.summary in row
+        for library in client.libraries:
+            assert re.search(rf"{library} \d+\.\d+", row)
