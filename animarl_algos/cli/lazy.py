@@ -53,6 +53,7 @@ COMMANDS = {
     "run": Place("run", "run_command"),
     "train": Place("run", "train_command"),
     "evaluate": Place("evaluate", "evaluate_command"),
+    "whatif": Place("whatif", "whatif_command"),
     "counterfactual": Place("evaluate", "counterfactual_command"),
     "inspect": Place("evaluate", "inspect_command"),
     "report": Place("run", "report_command"),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.collect import Cue, collect_rollouts
+from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.runs.acting import for_all
@@ -24,6 +24,9 @@ from animarl_envs.species.options import change_world, with_options
 from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import make_world, observation_components
 from animarl_envs.worlds.base import ObservationComponent
+
+if TYPE_CHECKING:
+    from animarl_algos.whatif.answer import WhatIf
 
 SEEN_OTHERWISE = (
     "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
@@ -52,6 +55,11 @@ class LoadedRun:
     scenario: Scenario
     demos: Demonstrations
 
+    @property
+    def told_condition(self) -> bool:
+        """Whether the policy was told the condition in training, and so can be told another."""
+        return self.policy.layout.condition_flag
+
     def simulate(
         self,
         *,
@@ -61,6 +69,7 @@ class LoadedRun:
         told: Cue = "actual",
         seed: int | None = None,
         reading: Reading = "habit",
+        wrap: Callable[[Policy], Policy] | None = None,
         **options: Any,
     ) -> Rollouts:
         """Let the policy drive everybody who learned, in the run's world or in another one.
@@ -84,6 +93,8 @@ class LoadedRun:
             What the policy perceives where the options change motion or place: ``"habit"``, the
             same inputs as ever for the same places and velocities; ``"knows"``, its own motion in
             units of its changed body (:data:`animarl_envs.species.scales.Reading`).
+        wrap
+            Returns what acts in the policy's place, such as a policy that counts what it sees.
         options
             Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
             as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
@@ -110,15 +121,25 @@ class LoadedRun:
             observation_noise=before.observation_noise,
             observation_delay=before.observation_delay,
         )
+        acting = for_all(self.policy, names, self.folder.settings.focal)
         return collect_rollouts(
             partial(make_world, scenario),
-            for_all(self.policy, names, self.folder.settings.focal),
+            acting if wrap is None else wrap(acting),
             method=method_name(self.folder.settings.algo),
             seed=seed,
             repetitions=repetitions,
             cue=told if self.policy.layout.condition_flag else None,
             reseed=self.policy.policy.seed,
         )
+
+    def what_if(self, *changes: str, **options: Any) -> WhatIf:
+        """Ask what would happen in a changed world; see :func:`animarl_algos.whatif.answer.ask`.
+
+        ``changes`` are written as ``prey.speed=+20%``; ``options`` are those of ``ask``.
+        """
+        from animarl_algos.whatif.answer import ask
+
+        return ask([self], changes, **options)
 
 
 def seen_otherwise(species: Species, options: Mapping[str, Any]) -> str:

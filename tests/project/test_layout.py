@@ -51,6 +51,7 @@ ROOMS = (
     "animarl_algos.recipes",
     "animarl_algos.evaluation",
     "animarl_algos.report",
+    "animarl_algos.whatif",
     "animarl_algos.runs",
     "animarl_algos.benchmark",
     "animarl_algos.cli",

@@ -1,0 +1,100 @@
+"""``animarl whatif``: trained runs in a changed world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from animarl_algos.whatif.answer import Answer
+
+COLOURS = {"none": "green", "some": "yellow", "red": "red"}
+
+
+def whatif_command(
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run folders (training seeds of one learner), or 'fly'.")
+    ],
+    change: Annotated[
+        list[str],
+        typer.Option(help="NAME=VALUE, such as prey.speed=+20%. Several hold together."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for tables, figures and words.")] = Path(
+        "out/whatif"
+    ),
+    repetitions: Annotated[int, typer.Option(min=1, help="Rollouts from each start.")] = 5,
+    separately: Annotated[
+        bool, typer.Option("--separately", help="Ask each change by itself.")
+    ] = False,
+    knows: Annotated[
+        bool,
+        typer.Option(
+            "--knows",
+            help="Individuals know their changed body; by default they act by habit.",
+        ),
+    ] = False,
+) -> None:
+    """Ask trained runs what would happen in a changed world.
+
+    The policies act as they learned to; nobody learns anew. Every answer is paired with the
+    unchanged world, has a 95 % interval, and is marked where policies see what they never saw.
+
+    Values: a factor (x1.2), a change (+20%), a value with its unit (60s, 0.15), or a sweep
+    (-20%..+20%/5). Speed is achieved speed: the thrust that it takes is found and printed.
+
+    Examples:
+
+      animarl whatif runs/first --change prey.speed=+20% --out out/faster-prey
+
+      animarl whatif runs/s0 runs/s1 runs/s2 --change arena=x1.5 --change prey.thrust=x1.2
+
+      animarl whatif runs/first --change prey.thrust=x0.8..x1.2/5
+
+      animarl whatif runs/both --change condition=shared
+    """
+    from rich.console import Console
+
+    from animarl_algos.runs.loading import load_run
+    from animarl_algos.whatif.answer import ask
+
+    console = Console()
+    loaded = [load_run(run) for run in runs]
+    found = ask(
+        loaded,
+        change,
+        repetitions=repetitions,
+        reading="knows" if knows else "habit",
+        separately=separately,
+        on_answer=lambda answer: _print(console, answer),
+    )
+    found.save(out)
+    console.print(f"Tables, figures and words: {out}", highlight=False)
+
+
+def _print(console: Console, answer: Answer) -> None:
+    """Print one answer as it is ready."""
+    from rich.table import Table
+
+    table = Table(title=answer.scenario.name, title_justify="left", box=None)
+    table.add_column("quantity")
+    for column in ("recorded", "baseline", "changed"):
+        table.add_column(column, justify="right")
+    table.add_column("shift [95 % interval]", no_wrap=True)
+    for _, row in answer.table.iterrows():
+        style = "" if row["finding"] else "dim"
+        table.add_row(
+            row["quantity"], *(f"{row[key]:.3g}" for key in ("recorded", "baseline", "changed")),
+            f"{row['shift']:+.3g} \\[{row['low']:.3g}, {row['high']:.3g}] {row['unit']}",
+            style=style,
+        )  # fmt: skip
+    console.print(table)
+    if answer.thrusts:
+        took = ", ".join(f"{name} x{factor:.3g}" for name, factor in answer.thrusts.items())
+        console.print(f"thrust that the speed took: {took}", highlight=False)
+    if answer.reason:
+        colour = COLOURS[answer.warning]
+        console.print(f"[{colour}]Warning ({answer.warning}): {answer.reason}[/{colour}]")

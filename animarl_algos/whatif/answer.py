@@ -1,0 +1,415 @@
+"""Answers to what-if questions: changed world beside unchanged world, paired, with intervals.
+
+Nobody learns: the same policies act in another world. Baseline and scenario start from the same
+recordings and meet the same random numbers, so that they differ by the change alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.cells import cells
+from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Interval, bootstrap_mean
+from animarl_algos.evaluation.tidy import write_tables
+from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
+from animarl_algos.whatif.extrapolation import RED, YELLOW, InputRange, WatchedPolicy
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.units import Unit, unit_of
+from animarl_envs.errors import InputError
+from animarl_envs.files import all_files_or_none
+from animarl_envs.focus import distances_to_target
+from animarl_envs.scenario import Scenario as World
+from animarl_envs.species import Species
+from animarl_envs.species.scales import Reading
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = NDArray[np.float64]
+
+REPETITIONS = 5
+CLOSE_ENOUGH = 0.02  # relative error of an achieved speed
+MOST_TRIES = 10
+TRY_REPETITIONS = 2
+FAR_APART = 0.1  # tries of thrust, for a slope to be read off them [log]
+USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
+THRUST_LIMITS = (1 / 8, 8.0)
+GREEN_WORD, YELLOW_WORD, RED_WORD = "none", "some", "red"
+
+
+class TrainedRun(Protocol):
+    """A finished run, :class:`animarl_algos.runs.loading.LoadedRun`."""
+
+    @property
+    def scenario(self) -> World: ...
+
+    @property
+    def demos(self) -> Demonstrations: ...
+
+    @property
+    def told_condition(self) -> bool: ...
+
+    def simulate(self, **options: Any) -> Rollouts: ...
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is asked of every episode."""
+
+    name: str
+    unit: str
+    values: Callable[[Rollouts], Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What one scenario gives.
+
+    Parameters
+    ----------
+    scenario
+        What was changed.
+    table
+        One row per quantity: ``scenario, quantity, unit, recorded, baseline, changed, shift, low,
+        high, gap, covers, other_reading, warning, finding``. ``gap`` is baseline minus recorded;
+        ``finding`` is empty where the shift's interval holds zero, where it is smaller than the gap
+        or where the warning is red.
+    warning
+        ``none``, ``some`` or ``red``.
+    reason
+        In words, why to distrust the answer; empty where nothing speaks against it.
+    thrusts
+        Factors on thrusts that wanted speeds took, by individual.
+    rollouts
+        In the changed world, all runs.
+    """
+
+    scenario: Scenario
+    table: pd.DataFrame
+    warning: str
+    reason: str
+    thrusts: Mapping[str, float]
+    rollouts: Rollouts
+
+
+@dataclass(frozen=True, eq=False)
+class WhatIf:
+    """Baseline and answers of all scenarios."""
+
+    baseline: Rollouts
+    answers: tuple[Answer, ...]
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """All answers, one row per scenario and quantity."""
+        import pandas as pd
+
+        return pd.concat([answer.table for answer in self.answers], ignore_index=True)
+
+    def save(self, folder: str | Path) -> None:
+        """Write ``whatif.csv``, ``whatif.parquet``, figures and ``README.md``, all or nothing."""
+        from animarl_algos.whatif.figure import save_figure, words
+
+        with all_files_or_none(folder) as part:
+            write_tables({"whatif": self.table}, part)
+            save_figure(self, part)
+            (part / "README.md").write_text(words(self), encoding="utf-8")
+
+
+def ask(
+    runs: Sequence[TrainedRun],
+    changes: Sequence[str],
+    *,
+    repetitions: int = REPETITIONS,
+    reading: Reading = "habit",
+    separately: bool = False,
+    seed: int = 0,
+    on_answer: Callable[[Answer], None] | None = None,
+) -> WhatIf:
+    """Ask trained runs what would happen if.
+
+    Parameters
+    ----------
+    runs
+        Of one learner in one world; several are training seeds.
+    changes
+        As :func:`~animarl_algos.whatif.changes.parse_scenarios` reads them.
+    repetitions
+        Rollouts from each test start and run.
+    reading
+        What policies perceive of a changed body (:data:`animarl_envs.species.scales.Reading`).
+    separately
+        Whether every change is a question of its own.
+    seed
+        Of the resamples.
+    on_answer
+        Is told of each answer as it is ready.
+
+    Raises
+    ------
+    InputError
+        If a change is unknown or cannot be made. Nothing is simulated then.
+    """
+    first = runs[0]
+    species = first.scenario.species
+    scenarios = parse_scenarios(changes, species, separately=separately)
+    unit = unit_of(first.demos)
+    for scenario in scenarios:
+        _check(scenario, first, unit)
+    asker = _Asker(tuple(runs), unit, repetitions, reading, seed)
+    answers = []
+    for scenario in scenarios:
+        answers.append(asker.answer(scenario))
+        if on_answer is not None:
+            on_answer(answers[-1])
+    return WhatIf(asker.baseline, tuple(answers))
+
+
+def _check(scenario: Scenario, run: TrainedRun, unit: Unit) -> None:
+    """Refuse what cannot be made before anything is simulated."""
+    from animarl_envs.species.options import change_world
+
+    change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
+    sensed = run.scenario.species.condition_is_sensed
+    if scenario.condition is not None and not sensed and not run.told_condition:
+        raise InputError(
+            "the policies of this run were never told the condition, so they cannot be told "
+            "another: train a run on recordings of both conditions"
+        )
+
+
+class _Asker:
+    """Simulates baseline and scenarios once each, and compares them."""
+
+    def __init__(
+        self,
+        runs: tuple[TrainedRun, ...],
+        unit: Unit,
+        repetitions: int,
+        reading: Reading,
+        seed: int,
+    ) -> None:
+        self.runs, self.unit, self.repetitions = runs, unit, repetitions
+        self.reading, self.seed = reading, seed
+        self.species = runs[0].scenario.species
+        self.test = runs[0].demos.select(split="test")
+        self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
+        self.baseline, self.usual, self.usual_inputs = self._simulate({}, None, "habit")
+        self.quantities = list(_quantities(self.species, unit))
+
+    def answer(self, scenario: Scenario) -> Answer:
+        """Compare one scenario with the baseline."""
+        thrusts = self._thrusts(scenario)
+        options = scenario.options(self.species, self.unit, thrusts)
+        changed, beyond, inputs = self._simulate(options, scenario.condition, self.reading)
+        other = None
+        if scenario.moves_bodies:
+            reading: Reading = "knows" if self.reading == "habit" else "habit"
+            other = self._simulate(options, scenario.condition, reading)[0]
+        rows = list(self._rows(scenario, changed, other))
+        warning, reason = self._warning(beyond, inputs, rows)
+        for row in rows:
+            row["warning"] = warning
+            clear = row["low"] > 0 or row["high"] < 0
+            large = not abs(row["shift"]) < abs(row["gap"])
+            row["finding"] = bool(clear and large and warning != RED_WORD)
+        import pandas as pd
+
+        return Answer(scenario, pd.DataFrame(rows), warning, reason, thrusts, changed)
+
+    def _simulate(
+        self,
+        options: Mapping[str, Any],
+        condition: str | None,
+        reading: Reading,
+        repetitions: int | None = None,
+    ) -> tuple[Rollouts, Floats, Floats]:
+        """Rollouts of all runs, and shares of inputs beyond their range."""
+        parts, beyond, inputs = [], [], []
+        for run, ranges in zip(self.runs, self.ranges):
+            watched: list[WatchedPolicy] = []
+
+            def wrap(policy: Any, ranges: InputRange = ranges, into: Any = watched) -> Any:
+                into.append(WatchedPolicy(policy, ranges))
+                return into[-1]
+
+            cue: dict[str, Any] = {}
+            if condition is not None:
+                index = self.species.conditions.index(condition)
+                cue = {"condition": index} if self.species.condition_is_sensed else {"told": index}
+            parts.append(
+                run.simulate(
+                    repetitions=repetitions or self.repetitions,
+                    reading=reading,
+                    wrap=wrap,
+                    **cue,
+                    **options,
+                )
+            )
+            shares = watched[0].shares()
+            beyond.append(shares[0])
+            inputs.append(shares[1])
+        return Rollouts.concatenate(parts), np.mean(beyond, axis=0), np.mean(inputs, axis=0)
+
+    def _thrusts(self, scenario: Scenario) -> dict[str, float]:
+        """Find by simulation the thrusts at which wanted speeds are achieved."""
+        wanted: dict[str, float] = {}
+        usual = _speeds(self.baseline)  # of more rollouts than a try
+        for change in scenario.speeds:
+            wanted |= self._wanted(change, usual)
+        factors = dict.fromkeys(wanted, 1.0)
+        if not wanted:
+            return factors
+        names = self.species.individuals
+        start = {name: usual[names.index(name)] for name in wanted}
+        tried = {name: [(0.0, np.log(start[name]))] for name in wanted}
+        for name, target in wanted.items():
+            factors[name] = float(np.clip(target / start[name], *THRUST_LIMITS))
+        for _ in range(MOST_TRIES):
+            options = scenario.options(self.species, self.unit, factors)
+            achieved = _speeds(
+                self._simulate(options, scenario.condition, self.reading, TRY_REPETITIONS)[0]
+            )
+            miss = {n: np.log(wanted[n] / achieved[names.index(n)]) for n in wanted}
+            if all(abs(one) <= CLOSE_ENOUGH for one in miss.values()):
+                return factors
+            for name in wanted:
+                tried[name].append((np.log(factors[name]), np.log(achieved[names.index(name)])))
+                factors[name] = _next_factor(tried[name], np.log(wanted[name]))
+        worst = max(miss, key=lambda name: abs(miss[name]))
+        scale = self.unit.per_arena_unit
+        raise InputError(
+            f"{scenario.name}: no thrust between x{THRUST_LIMITS[0]:g} and x{THRUST_LIMITS[1]:g} "
+            f"brings {worst} to {wanted[worst] * scale:.3g} {self.unit.name}/s; the last try gave "
+            f"{achieved[names.index(worst)] * scale:.3g}: ask for less, or change its thrust"
+        )
+
+    def _wanted(self, change: Change, usual: Floats) -> dict[str, float]:
+        """Speeds that a change asks for [arena unit / s]."""
+        assert not isinstance(change.amount, str)
+        scales = {f"{self.unit.name}/s": 1.0 / self.unit.per_arena_unit}
+        names = self.species.individuals
+        return {
+            name: change.amount.of(float(usual[names.index(name)]), scales, change.text)
+            for name in change.who
+        }
+
+    def _rows(
+        self, scenario: Scenario, changed: Rollouts, other: Rollouts | None
+    ) -> Iterator[dict[str, Any]]:
+        """One row per quantity."""
+        counts = np.ones(len(changed), dtype=bool)
+        if scenario.condition is not None:
+            index = self.species.conditions.index(scenario.condition)
+            counts = self.test.condition[changed.demo] != index
+        recorded = Rollouts.from_demonstrations(self.test)
+        shown = np.unique(changed.demo[counts])
+        for quantity in self.quantities:
+            before, after = quantity.values(self.baseline), quantity.values(changed)
+            shift = self._mean(changed, after - before, counts)
+            further = float("nan")
+            if other is not None:
+                further = self._mean(other, quantity.values(other) - before, counts).estimate
+            baseline = self._mean(self.baseline, before, counts).estimate
+            true = float(np.nanmean(quantity.values(recorded)[shown]))
+            yield {
+                "scenario": scenario.name, "quantity": quantity.name, "unit": quantity.unit,
+                "recorded": true, "baseline": baseline, "changed": baseline + shift.estimate,
+                "shift": shift.estimate, "low": shift.low, "high": shift.high,
+                "gap": baseline - true, "covers": self.covers, "other_reading": further,
+            }  # fmt: skip
+
+    @property
+    def covers(self) -> str:
+        """What intervals speak of."""
+        return "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
+
+    def _mean(self, rollouts: Rollouts, values: Floats, counts: NDArray[np.bool_]) -> Interval:
+        """Mean over recordings with its interval; starts of one recording are one."""
+        _, recording = np.unique(self.test.recording, return_inverse=True)
+        if len(np.unique(recording[rollouts.demo[counts]])) < 2:
+            recording = np.arange(len(self.test))
+        seed = np.repeat(np.arange(len(self.runs)), len(rollouts) // len(self.runs))
+        data = cells(values, seed, recording[rollouts.demo], int(recording.max()) + 1, counts)
+        return bootstrap_mean(data, np.random.default_rng(self.seed))
+
+    def _warning(
+        self, beyond: Floats, inputs: Floats, rows: Sequence[Mapping[str, Any]]
+    ) -> tuple[str, str]:
+        """How far to trust an answer, in a word and in a sentence."""
+        more = beyond - self.usual
+        worst = int(np.argmax(more))
+        reasons, word = [], GREEN_WORD
+        if more[worst] > YELLOW:
+            word = RED_WORD if more[worst] > RED else YELLOW_WORD
+            which = int(np.argmax(inputs[worst] - self.usual_inputs[worst]))
+            reasons.append(
+                f"in {more[worst]:.0%} more steps than usual {self.species.individuals[worst]} "
+                "perceives what it never did in training (most of all: "
+                f"{self.ranges[0].names[which]})"
+            )
+        turned = [
+            str(row["quantity"])
+            for row in rows
+            if np.isfinite(row["other_reading"])
+            and (row["low"] > 0 or row["high"] < 0)
+            and row["other_reading"] * row["shift"] < 0
+        ]
+        if turned:
+            word = RED_WORD if word == RED_WORD else YELLOW_WORD
+            reasons.append(
+                f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
+            )
+        return word, "; ".join(reasons)
+
+
+def _next_factor(tried: Sequence[tuple[float, float]], wanted: float) -> float:
+    """Return the next thrust factor, by a line through all tries (logarithms of both)."""
+    x, y = np.array(tried).T
+    slope = float(np.polyfit(x, y, 1)[0]) if np.ptp(x) > FAR_APART else USUAL_SLOPE
+    step = (wanted - y[-1]) / float(np.clip(slope, 0.1, 1.5))
+    return float(np.clip(np.exp(x[-1] + np.clip(step, -0.7, 0.7)), *THRUST_LIMITS))
+
+
+def _speeds(rollouts: Rollouts) -> Floats:
+    """Mean speed of each individual, every episode weighing alike [arena unit / s]."""
+    seconds = np.maximum(rollouts.lengths - 1, 1) * rollouts.dt
+    return np.asarray((path_lengths(rollouts) / seconds[:, None]).mean(axis=0))
+
+
+def _quantities(species: Species, unit: Unit) -> Iterator[Quantity]:
+    """What is asked: outcome, duration, paths, speeds, distance."""
+    scale, name = unit.per_arena_unit, unit.name
+
+    def seconds(rollouts: Rollouts) -> Floats:
+        return np.asarray((rollouts.lengths - 1) * rollouts.dt)
+
+    def paths(rollouts: Rollouts) -> Floats:
+        return np.asarray(scale * path_lengths(rollouts)[:, rollouts.movers].mean(axis=1))
+
+    def closest(rollouts: Rollouts) -> Floats:
+        apart = distances_to_target(rollouts.positions, rollouts.roles).min(axis=1)
+        starts = rollouts.offsets[:-1]
+        return np.asarray(scale * np.add.reduceat(apart, starts) / rollouts.lengths)
+
+    def speed_of(index: int) -> Callable[[Rollouts], Floats]:
+        def speed(rollouts: Rollouts) -> Floats:
+            length = path_lengths(rollouts)[:, index]
+            return np.asarray(scale * length / np.maximum(seconds(rollouts), rollouts.dt))
+
+        return speed
+
+    yield Quantity("reached", "share", lambda rollouts: rollouts.captured.astype(np.float64))
+    yield Quantity("duration", "s", seconds)
+    yield Quantity("path length", name, paths)
+    yield Quantity("mean distance", name, closest)
+    for index, individual in enumerate(species.individuals):
+        yield Quantity(f"speed of {individual}", f"{name}/s", speed_of(index))

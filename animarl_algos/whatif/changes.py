@@ -1,0 +1,289 @@
+"""Changes of a world in the words of its user: ``prey.speed=+20%``, ``arena=x1.5``."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from animarl_envs.demos.units import Unit
+from animarl_envs.errors import InputError
+from animarl_envs.species import ChaseSpecies, SearchSpecies, Species
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+FACTOR = re.compile(rf"x({NUMBER})")
+PERCENT = re.compile(rf"({NUMBER})%")
+ABSOLUTE = re.compile(rf"({NUMBER})\s*([A-Za-z/]*)")
+SWEEP = re.compile(r"(.+?)\.\.(.+?)/(\d+)")
+MOST_SCENARIOS = 50
+
+BODY = ("speed", "thrust", "damping")
+WORLD = {"arena": "size", "contact": "contact_radius", "time_limit": "time_limit"}
+CONDITION = "condition"
+NEEDS_ANOTHER_RUN = {
+    "remove": "num_pursuers with one less",
+    "add": "num_pursuers with one more",
+}
+
+
+@dataclass(frozen=True)
+class Amount:
+    """How much: a factor on what is there, or a value with its unit (empty: the arena's)."""
+
+    value: float
+    is_factor: bool
+    unit: str = ""
+
+    def of(self, before: float, scales: Mapping[str, float], what: str) -> float:
+        """Return the new value; ``scales`` say how much one of each unit is."""
+        if self.is_factor:
+            return before * self.value
+        if self.unit and self.unit not in scales:
+            raise InputError(
+                f"{what} is given in {self.unit!r}: use {', '.join(sorted(scales)) or 'no unit'}, "
+                "a factor (x1.2) or a change (+20%)"
+            )
+        return self.value * scales.get(self.unit, 1.0)
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing that is changed.
+
+    Parameters
+    ----------
+    who
+        Individuals, for what is theirs; empty for the world.
+    what
+        ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition`` or
+        another number of the species.
+    amount
+        How much; of a condition its name.
+    text
+        As the user wrote it.
+    """
+
+    who: tuple[str, ...]
+    what: str
+    amount: Amount | str
+    text: str
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Changes that are made together."""
+
+    changes: tuple[Change, ...]
+
+    @property
+    def name(self) -> str:
+        return ", ".join(change.text for change in self.changes)
+
+    @property
+    def speeds(self) -> tuple[Change, ...]:
+        """Changes of achieved speed, for which thrusts must be found."""
+        return tuple(change for change in self.changes if change.what == "speed")
+
+    @property
+    def moves_bodies(self) -> bool:
+        return any(change.what in BODY for change in self.changes)
+
+    @property
+    def condition(self) -> str | None:
+        """The condition that policies are told, by name."""
+        for change in self.changes:
+            if change.what == CONDITION:
+                return str(change.amount)
+        return None
+
+    def options(
+        self, species: Species, unit: Unit, thrusts: Mapping[str, float] | None = None
+    ) -> dict[str, Any]:
+        """Return options of the species for everything but the condition.
+
+        Parameters
+        ----------
+        thrusts
+            Factors on thrusts that were found for wanted speeds, by individual.
+        """
+        lengths = {unit.name: 1.0 / unit.per_arena_unit}
+        bodies = dict(zip(species.individuals, species.locomotion, strict=True))
+        for name, factor in (thrusts or {}).items():
+            bodies[name] = replace(bodies[name], thrust=bodies[name].thrust * factor)
+        options: dict[str, Any] = {}
+        for change in self.changes:
+            if isinstance(change.amount, str) or change.what == "speed":
+                continue
+            if change.what in BODY:
+                for name in change.who:
+                    old = getattr(bodies[name], change.what)
+                    new = change.amount.of(old, {}, change.text)
+                    what: dict[str, Any] = {change.what: new}
+                    bodies[name] = replace(bodies[name], **what)
+            elif change.what == "arena":
+                options["arena"] = change.amount.of(species.arena.size, lengths, change.text)
+            elif change.what == "time_limit":
+                seconds = change.amount.of(
+                    species.time_limit * species.dt, {"s": 1.0, "min": 60.0}, change.text
+                )
+                options["time_limit"] = max(1, round(seconds / species.dt))
+            else:
+                field = WORLD.get(change.what, change.what)
+                before = float(getattr(species, field))
+                options[field] = change.amount.of(before, lengths | {"s": 1.0}, change.text)
+        if bodies != dict(zip(species.individuals, species.locomotion)):
+            options["locomotion"] = bodies
+        return options
+
+
+def parse_scenarios(
+    texts: Sequence[str], species: Species, *, separately: bool = False
+) -> list[Scenario]:
+    """Return the scenarios that ``--change`` options describe.
+
+    Parameters
+    ----------
+    texts
+        Each ``NAME=VALUE``. All hold together; a sweep (``prey.speed=-20%..+20%/5``) makes as many
+        scenarios as it has points, several sweeps all their combinations.
+    species
+        Knows the names.
+    separately
+        Whether every text is a question of its own.
+
+    Raises
+    ------
+    InputError
+        If a name or a value is unknown, or one thing is changed twice.
+    """
+    if not texts:
+        raise InputError("nothing is changed: give --change NAME=VALUE, " + known(species))
+    each = [parse_change(text, species) for text in texts]
+    if separately:
+        scenarios = [Scenario((change,)) for points in each for change in points]
+    else:
+        scenarios = [Scenario(changes) for changes in itertools.product(*each)]
+    if len(scenarios) > MOST_SCENARIOS:
+        raise InputError(f"{len(scenarios)} scenarios are asked for: ask {MOST_SCENARIOS} at most")
+    for scenario in scenarios:
+        _check_once(scenario.changes)
+    return scenarios
+
+
+def parse_change(text: str, species: Species) -> list[Change]:
+    """Return the change that a text describes; of a sweep, that of each of its points."""
+    name, equals, value = (part.strip() for part in text.partition("="))
+    if not (name and equals and value):
+        raise InputError(f"{text!r} is no change: give NAME=VALUE, " + known(species))
+    who, what = _subject(name, text, species)
+    if what == CONDITION:
+        return [Change(who, what, _condition(value, species), text)]
+    sweep = SWEEP.fullmatch(value)
+    if sweep is None:
+        return [Change(who, what, _amount(value, text), text)]
+    first, last = (_amount(end, text) for end in sweep.groups()[:2])
+    if (first.is_factor, first.unit) != (last.is_factor, last.unit):
+        raise InputError(f"{text!r}: both ends of a sweep are of one kind, as in -20%..+20%/5")
+    number = int(sweep[3])
+    if not 2 <= number <= MOST_SCENARIOS:
+        raise InputError(f"{text!r}: a sweep has 2 to {MOST_SCENARIOS} points")
+    points = np.linspace(first.value, last.value, number).tolist()
+    amounts = [replace(first, value=point) for point in points]
+    return [Change(who, what, one, f"{name}={_written(one)}") for one in amounts]
+
+
+def known(species: Species) -> str:
+    """Return a sentence that lists what can be changed."""
+    kinds = [f"{group}.{what}" for group in _groups(species) for what in BODY]
+    return f"where NAME is one of {', '.join([*kinds, *_world_names(species)])}"
+
+
+def _subject(name: str, text: str, species: Species) -> tuple[tuple[str, ...], str]:
+    """Whom and what a name means."""
+    if name in NEEDS_ANOTHER_RUN:
+        raise InputError(
+            f"{text!r}: the policies of this run see a fixed number of others, so none can be "
+            f"taken away or added: train a run with {NEEDS_ANOTHER_RUN[name]}"
+        )
+    if name in _world_names(species):
+        return (), name
+    group, dot, what = name.rpartition(".")
+    groups = _groups(species)
+    if not dot or what not in BODY or group not in groups:
+        raise InputError(f"{text!r}: {name!r} cannot be changed, {known(species)}")
+    return groups[group], what
+
+
+def _groups(species: Species) -> dict[str, tuple[str, ...]]:
+    """Individuals by name, by kind (``predators``) and by role (``pursuers``)."""
+    groups: dict[str, tuple[str, ...]] = {name: (name,) for name in species.individuals}
+    for name, role in zip(species.individuals, species.roles, strict=True):
+        for plural in (f"{name.rpartition('_')[0] or name}s", f"{role}s"):
+            groups[plural] = tuple(dict.fromkeys((*groups.get(plural, ()), name)))
+    groups |= {"all": species.individuals}
+    return {
+        name: who
+        for name, who in groups.items()
+        if len(who) > 1 or name in species.individuals
+    }  # fmt: skip
+
+
+def _world_names(species: Species) -> list[str]:
+    """What of the world can be changed."""
+    names = ["arena", "contact", "time_limit"] if isinstance(species, ChaseSpecies) else []
+    if isinstance(species, SearchSpecies):
+        own = {field.name for field in fields(SearchSpecies)} - {f.name for f in fields(Species)}
+        numbers = {name for name in own if isinstance(getattr(species, name), float)}
+        names = ["contact", "time_limit", *sorted(numbers)]
+    if species.conditions:
+        names.append(CONDITION)
+    return names
+
+
+def _condition(value: str, species: Species) -> str:
+    if value not in species.conditions:
+        raise InputError(
+            f"condition {value!r} was never recorded: choose one of {', '.join(species.conditions)}"
+        )
+    return value
+
+
+def _amount(value: str, text: str) -> Amount:
+    value = value.strip()
+    if found := FACTOR.fullmatch(value):
+        amount = Amount(float(found[1]), True)
+    elif found := PERCENT.fullmatch(value):
+        amount = Amount(1.0 + float(found[1]) / 100.0, True)
+    elif found := ABSOLUTE.fullmatch(value):
+        amount = Amount(float(found[1]), False, found[2])
+    else:
+        raise InputError(
+            f"{text!r}: {value!r} is no amount: give a factor (x1.2), a change (+20%), a value "
+            "with its unit (60s) or a sweep (-20%..+20%/5)"
+        )
+    if not (np.isfinite(amount.value) and amount.value > 0):
+        raise InputError(f"{text!r}: {value!r} leaves nothing: give more than zero")
+    return amount
+
+
+def _written(amount: Amount) -> str:
+    if not amount.is_factor:
+        return f"{amount.value:g}{amount.unit}"
+    return f"{100 * (amount.value - 1):+.3g}%"
+
+
+def _check_once(changes: Iterable[Change]) -> None:
+    """Refuse two changes of one thing; speed and thrust of an individual are one thing."""
+    seen: dict[tuple[str, str], str] = {}
+    for change in changes:
+        what = "thrust" if change.what == "speed" else change.what
+        for who in change.who or ("",):
+            if (who, what) in seen:
+                raise InputError(
+                    f"{seen[who, what]!r} and {change.text!r} change the same thing: give one"
+                )
+            seen[who, what] = change.text

@@ -1,0 +1,171 @@
+"""What-if questions: the words of changes, paired answers, warnings, and the command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import animarl
+
+from animarl_algos import load_run
+from animarl_algos.runs.loading import LoadedRun
+from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.changes import parse_change, parse_scenarios
+from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
+from animarl_envs.demos.units import Unit
+from animarl_envs.errors import InputError
+from animarl_envs.species import get_species
+
+AGENT, MOTH = get_species("agent"), get_species("silkmoth")
+MM = Unit("mm", 500.0)
+
+
+@pytest.fixture(scope="module")
+def chase() -> LoadedRun:
+    return load_run("agent")
+
+
+def options(*texts: str) -> dict:
+    (scenario,) = parse_scenarios(texts, AGENT)
+    return scenario.options(AGENT, MM)
+
+
+def test_changes_in_the_words_of_their_user() -> None:
+    before = dict(zip(AGENT.individuals, AGENT.locomotion))
+    both = options("predators.thrust=+20%", "prey.damping=x0.5", "time_limit=60s")
+    bodies = both["locomotion"]
+    assert both["time_limit"] == 600
+    assert bodies["predator_1"].thrust == pytest.approx(1.2 * before["predator_1"].thrust)
+    assert bodies["prey"].damping == pytest.approx(0.5 * before["prey"].damping)
+    assert bodies["prey"].thrust == before["prey"].thrust
+    assert options("arena=250mm")["arena"] == pytest.approx(0.5)
+    assert options("contact=0.2")["contact_radius"] == 0.2
+    assert options("arena=x1.5") == {"arena": 1.5}
+    assert options("condition=shared") == {}
+    (antenna,) = parse_scenarios(["antenna_radius=x2"], MOTH)
+    assert antenna.options(MOTH, MM)["antenna_radius"] == pytest.approx(2 * MOTH.antenna_radius)
+
+
+def test_a_sweep_is_as_many_scenarios_as_it_has_points() -> None:
+    points = parse_change("prey.speed=-20%..+20%/5", AGENT)
+    assert [one.amount.value for one in points] == pytest.approx([0.8, 0.9, 1.0, 1.1, 1.2])
+    assert points[0].text == "prey.speed=-20%"
+    grid = parse_scenarios(["prey.thrust=x0.8..x1.2/3", "arena=x1..x2/2"], AGENT)
+    assert len(grid) == 6 and grid[0].name == "prey.thrust=-20%, arena=+0%"
+    alone = parse_scenarios(["prey.thrust=x0.8", "arena=x2"], AGENT, separately=True)
+    assert [one.name for one in alone] == ["prey.thrust=x0.8", "arena=x2"]
+
+
+@pytest.mark.parametrize(
+    ("texts", "said"),
+    [
+        ([], "NAME is one of predator_0.speed"),
+        (["wings=x2"], "'wings' cannot be changed, where NAME is one of"),
+        (["prey.colour=x2"], "cannot be changed"),
+        (["arena"], "is no change: give NAME=VALUE"),
+        (["arena=large"], "'large' is no amount"),
+        (["arena=x0"], "leaves nothing"),
+        (["arena=-5%..x2/3", "contact=0..1/2"], "leaves nothing"),
+        (["prey.thrust=x1..2/3"], "both ends of a sweep are of one kind"),
+        (["arena=x1..x2/99"], "a sweep has 2 to 50 points"),
+        (["arena=x1..x2/9", "contact=x1..x2/9"], "81 scenarios are asked for"),
+        (["condition=moonlit"], "was never recorded: choose one of individual, shared"),
+        (["prey.speed=x2", "all.thrust=x2"], "change the same thing: give one"),
+        (["remove=predator_1"], "train a run with num_pursuers with one less"),
+    ],
+)
+def test_a_change_that_cannot_be_made_is_one_sentence(texts: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        parse_scenarios(texts, AGENT)
+    with pytest.raises(InputError, match="is given in 'furlong': use mm"):
+        options("arena=3furlong")
+
+
+def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: LoadedRun) -> None:
+    heard = []
+    found = ask([chase], ["prey.thrust=x1..x1.2/2"], repetitions=2, on_answer=heard.append)
+    same, faster = found.answers
+    assert heard == [same, faster]
+    # The same world and random numbers: not one number differs.
+    assert (same.table["shift"] == 0).all() and same.warning == "none"
+    assert not same.table["finding"].any()
+    rows = faster.table.set_index("quantity")
+    # The teams that made the recordings, in that world: -.21 captured, +2.8 s (DESIGN 12).
+    assert rows.loc["reached", "high"] < 0 < rows.loc["duration", "low"]
+    assert rows.loc["duration", "shift"] == pytest.approx(2.8, abs=1.5)
+    assert rows.loc["duration", "finding"]
+
+
+def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: LoadedRun) -> None:
+    (answer,) = ask([chase], ["prey.speed=+20%"], repetitions=2).answers
+    speed = answer.table.set_index("quantity").loc["speed of prey"]
+    assert speed["changed"] / speed["baseline"] == pytest.approx(1.2, abs=0.06)
+    assert answer.thrusts["prey"] > 1.1  # 20 % more thrust gives less than 20 % more speed
+    with pytest.raises(InputError, match=r"no thrust between x0\.125 and x8 brings prey to"):
+        ask([chase], ["prey.speed=x30"], repetitions=1)
+
+
+def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: LoadedRun) -> None:
+    (answer,) = ask([chase], ["arena=x3"], repetitions=2).answers
+    assert answer.warning == "red" and "distance to the edge" in answer.reason
+    assert not answer.table["finding"].any()
+
+
+def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: LoadedRun) -> None:
+    class Untold:
+        scenario, demos, told_condition = chase.scenario, chase.demos, False
+
+    with pytest.raises(InputError, match="never told the condition"):
+        ask([Untold()], ["condition=shared"], repetitions=1)  # type: ignore[list-item]
+
+
+def test_a_cue_shifts_only_starts_of_the_other_condition(chase: LoadedRun) -> None:
+    (answer,) = ask([chase], ["condition=shared"], repetitions=1).answers
+    other = chase.demos.select(split="test").condition == 0
+    recorded = answer.table.set_index("quantity").loc["duration", "recorded"]
+    test = chase.demos.select(split="test", condition=0)
+    assert other.any() and not other.all()
+    assert recorded == pytest.approx(((test.lengths - 1) * test.dt).mean())
+    assert answer.rollouts.cue.tolist() == [1] * len(answer.rollouts)
+
+
+def test_watching_counts_running_episodes_only() -> None:
+    class Still:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.zeros(len(observation), dtype=int), state
+
+    inputs = InputRange(np.zeros((2, 3)), np.ones((2, 3)), ("a", "b", "c"))
+    watched = WatchedPolicy(Still(), inputs)
+    seen = np.full((4, 4), 0.5)  # two copies of two individuals, a flag behind
+    seen[0, 1] = 2.0
+    watched.predict(seen)
+    watched.leave_out(None, np.array([False, False, True, True]))
+    seen[3, 2] = -1.0
+    watched.predict(seen)
+    beyond, components = watched.shares()
+    assert beyond.tolist() == [2 / 3, 1 / 3]
+    assert components[0].tolist() == [0.0, 2 / 3, 0.0]
+    assert components[1].tolist() == [0.0, 0.0, 1 / 3]
+
+
+def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
+    out = tmp_path / "wi"
+    arguments = ("whatif", "agent", "--change", "contact=0.15", "--repetitions", "1")
+    said = animarl(*arguments, "--out", out)
+    assert "contact=0.15" in said and "reached" in said
+    table = pd.read_csv(out / "whatif.csv")
+    assert len(table) == 7 and table["covers"].eq("starts, for this network").all()
+    names = {file.name for file in out.iterdir()}
+    assert names == {
+        "whatif.csv", "whatif.parquet", "README.md", "shifts.svg", "shifts.pdf", "shifts.png",
+    }  # fmt: skip
+    assert "nobody learns" in (out / "README.md").read_text()
+    again = tmp_path / "again"
+    animarl(*arguments, "--out", again)
+    for name in names:
+        assert (out / name).read_bytes() == (again / name).read_bytes(), name
+    with pytest.raises(InputError, match="cannot be changed"):
+        animarl("whatif", "agent", "--change", "wings=x2", "--out", tmp_path / "no")
+    assert not (tmp_path / "no").exists()
