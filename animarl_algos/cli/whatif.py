@@ -80,10 +80,10 @@ def _print(console: Console, answer: Answer) -> None:
     from rich.table import Table
 
     table = Table(title=answer.scenario.name, title_justify="left", box=None)
-    table.add_column("quantity")
+    table.add_column("quantity", no_wrap=True)
     for column in ("recorded", "baseline", "changed"):
         table.add_column(column, justify="right")
-    table.add_column("shift [95 % interval]", no_wrap=True)
+    table.add_column("shift \\[95 % interval]")
     for _, row in answer.table.iterrows():
         style = "" if row["finding"] else "dim"
         table.add_row(
