@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 import typer.main
-from small_runs import few, made
 
 from animarl_algos.cli.main import app
 
@@ -30,10 +29,7 @@ def test_the_readme_is_short() -> None:
 def test_the_programs_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = made(tmp_path, "soft-bc", demos=few(), rolled_out=False)
     monkeypatch.chdir(tmp_path)
-    Path("out").mkdir()
-    Path("out/demo").symlink_to(run.path)
     programs = blocks("python")
     assert len(programs) == 2
     for program in programs:
