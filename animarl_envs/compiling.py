@@ -149,3 +149,12 @@ def _kernel_sources(roots: dict[str, Path]) -> list[Path]:
                     held += [source, source / "__init__"]
                 found |= {p for p in (one.with_suffix(".py") for one in held) if p.is_file()}
     return sorted(found)
+
+
+def by_reference(refer: Callable[[Any], Any], parts: Any) -> Any:
+    """Return ``refer(parts)``, one object that a kernel takes in place of a tuple of many arrays.
+
+    Handing over the arrays one by one would take longer than the step of a single copy. Without
+    compilation the tuple itself has the same attributes.
+    """
+    return parts if _SETTINGS.DISABLE_JIT else refer(parts)

@@ -21,6 +21,8 @@ from animarl_envs.scenario import DRIVERS, Scenario
 from animarl_envs.worlds.flat_demos import flat_demonstrations
 from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
+LARGEST = 1e30  # observations are float32
+
 
 class ObservationComponent(NamedTuple):
     """One entry of an observation vector, for spaces, documentation and mirror images.
@@ -88,6 +90,7 @@ class World(ABC):
     ) -> None:
         if num_copies < 1:
             raise InputError(f"num_copies is {num_copies}: it must be at least 1")
+        _check_ranges(self.observation_components, scenario)
         self.scenario = scenario
         self.num_copies = num_copies
         B, K = num_copies, scenario.species.num_individuals
@@ -238,6 +241,28 @@ class World(ABC):
         self.observation[...] = state["observation"]
         for tracker in self.trackers:
             tracker.set_state(dict(state))
+
+
+def _check_ranges(components: Iterable[ObservationComponent], scenario: Scenario) -> None:
+    """Refuse worlds whose observations would not fit into float32.
+
+    Raises
+    ------
+    InputError
+        If a component, or its noise, could be larger than ``LARGEST``.
+    """
+    for one in components:
+        if not max(abs(one.low), abs(one.high)) <= LARGEST:
+            raise InputError(
+                f"{scenario.species.name}: observation {one.name!r} could lie anywhere between "
+                f"{one.low:.3g} and {one.high:.3g}, which float32 cannot hold: choose less extreme "
+                "locomotion, arena, dt or time_limit"
+            )
+    if not scenario.observation_noise <= LARGEST:
+        raise InputError(
+            f"observation_noise is {scenario.observation_noise:.3g}, which float32 cannot hold: "
+            "choose a smaller one"
+        )
 
 
 def _restored(

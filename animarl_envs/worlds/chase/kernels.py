@@ -9,19 +9,27 @@ by index, not cut out as views, which would cost more than the row when there is
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
 from numba.core import types
 from numba.experimental import structref
+from numpy.typing import NDArray
 
 from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
-from animarl_envs.worlds.chase.headings import turn_bodies
+from animarl_envs.worlds.chase.headings import Bodies, turn_bodies
 from animarl_envs.worlds.chase.judging import judge
+from animarl_envs.worlds.chase.neighbours import Neighbours
 from animarl_envs.worlds.chase.past import remember
-from animarl_envs.worlds.chase.senses import observe
+from animarl_envs.worlds.chase.senses import Senses, observe
+from animarl_envs.worlds.flat_demos import FlatDemos
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
+
+WHOLE_DRAWS = 100  # of the first places of all, before those who touch are moved alone
 
 # -- starting --------------------------------------------------------------------------------------
 
@@ -55,66 +63,93 @@ def start(  # type: ignore[no-untyped-def]
                 position[i, 0, b] = fixed[i, 0]
                 position[i, 1, b] = fixed[i, 1]
             continue
-        touching = True
+        touching, draws = True, 0
         while touching:
             for i in range(K):
-                for x in range(2):
-                    position[i, x, b] = half_side * (2.0 * next_uniform(random, b) - 1.0)
+                # Many are hardly ever all apart: in the end only those who touch are moved.
+                if draws < WHOLE_DRAWS or (i < last and _touches(i, b, position, contact_radius)):
+                    for x in range(2):
+                        position[i, x, b] = half_side * (2.0 * next_uniform(random, b) - 1.0)
+            draws += 1
             touching = False
             for i in range(last):
-                dx = position[last, 0, b] - position[i, 0, b]
-                dy = position[last, 1, b] - position[i, 1, b]
-                touching |= dx * dx + dy * dy < contact_radius * contact_radius
+                touching |= _touches(i, b, position, contact_radius)
+
+
+@part
+def _touches(i, b, position, contact_radius):  # type: ignore[no-untyped-def]
+    """Whether individual ``i`` is in contact with the last one."""
+    last = position.shape[0] - 1
+    dx = position[last, 0, b] - position[i, 0, b]
+    dy = position[last, 1, b] - position[i, 1, b]
+    return dx * dx + dy * dy < contact_radius * contact_radius
 
 
 # -- a whole step ---------------------------------------------------------------------------------
 
 
+class ChaseState(NamedTuple):
+    """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`."""
+
+    actions: NDArray[np.uint64]  # (K, B), scratch
+    drivers: NDArray[np.int8]  # (K,)
+    driven: bool  # somebody ignores the caller
+    demos: FlatDemos
+    demo: NDArray[np.int64]
+    sharing: NDArray[np.int8]  # the condition, where condition 1 shares the reward, else zeros
+    damping: NDArray[np.float64]
+    thrust: NDArray[np.float64]
+    pushes: NDArray[np.float64]  # (K, 2, A): actions in multiples of the thrust, ahead and left
+    dt: float
+    contact_radius: float
+    penalty: float
+    time_limit: int
+    warmup: int
+    field: tuple[int, float, float]
+    walled: bool
+    lone: bool
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+    past: NDArray[np.float64]
+    towards: NDArray[np.float64]
+    bodies: Bodies
+    neighbours: Neighbours  # scratch
+    nearest: NDArray[np.float64]  # (B,), scratch
+    code: NDArray[np.int64]  # (B,), scratch
+    components: NDArray[np.float64]
+    reward: NDArray[np.float64]
+    outcome: NDArray[np.int8]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    step_count: NDArray[np.int64]
+    warming: NDArray[np.bool_]
+    observation: NDArray[np.float32]
+    senses: Senses
+
+
 @structref.register
-class _ChaseStateType(types.StructRef):  # type: ignore[misc]
-    """Numba's type of :class:`ChaseState`."""
+class _ChaseReferenceType(types.StructRef):  # type: ignore[misc]
+    """Numba's type of :class:`ChaseReference`."""
 
 
-class ChaseState(structref.StructRefProxy):  # type: ignore[misc]
-    """What a step reads and writes, in one object: handing arrays to a kernel one by one would
-    take longer than the step of a single copy.
-
-    ``actions``, ``neighbours``, ``nearest`` and ``code`` are scratch. ``pushes`` ``(K, 2, A)`` are
-    the actions' vectors in multiples of the thrust, ahead and left. ``sharing`` is the condition
-    where condition 1 shares the reward, else zeros. ``driven``: somebody ignores the caller.
-    """
+class ChaseReference(structref.StructRefProxy):  # type: ignore[misc]
+    """The arrays of a :class:`ChaseState` in one object."""
 
 
-structref.define_proxy(  # type: ignore[no-untyped-call]
-    ChaseState,
-    _ChaseStateType,
-    [
-        "actions", "drivers", "driven", "demos", "demo", "sharing", "damping", "thrust", "pushes",
-        "numbers", "position", "velocity", "acceleration", "past", "towards", "bodies",
-        "neighbours", "nearest", "code", "components", "reward", "outcome", "terminated",
-        "truncated", "step_count", "warming", "observation", "senses",
-    ],
-)  # fmt: skip
+structref.define_proxy(ChaseReference, _ChaseReferenceType, ChaseState._fields)  # type: ignore[no-untyped-call]
 
 
 @jit
-def bundle(  # type: ignore[no-untyped-def]
-    actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-    velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components,
-    reward, outcome, terminated, truncated, step_count, warming, observation, senses,
-):  # fmt: skip
-    """A :class:`ChaseState`; made here, since what is made outside is not kept on disk."""
-    return ChaseState(  # type: ignore[no-untyped-call]
-        actions, drivers, driven, demos, demo, sharing, damping, thrust, pushes, numbers, position,
-        velocity, acceleration, past, towards, bodies, neighbours, nearest, code, components,
-        reward, outcome, terminated, truncated, step_count, warming, observation, senses,
-    )  # fmt: skip
+def refer(parts):  # type: ignore[no-untyped-def]
+    """A reference to ``parts``, made by a kernel: what is made outside is not kept on disk."""
+    return ChaseReference(*parts)  # type: ignore[no-untyped-call]
 
 
 @jit
 def advance(asked, state):  # type: ignore[no-untyped-def]
-    """All of a step in one call; ``asked`` is ``(B, K)``."""
-    dt, contact_radius, penalty, time_limit, warmup, field, walled, lone = state.numbers
+    """All of a step in one call; ``asked`` is ``(B, K)``; of a :class:`ChaseState`."""
+    dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
     actions, position, velocity = state.actions, state.position, state.velocity
     acceleration = state.acceleration
     step_count, code, towards = state.step_count, state.code, state.towards
@@ -133,7 +168,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     remember(velocity, state.past)
     acceleration[:] = velocity
     move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
-    if walled:
+    if state.walled:
         rebound(field, position, velocity)
     if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
         replay(
@@ -143,13 +178,13 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     accelerate(velocity, state.senses, acceleration)
     turn_bodies(state.drivers, warmup, state.demos, state.demo, step_count, velocity, state.bodies)
     judge(
-        position, state.sharing, field, walled, lone, contact_radius, dt, penalty, state.nearest,
-        code, state.components, state.reward,
+        position, state.sharing, field, state.walled, lone, state.contact_radius, dt,
+        state.penalty, state.nearest, code, state.components, state.reward,
     )  # fmt: skip
     for b in range(B):
         outcome[b] = code[b]
         terminated[b] = code[b] != TIME_OUT
-        truncated[b] = step_count[b] >= time_limit and code[b] == TIME_OUT
+        truncated[b] = step_count[b] >= state.time_limit and code[b] == TIME_OUT
     observe(
         position, velocity, acceleration, state.past, step_count, towards, state.bodies,
         state.neighbours, state.senses, state.observation,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
+from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.locomotion import residual
@@ -94,19 +95,46 @@ class ChaseWorld(World):
         sharing = self.condition if species.shared_reward else np.zeros_like(self.condition)
         driven = any(driver != "action" for driver in scenario.drivers)
         arena = species.arena
-        numbers = (
-            species.dt, species.contact_radius, species.boundary_penalty, species.time_limit,
-            self._warmup, (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
-            arena.rebound, species.lone_pursuer,
-        )  # fmt: skip
-        self._state = kernels.bundle(
-            np.zeros((K, B), dtype=np.uint64), self._drivers, driven, self._demos, self.demo,
-            sharing, damping, thrust, pushes, numbers, self._position, self._velocity,
-            self._acceleration, self._past, self._towards, self._bodies, self._neighbours,
-            np.zeros(B), np.zeros(B, dtype=np.int64), self._components, self._reward, self.outcome,
-            self.terminated, self.truncated, self.step_count, self.warming, self._sensed,
-            self._senses,
-        )  # fmt: skip
+        self._reference = by_reference(
+            kernels.refer,
+            kernels.ChaseState(
+                actions=np.zeros((K, B), dtype=np.uint64),
+                drivers=self._drivers,
+                driven=driven,
+                demos=self._demos,
+                demo=self.demo,
+                sharing=sharing,
+                damping=damping,
+                thrust=thrust,
+                pushes=pushes,
+                dt=species.dt,
+                contact_radius=species.contact_radius,
+                penalty=species.boundary_penalty,
+                time_limit=species.time_limit,
+                warmup=self._warmup,
+                field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
+                walled=arena.rebound,
+                lone=species.lone_pursuer,
+                position=self._position,
+                velocity=self._velocity,
+                acceleration=self._acceleration,
+                past=self._past,
+                towards=self._towards,
+                bodies=self._bodies,
+                neighbours=self._neighbours,
+                nearest=np.zeros(B),
+                code=np.zeros(B, dtype=np.int64),
+                components=self._components,
+                reward=self._reward,
+                outcome=self.outcome,
+                terminated=self.terminated,
+                truncated=self.truncated,
+                step_count=self.step_count,
+                warming=self.warming,
+                observation=self._sensed,
+                senses=self._senses,
+            ),
+        )
 
     @property
     def _species(self) -> ChaseSpecies:
@@ -138,7 +166,7 @@ class ChaseWorld(World):
         self.turn[mask] = 0.0
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        kernels.advance(actions, self._state)
+        kernels.advance(actions, self._reference)
 
     def _observe(self) -> None:
         senses.observe(

@@ -7,14 +7,20 @@ the rest is a :class:`animarl_envs.worlds.search.senses.Body`; the plume's table
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
 from numba.core import types
 from numba.experimental import structref
+from numpy.typing import NDArray
 
 from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity
 from animarl_envs.scenario import ACTION, REPLAY
-from animarl_envs.worlds.search.senses import orient, push_of, read, sense, wake
+from animarl_envs.worlds.flat_demos import FlatDemos
+from animarl_envs.worlds.plume.hits import HitTable
+from animarl_envs.worlds.search.senses import Body, Senses, orient, push_of, read, sense, wake
 from animarl_envs.worlds.streams import next_below
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
@@ -55,45 +61,61 @@ def start(  # type: ignore[no-untyped-def]
         )  # fmt: skip
 
 
+class SearchState(NamedTuple):
+    """What a step reads and writes; see :class:`animarl_envs.worlds.search.world.SearchWorld`."""
+
+    driver: int
+    demos: FlatDemos
+    demo_hits: NDArray[np.bool_]  # (frames, 2), or empty
+    demo_heading: NDArray[np.float64]  # (frames,) [rad], or empty
+    table: HitTable
+    senses: Senses
+    damping: float
+    thrust: float
+    pushes: NDArray[np.float64]  # (A, 2): actions in multiples of the thrust, ahead and left
+    contact_radius: float
+    time_limit: int
+    warmup: int
+    demo: NDArray[np.int64]
+    condition: NDArray[np.int8]
+    pattern: NDArray[np.int64]
+    phase: NDArray[np.int64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    body: Body
+    components: NDArray[np.float64]
+    reward: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    outcome: NDArray[np.int8]
+    step_count: NDArray[np.int64]
+    warming: NDArray[np.bool_]
+    sensed: NDArray[np.float32]
+
+
 @structref.register
-class _SearchStateType(types.StructRef):  # type: ignore[misc]
-    """Numba's type of :class:`SearchState`."""
+class _SearchReferenceType(types.StructRef):  # type: ignore[misc]
+    """Numba's type of :class:`SearchReference`."""
 
 
-class SearchState(structref.StructRefProxy):  # type: ignore[misc]
-    """What a step reads and writes, in one object: handing arrays to a kernel one by one would
-    take longer than the step of a single copy."""
+class SearchReference(structref.StructRefProxy):  # type: ignore[misc]
+    """The arrays of a :class:`SearchState` in one object."""
 
 
-structref.define_proxy(  # type: ignore[no-untyped-call]
-    SearchState,
-    _SearchStateType,
-    [
-        "driver", "demos", "demo_hits", "demo_heading", "table", "senses", "numbers", "demo",
-        "condition", "pattern", "phase", "position", "velocity", "body", "components", "reward",
-        "terminated", "truncated", "outcome", "step_count", "warming", "sensed",
-    ],
-)  # fmt: skip
+structref.define_proxy(SearchReference, _SearchReferenceType, SearchState._fields)  # type: ignore[no-untyped-call]
 
 
 @jit
-def bundle(  # type: ignore[no-untyped-def]
-    driver, demos, demo_hits, demo_heading, table, senses, numbers, demo, condition, pattern, phase,
-    position, velocity, body, components, reward, terminated, truncated, outcome, step_count,
-    warming, sensed,
-):  # fmt: skip
-    """A :class:`SearchState`; made here, since what is made outside is not kept on disk."""
-    return SearchState(  # type: ignore[no-untyped-call]
-        driver, demos, demo_hits, demo_heading, table, senses, numbers, demo, condition, pattern,
-        phase, position, velocity, body, components, reward, terminated, truncated, outcome,
-        step_count, warming, sensed,
-    )  # fmt: skip
+def refer(parts):  # type: ignore[no-untyped-def]
+    """A reference to ``parts``, made by a kernel: what is made outside is not kept on disk."""
+    return SearchReference(*parts)  # type: ignore[no-untyped-call]
 
 
 @jit
 def step(asked, state):  # type: ignore[no-untyped-def]
-    """All of a step in one call; ``asked`` is ``(B, 1)``."""
-    damping, thrust, pushes, contact_radius, time_limit, warmup = state.numbers
+    """All of a step in one call; ``asked`` is ``(B, 1)``; of a :class:`SearchState`."""
+    damping, thrust, pushes = state.damping, state.thrust, state.pushes
+    contact_radius, time_limit, warmup = state.contact_radius, state.time_limit, state.warmup
     driver, senses, table = state.driver, state.senses, state.table
     demo, demo_hits, demo_start = state.demo, state.demo_hits, state.demos.start
     demo_heading = state.demo_heading

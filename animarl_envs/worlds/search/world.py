@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
@@ -88,18 +89,38 @@ class SearchWorld(World):
         self._table = table._replace(cell=table.cell / scale)  # from here on in arena units
         self._episodes = _recorded_senses(scenario.demos, self.patterns, groups, self._own_patterns)
         self._senses = senses_of(species)
-        loco = species.locomotion[0]
-        numbers = (
-            loco.damping, loco.thrust, np.array(loco.action_vectors), species.contact_radius,
-            species.time_limit, self._warmup,
-        )  # fmt: skip
-        self._state = kernels.bundle(
-            int(self._drivers[0]), self._demos, self._episodes.hits, self._episodes.heading,
-            self._table, self._senses, numbers, self.demo, self.condition, self.pattern, self.phase,
-            self._position[0], self._velocity[0], self._body, self._components[0, 0],
-            self._reward[0], self.terminated, self.truncated, self.outcome, self.step_count,
-            self.warming, self._sensed[0],
-        )  # fmt: skip
+        self._reference = by_reference(
+            kernels.refer,
+            kernels.SearchState(
+                driver=int(self._drivers[0]),
+                demos=self._demos,
+                demo_hits=self._episodes.hits,
+                demo_heading=self._episodes.heading,
+                table=self._table,
+                senses=self._senses,
+                damping=species.locomotion[0].damping,
+                thrust=species.locomotion[0].thrust,
+                pushes=np.array(species.locomotion[0].action_vectors),
+                contact_radius=species.contact_radius,
+                time_limit=species.time_limit,
+                warmup=self._warmup,
+                demo=self.demo,
+                condition=self.condition,
+                pattern=self.pattern,
+                phase=self.phase,
+                position=self._position[0],
+                velocity=self._velocity[0],
+                body=self._body,
+                components=self._components[0, 0],
+                reward=self._reward[0],
+                terminated=self.terminated,
+                truncated=self.truncated,
+                outcome=self.outcome,
+                step_count=self.step_count,
+                warming=self.warming,
+                sensed=self._sensed[0],
+            ),
+        )
         fixed = scenario.start
         self._first = np.array(
             [species.start_distance, 0.0] if isinstance(fixed, str) else fixed[0], dtype=np.float64
@@ -119,7 +140,7 @@ class SearchWorld(World):
         )  # fmt: skip
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
-        kernels.step(actions, self._state)
+        kernels.step(actions, self._reference)
 
     # -- to look at -------------------------------------------------------------------------------
 
