@@ -26,7 +26,6 @@ from animarl_algos.runs.rolling_out import trained_model
 from animarl_algos.runs.run_folder import DEMONSTRATIONS, RunFolder
 from animarl_algos.runs.weights import GIVEN, write_weights
 from animarl_envs import environment_id
-from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
@@ -211,7 +210,7 @@ def model_card(
         "",
         "## Limits",
         "",
-        *(f"- {words.say(limit)}" for limit in _limits(demos, verdict, settings.seed)),
+        *(f"- {words.say(limit)}" for limit in _limits(run, verdict)),
         "",
         "## Settings",
         "",
@@ -223,13 +222,22 @@ def model_card(
     return "\n".join(lines)
 
 
-def _limits(demos: Demonstrations, verdict: Verdict, seed: int) -> list[str]:
+def _limits(run: RunFolder, verdict: Verdict) -> list[str]:
+    """Return what its metrics do not show, the worst first."""
+    demos, seed = run.demos, run.settings.seed
     limits = [
+        "The classifier sees 2 s of motion: it says nothing about order in time beyond that.",
         f"One training seed ({seed}): its intervals speak of test starts, not of other trainings.",
         "It moves as these recordings do, from starts like theirs, in their arena; nothing was "
         "tested elsewhere.",
         "A counterfactual of it is no measurement: compare it with a truth where there is one.",
     ]
+    if _is_packaged(run):
+        limits.insert(
+            0,
+            "The package's default settings were chosen while tables of this test split were "
+            "looked at (docs/results/README.md): it is not untouched.",
+        )
     if demos.synthetic:
         limits.insert(0, "The data are synthetic: it says nothing about living animals.")
     if verdict.judgement == UNKNOWN:

@@ -50,7 +50,7 @@ def test_an_exported_model_acts_as_the_run(run: RunFolder, tmp_path: Path) -> No
     world.reset()
     assert actor(world, True).shape == (1, 3)
     card = (out / "README.md").read_text()
-    for told in ("**Data**", "**Licence**", "MIT", "## Metrics", "Told apart", "## Limits",
+    for told in ("**Data**", "**Licence**", "MIT", "## Metrics", "Distinguished by", "## Limits",
                  "synthetic", "One training seed", "## Settings", "offline_epochs: 1"):  # fmt: skip
         assert told in card, told
     metrics = json.loads((out / "metrics.json").read_text())
