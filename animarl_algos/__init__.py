@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from animarl_algos.data.vec_env import SlotVecEnv as SlotVecEnv
     from animarl_algos.evaluation.tables import evaluate as evaluate
-    from animarl_algos.learner.evaluating import EvaluateIndividuals as EvaluateIndividuals
-    from animarl_algos.learner.evaluating import evaluate_individuals as evaluate_individuals
+    from animarl_algos.learner.callbacks import EvaluateIndividuals as EvaluateIndividuals
+    from animarl_algos.learner.callbacks import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403
     from animarl_algos.runs.loading import load_run as load_run
     from animarl_algos.runs.pretrained import load_pretrained as load_pretrained
@@ -39,10 +39,10 @@ def _homes() -> dict[str, str]:
         if isinstance(node, ast.ClassDef) and node.name != "NamedRecipe"
     }
     others = {
-        "EvaluateIndividuals": "learner.evaluating",
+        "EvaluateIndividuals": "learner.callbacks",
         "SlotVecEnv": "data.vec_env",
         "evaluate": "evaluation.tables",
-        "evaluate_individuals": "learner.evaluating",
+        "evaluate_individuals": "learner.callbacks",
         "load_run": "runs.loading",
         "load_pretrained": "runs.pretrained",
     }

@@ -47,9 +47,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.offline import train_epoch
 from animarl_algos.learner.presets import constructed, learner_preset
-from animarl_algos.learner.validation import validation_figures
 from animarl_algos.recipes.registry import DQDIL, DQN, named_recipe
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
@@ -166,11 +164,11 @@ def fill_with_synthetic_episodes(model: SequenceQLearning, mean_length: int) -> 
 def epoch_time(algo: str, epochs: int) -> float:
     """Seconds of one offline epoch, its validation included."""
     model = learner(algo, offline_learning_rate=1e-3, offline_batch_size=16)
-    data = model.demonstration_data()
+    data, phase = model.demonstration_data(), model.offline_phase()
 
     def epoch() -> None:
-        train_epoch(model, data.train, 0)
-        validation_figures(model, data.val)
+        phase.train_epoch(data.train)
+        phase.validate(data.val)
 
     return best_time(epoch, repeats=epochs)
 

@@ -31,8 +31,8 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import BoundaryCallback, CheckpointCallback
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.learner.presets import constructed, learner_preset
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_envs import environment_id
@@ -46,21 +46,11 @@ FURTHER_STEPS = 1600
 CHECKPOINT_EVERY = 25_000
 
 
-class StaysFinite(BaseCallback):
+class StaysFinite(BoundaryCallback):
     """Fails the run at the first update that leaves a weight or a loss that is no number."""
 
-    def _init_callback(self) -> None:
-        self.model.boundary_hooks.append(self)  # type: ignore[attr-defined]
-
-    def _on_step(self) -> bool:
-        return True
-
     def at_boundary(self) -> None:
-        model: SequenceQLearning = self.model  # type: ignore[assignment]
-        require_finite(model)
-
-    def release(self) -> None:
-        """Nothing is held."""
+        require_finite(self.model)
 
 
 def require_finite(model: SequenceQLearning) -> None:

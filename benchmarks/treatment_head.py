@@ -38,9 +38,9 @@ from stable_baselines3.common.utils import LinearSchedule
 from animarl_algos.cli.run import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.demonstrations import OfflineDataset
-from animarl_algos.learner.gradient_step import minibatch_values
 from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.pretraining import OfflineDataset
+from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.recipes.registry import DQCIL, DQDIL, named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos import Demonstrations
@@ -155,14 +155,7 @@ def memories(
     parts: list[list[tuple[torch.Tensor, torch.Tensor]]] = [[] for _ in model.layout.individuals]
     policy = model.policy
     for batch in dataset.batches(model.offline_batch_size):
-        seen = minibatch_values(
-            batch,
-            model.phase("offline"),
-            policy.q_net,
-            policy.q_net_target,
-            policy.distribution,
-            needs_target=False,
-        )
+        seen = minibatch_values(policy, batch, model.phase("offline"), needs_target=False)
         hidden = seen.online.hidden[:, :-1]  # type: ignore[attr-defined]
         condition = seen.batch.condition.unsqueeze(1).expand(hidden.shape[:-1])
         for k, part in enumerate(parts):

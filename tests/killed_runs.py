@@ -15,8 +15,8 @@ from pair_learners import make_pair_learner
 from stable_baselines3.common.utils import LinearSchedule
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.runs.pipeline import learn, open_run
 from animarl_algos.runs.run_settings import RunSettings
 

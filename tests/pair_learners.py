@@ -11,7 +11,7 @@ import toys
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.gradient_step import minibatch_values
+from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.losses.terms import MinibatchValues
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.replay.batch import SequenceBatch
@@ -120,12 +120,5 @@ def evaluated(
     model: SequenceQLearning, batch: SequenceBatch, *, needs_target: bool = True
 ) -> MinibatchValues:
     """What the online loss terms of ``model`` see of a minibatch."""
-    policy = model.policy
-    return minibatch_values(
-        batch,
-        model.phase("online"),
-        policy.q_net,
-        policy.q_net_target,
-        policy.distribution,
-        needs_target=needs_target,
-    )
+    phase = model.phase("online")
+    return minibatch_values(model.policy, batch, phase, needs_target=needs_target)

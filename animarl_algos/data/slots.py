@@ -80,7 +80,7 @@ class SlotLayout:
     num_copies: int
     individuals: tuple[str, ...]
     condition_flag: bool
-    observed: tuple[str, ...] = ()  # nor do older files
+    observed: tuple[str, ...] = ()
 
     @property
     def num_individuals(self) -> int:
@@ -107,6 +107,27 @@ class SlotLayout:
 
 def _condition_flag(env: VecEnv) -> bool:
     return bool(_declared(env, "condition_flag"))
+
+
+def refuse_other_slots(there: SlotLayout, here: SlotLayout) -> None:
+    """Refuse the slots of an environment that are not those a learner was made for.
+
+    Raises
+    ------
+    InputError
+        If the names, the condition flag or what is observed differ.
+    """
+    if _described(there) != _described(here):
+        raise InputError(
+            f"the environment has {_described(there)}, this learner {_described(here)}: give "
+            "one with the same individuals"
+        )
+    refuse_other_observation(here.observed, there.observed)
+
+
+def _described(layout: SlotLayout) -> str:
+    flag = "a" if layout.condition_flag else "no"
+    return f"the individuals {', '.join(layout.individuals)} and {flag} condition flag"
 
 
 def provided(env: VecEnv) -> tuple[str, ...]:

@@ -23,23 +23,50 @@ import re
 import shutil
 import textwrap
 import zipfile
-from dataclasses import replace
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.offline import OfflineProgress
-from animarl_algos.learner.training_state import identity, restore_training_state, training_state
+from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.replay.buffer_state import buffer_state, restore_buffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
-FORMAT = 1
+FORMAT = 2
 PREFIX = "checkpoint_"
 OWN_NAME = re.compile(PREFIX + r"\d+(\.part)?")
+
+
+class TrainingState(NamedTuple):
+    """All that a learner needs to go on exactly, but its replay memory.
+
+    ``counters`` are JSON-like, ``arrays`` the environment's state and the running episodes',
+    ``tensors`` the weights.
+    """
+
+    counters: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+    tensors: dict[str, Any]
+
+
+class Checkpointed(Protocol):
+    """A learner as checkpoints see it."""
+
+    @property
+    def replay_buffer(self) -> SequenceReplayBuffer | None: ...
+
+    def identity(self) -> dict[str, Any]:
+        """What a checkpoint must agree with, JSON-like."""
+        ...
+
+    def training_state(self) -> TrainingState: ...
+
+    def restore_training_state(self, state: TrainingState) -> None: ...
 
 
 def latest_checkpoint(folder: str | Path) -> Path | None:
@@ -65,14 +92,11 @@ def steps_done(checkpoint: Path) -> int:
     InputError
         If the checkpoint is damaged.
     """
-    try:
-        state = json.loads((checkpoint / "state.json").read_text())
-        return int(state["counters"]["num_timesteps"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise _damaged(checkpoint, error) from error
+    with _damage_refused(checkpoint):
+        return int(_state(checkpoint)["counters"]["num_timesteps"])
 
 
-def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
+def save_checkpoint(model: Checkpointed, folder: str | Path) -> Path:
     """Write a checkpoint of ``model`` into ``folder`` and remove those before.
 
     Raises
@@ -88,19 +112,19 @@ def save_checkpoint(model: SequenceQLearning, folder: str | Path) -> Path:
     try:
         _remove_all_but(previous, folder)
         part.mkdir(parents=True)
-        counters, arrays, tensors = training_state(model)
-        run: dict[str, Any] = dict(arrays)
-        tensors["torch_random_state"] = torch.get_rng_state()
+        counters, arrays, tensors = model.training_state()
+        tensors = tensors | {"torch_random_state": torch.get_rng_state()}
         _write(part / "model.pt", lambda file: file.write(serialised(tensors)))
         if model.replay_buffer is not None:
             replay = buffer_state(model.replay_buffer)
             _write(part / "replay.npz", lambda file: np.savez(file, **replay))
-        _write(part / "run.npz", lambda file: np.savez(file, **run))
+        _write(part / "run.npz", lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+        generator, keys, *rest = np.random.get_state()  # noqa: NPY002
         state = {
             "format": FORMAT,
-            "identity": identity(model),
+            "identity": model.identity(),
             "counters": counters,
-            "numpy_random_state": _json_random_state(np.random.get_state()),  # noqa: NPY002
+            "numpy_random_state": [generator, np.asarray(keys).tolist(), *rest],
             "python_random_state": random.getstate(),
         }
         _write(part / "state.json", lambda file: file.write(json.dumps(state).encode()))
@@ -163,7 +187,7 @@ def in_short(error: Exception) -> str:
     return textwrap.shorten(line, 120, placeholder=" ...", break_on_hyphens=False)
 
 
-def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
+def load_checkpoint(model: Checkpointed, folder: str | Path) -> None:
     """Put ``model`` into the state of the newest checkpoint in ``folder`` (or of ``folder``
     itself).
 
@@ -180,45 +204,34 @@ def load_checkpoint(model: SequenceQLearning, folder: str | Path) -> None:
         path = folder
     if path is None or not path.is_dir():
         raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
-    try:
-        state = json.loads((path / "state.json").read_text())
-        if state["format"] > FORMAT:
-            raise InputError(
-                f"{path}: its format {state['format']} is newer than this animarl: upgrade it"
-            )
-        stored, mine = state["identity"], json.loads(json.dumps(identity(model)))
-        for key in mine:
-            if stored.get(key) != mine[key]:
+    with _damage_refused(path):
+        state = _state(path)
+        mine = json.loads(json.dumps(model.identity()))
+        for key, value in mine.items():
+            if (stored := state["identity"].get(key)) != value:
                 raise InputError(
-                    f"{path}: it belongs to another run ({key} is {stored.get(key)!r} there, "
-                    f"{mine[key]!r} here): resume with the settings it was made with"
+                    f"{path}: it belongs to another run ({key} is {stored!r} there, {value!r} "
+                    "here): resume with the settings it was made with"
                 )
         tensors = load_tensors(path / "model.pt")
         arrays = _arrays(path / "run.npz")
         if model.replay_buffer is not None:
             restore_buffer(model.replay_buffer, _arrays(path / "replay.npz"))
         torch_random_state = tensors.pop("torch_random_state")
-        restore_training_state(model, state["counters"], arrays, tensors)
+        model.restore_training_state(TrainingState(state["counters"], arrays, tensors))
         torch.set_rng_state(torch_random_state)
         name, keys, *rest = state["numpy_random_state"]
         np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002
         version, words, gauss = state["python_random_state"]
         random.setstate((version, tuple(words), gauss))
-    except InputError:
-        raise
-    except (
-        OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile,
-        AttributeError, OverflowError,
-    ) as error:  # fmt: skip
-        raise _damaged(path, error) from error
 
 
-def begin_as_clone(model: SequenceQLearning, folder: str | Path) -> None:
-    """Give ``model`` the offline phase that the newest checkpoint in ``folder`` has behind it.
+def cloned_progress(folder: str | Path) -> OfflineProgress:
+    """Return the offline phase of the newest checkpoint in ``folder``, for another learner to end.
 
     It is to be of soft-label cloning alone, with the same networks, demonstrations, seed and
-    offline settings. ``model.learn`` then goes on as if the phase, which draws from no stream that
-    lasts, had been its own.
+    offline settings as that learner's. Its ``learn`` then goes on as if the phase, which draws from
+    no stream that lasts, had been its own.
 
     Raises
     ------
@@ -228,13 +241,18 @@ def begin_as_clone(model: SequenceQLearning, folder: str | Path) -> None:
     path = latest_checkpoint(folder)
     if path is None:
         raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
-    try:
-        counters = json.loads((path / "state.json").read_text())["counters"]
-        model.best_weights = load_tensors(path / "model.pt")["q_net"]
-        progress = OfflineProgress.from_json(counters["offline_progress"])
-    except (OSError, LookupError, TypeError, ValueError) as error:
-        raise _damaged(path, error) from error
-    model.offline_progress = replace(progress, done=False)  # the best weights are not in place yet
+    with _damage_refused(path):
+        row = _state(path)["counters"]["offline_progress"] | {"done": False}
+        return OfflineProgress.from_json(row, load_tensors(path / "model.pt")["q_net"], None)
+
+
+def _state(path: Path) -> dict[str, Any]:
+    state: dict[str, Any] = json.loads((path / "state.json").read_text())
+    if state["format"] != FORMAT:
+        raise InputError(
+            f"{path}: its format {state['format']} is of another version of animarl: use that one"
+        )
+    return state
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -242,18 +260,23 @@ def _arrays(path: Path) -> dict[str, NDArray[Any]]:
         return dict(archive)
 
 
-def _damaged(path: Path, error: Exception) -> InputError:
-    if isinstance(error, PermissionError):
-        return InputError(f"{error.filename}: it cannot be read: see to its permissions")
-    return InputError(
-        f"{path}: the checkpoint is damaged ({in_short(error)}): "
-        "put a copy of this folder in its place, or remove it and start the run anew"
-    )
-
-
-def _json_random_state(state: Any) -> list[Any]:
-    name, keys, *rest = state
-    return [name, keys.tolist(), *rest]
+@contextmanager
+def _damage_refused(path: Path) -> Iterator[None]:
+    """Say in one sentence what is wrong with a checkpoint that is being read."""
+    try:
+        yield
+    except InputError:
+        raise
+    except PermissionError as error:
+        raise InputError(f"{error.filename}: it cannot be read: see to its permissions") from error
+    except (
+        OSError, LookupError, TypeError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile,
+        AttributeError, OverflowError,
+    ) as error:  # fmt: skip
+        raise InputError(
+            f"{path}: the checkpoint is damaged ({in_short(error)}): "
+            "put a copy of this folder in its place, or remove it and start the run anew"
+        ) from error
 
 
 def _write(path: Path, write: Any) -> None:

@@ -1,17 +1,17 @@
-"""What a learner's settings may be, and what is refused before anything is made."""
+"""Which settings a learner takes: their ranges, and which of them go together."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
 from animarl_algos.learner.exploration import Exploration, LinearDecay
-from animarl_algos.learner.offline_settings import OfflineSettings
-from animarl_algos.learner.recorder import check_environment
 from animarl_algos.learner.settings import as_frequency
-from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase
+from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase, Recipe
+from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.ranges import (
     COUNT,
     COUNT_OR_NONE,
@@ -26,9 +26,6 @@ from animarl_algos.ranges import (
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.state_mode import StateMode
 from animarl_envs.errors import InputError
-
-if TYPE_CHECKING:
-    from animarl_algos.learner.algorithm import SequenceQLearning
 
 LEARNER = {
     "buffer_size": COUNT,
@@ -59,129 +56,103 @@ SET_BY_LEARNER = {
 """Arguments of the policy and the replay memory that come from elsewhere than their ``kwargs``."""
 
 
-def phase_of(model: SequenceQLearning, name: str) -> Phase:
-    """The numbers of the ``"online"`` or ``"offline"`` phase, checked."""
+def phase_of(settings: Mapping[str, Any], name: str) -> Phase:
+    """Return the numbers of the ``"online"`` or ``"offline"`` phase, checked."""
     prefix = "" if name == "online" else "offline_"
     own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
-    settings = {key: getattr(model, prefix + key) for key in own}
-    scaled = name == "offline" and model.offline_scaled_penalties
-    steps = model.n_steps if name == "online" else 1
+    scaled = name == "offline" and settings["offline_scaled_penalties"]
+    steps = settings["n_steps"] if name == "online" else 1
     return Phase(
-        name=name, lambda1=model.lambda1, scaled_penalties=scaled, n_steps=steps, **settings
+        name=name,
+        lambda1=settings["lambda1"],
+        scaled_penalties=scaled,
+        n_steps=steps,
+        **{key: settings[prefix + key] for key in own},
     )
 
 
-def refuse_bad_settings(model: SequenceQLearning) -> None:
-    """Before anything is made; whole numbers become ints.
+def checked_settings(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> dict[str, Any]:
+    """Return the settings that have a range, whole numbers as ints.
 
     Raises
     ------
     InputError
         If a setting is out of its range.
     """
-    for name, numbers in LEARNER.items():
-        setattr(model, name, numbers.check(name.lstrip("_"), getattr(model, name)))
-    rate = model.learning_rate
+    checked = {n: r.check(n.lstrip("_"), settings[n]) for n, r in LEARNER.items()}
+    rate = settings["learning_rate"]
     if callable(rate):
         NOT_NEGATIVE.check("learning_rate at the start", rate(1.0))
     else:
         POSITIVE.check("learning_rate", rate)
-    if model.exploration not in list(Exploration):
-        raise InputError(f"exploration is {model.exploration!r}: choose {' or '.join(Exploration)}")
-    if model.offline_loss not in list(OfflineLoss):
-        raise InputError(
-            f"offline_loss is {model.offline_loss!r}: choose {' or '.join(OfflineLoss)}"
-        )
-    LinearDecay(model.exploration_initial_eps, model.exploration_final_eps, model.exploration_steps)
+    for name, choices in (("exploration", Exploration), ("offline_loss", OfflineLoss)):
+        if settings[name] not in list(choices):
+            raise InputError(f"{name} is {settings[name]!r}: choose {' or '.join(choices)}")
+    LinearDecay(*(settings[f"exploration_{n}"] for n in ("initial_eps", "final_eps", "steps")))
     for phase in ("online", "offline"):
-        phase_of(model, phase)
-    model.offline_settings = OfflineSettings.of(model.offline_kwargs)
-    refuse_unknown("policy_kwargs", model.policy_kwargs, model.policy_class, SET_BY_LEARNER)
-    refuse_unknown(
-        "replay_buffer_kwargs", model.replay_buffer_kwargs, SequenceReplayBuffer, SET_BY_LEARNER
-    )
-    if model.gradient_steps == 0:
+        phase_of(settings, phase)
+    for name, taker in (
+        ("policy_kwargs", policy_class),
+        ("replay_buffer_kwargs", SequenceReplayBuffer),
+    ):
+        refuse_unknown(name, settings[name], taker, SET_BY_LEARNER)
+    if checked["gradient_steps"] == 0:
         raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
+    return checked
 
 
-def refuse_what_does_not_go_together(model: SequenceQLearning) -> None:
-    """Of a new learner; one that was saved acts and learns as it did.
+def check_setting_combinations(
+    settings: Mapping[str, Any], recipe: Recipe, recurrent: bool, quantiles: bool
+) -> None:
+    """Refuse settings of a new learner of which one makes another useless.
+
+    Parameters
+    ----------
+    recurrent
+        Whether the policy has a memory.
+    quantiles
+        Whether values are quantiles of the return.
 
     Raises
     ------
     InputError
-        If one setting makes another useless.
+        If there are any.
     """
-    frequency = as_frequency(model.train_freq, "train_freq")
-    if frequency.unit is TrainFrequencyUnit.EPISODE and model.gradient_steps != 1:
+    frequency = as_frequency(settings["train_freq"], "train_freq")
+    if frequency.unit is TrainFrequencyUnit.EPISODE and settings["gradient_steps"] != 1:
         raise InputError(
-            f"gradient_steps is {model.gradient_steps} and train_freq counts episodes: "
+            f"gradient_steps is {settings['gradient_steps']} and train_freq counts episodes: "
             "give updates_per_episode instead, or a train_freq in steps"
         )
-    forgetful = model.burn_in == 0 and model.state_mode != StateMode.STORED
-    if model.policy_class.recurrent and model.sequence_length == 1 and forgetful:
+    length, burn_in, n_steps = (settings[n] for n in ("sequence_length", "burn_in", "n_steps"))
+    forgetful = burn_in == 0 and settings["state_mode"] != StateMode.STORED
+    if recurrent and length == 1 and forgetful:
         raise InputError(
             "sequence_length is 1 and the policy has a memory, which learns nothing from "
             "single steps: give longer pieces, a burn_in, state_mode 'stored', or MlpPolicy"
         )
-    if model.sequence_length is not None and model.n_steps > model.sequence_length - model.burn_in:
+    if length is not None and n_steps > length - burn_in:
         raise InputError(
-            f"n_steps is {model.n_steps} and {model.sequence_length - model.burn_in} steps of a "
-            "sequence are learned from: give a longer sequence_length, or fewer n_steps"
+            f"n_steps is {n_steps} and {length - burn_in} steps of a sequence are learned from: "
+            "give a longer sequence_length, or fewer n_steps"
         )
-    quantiles = model.policy_kwargs.get("n_quantiles")
-    if (quantiles is not None) != model.quantiles:
+    given = settings["policy_kwargs"].get("n_quantiles")
+    if (given is not None) != quantiles:
         raise InputError(
-            f"policy_kwargs: n_quantiles is {quantiles!r}: only the learners on quantiles have "
-            "it, and they need it: choose another class"
+            f"policy_kwargs: n_quantiles is {given!r}: only the learners on quantiles have it, and "
+            "they need it: choose another class"
         )
-    if model.recipe.inverse and model.exploration != Exploration.BOLTZMANN:
+    if recipe.inverse and settings["exploration"] != Exploration.BOLTZMANN:
         raise InputError(
-            f"exploration is {model.exploration!r} and recipe {model.recipe.name} learns from "
+            f"exploration is {settings['exploration']!r} and recipe {recipe.name} learns from "
             "steps that its policy samples: set it to 'boltzmann'"
         )
-    if model.offline_epochs and not model.recipe.offline:
+    epochs = settings["offline_epochs"]
+    if epochs and not recipe.offline:
         raise InputError(
-            f"recipe {model.recipe.name} learns without demonstrations: set offline_epochs to 0"
+            f"recipe {recipe.name} learns without demonstrations: set offline_epochs to 0"
         )
-    if not model.offline_epochs and not model.recipe.online:
+    if not epochs and not recipe.online:
         raise InputError(
-            f"recipe {model.recipe.name} learns from demonstrations alone: give offline_epochs"
-        )
-
-
-def needs_demonstrations(model: SequenceQLearning) -> bool:
-    """Whether what is still to be done looks at demonstrations."""
-    pretraining = model.offline_epochs > 0 and not model.offline_progress.done
-    return model.recipe.inverse or pretraining
-
-
-def refuse_what_cannot_be_learnt(model: SequenceQLearning) -> None:
-    """Of the environment, as far as can be said without looking at its data.
-
-    Raises
-    ------
-    InputError
-        If it does not give what the recipe learns from.
-    """
-    assert model.env is not None
-    check_environment(model.env, model.layout, model.recipe)
-    if needs_demonstrations(model):
-        refuse_without_demonstrations(model)
-
-
-def refuse_without_demonstrations(model: SequenceQLearning) -> None:
-    """Refuse to learn from demonstrations where neither learner nor environment has any.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
-    own = getattr(model.env, "offline_data", None)
-    none_there = own is None or getattr(model.env, "demos", own) is None
-    if model.demonstrations is None and none_there:
-        raise InputError(
-            f"recipe {model.recipe.name} learns from demonstrations and neither it nor its "
-            "environment was given demonstrations: pass demonstrations="
+            f"recipe {recipe.name} learns from demonstrations alone: give offline_epochs"
         )

@@ -75,7 +75,7 @@ class LearnerSettings(PhaseSettings, total=False):
         :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
     policy_kwargs
         See :class:`animarl_algos.networks.policies.GruPolicy`; stable-baselines3's ``net_arch`` and
-        ``activation_fn`` as :mod:`animarl_algos.learner.habits` translates them. This table,
+        ``activation_fn`` as :mod:`animarl_algos.learner.sb3_compat` translates them. This table,
         ``offline_kwargs`` and ``replay_buffer_kwargs`` go over the preset's key by key; None
         empties them.
     stats_window_size

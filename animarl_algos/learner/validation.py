@@ -1,30 +1,29 @@
-"""How a learner's action values fare on demonstrations it was not trained on."""
+"""How a policy's action values fare on demonstrations it was not trained on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from animarl_algos.learner.gradient_step import minibatch_values
+from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.losses.losses import mean_recall, treatment_counts
+from animarl_algos.losses.terms import Phase
 from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.replay.batch import SequenceBatch
 from animarl_envs.errors import InputError
 
-if TYPE_CHECKING:
-    from animarl_algos.learner.offline_learner import OfflineLearner
-
 MOST_EPISODES = 16
-"""Episodes looked at together: minibatches of windows may be of hundreds, episodes are long."""
+"""Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
 Figures = dict[str, float]
 
 
-class Episodes(Protocol):
+class WholeEpisodes(Protocol):
     """Demonstrated episodes, whole; see :mod:`animarl_algos.data.dataset`."""
 
     def batches(
@@ -32,74 +31,6 @@ class Episodes(Protocol):
     ) -> Iterator[SequenceBatch]:
         """All episodes once, shuffled by ``generator`` or in order."""
         ...
-
-
-def validation_figures(model: OfflineLearner, dataset: Episodes) -> Figures:
-    """How the demonstrated actions fare among all actions, over the valid steps of ``dataset``.
-
-    ``val/cross_entropy`` [nat] with action values as logits, ``val/label_cross_entropy`` the same
-    of the labels learned from (soft ones too) and ``val/cross_entropy_minus_marginal`` that minus
-    the entropy of the labels' mean: what cloning without looking at the observation could reach,
-    so that below 0 something is known. ``val/mean_rank`` (best 1; ties count half), ``val/top_1``
-    and ``val/top_3`` (shares ranked first, among the first three), each as the mean over
-    individuals and for each; with a treatment head ``val/treatment_balanced_accuracy``.
-    """
-    shown = demonstrated_values(model, dataset)
-    figures: dict[str, list[float]] = {
-        "cross_entropy": [], "label_cross_entropy": [], "cross_entropy_minus_marginal": [],
-        "mean_rank": [], "top_1": [], "top_3": [],
-    }  # fmt: skip
-    for values, actions, shares in zip(shown.values, shown.actions, shown.shares, strict=True):
-        rank = demonstrated_rank(values, actions)
-        log_norm = np.log(np.exp(values - values.max(1, keepdims=True)).sum(1)) + values.max(1)
-        hard = float(np.mean(log_norm - values[np.arange(len(actions)), actions]))
-        figures["cross_entropy"].append(hard)
-        soft = hard if shares is None else float(np.mean(log_norm - (shares * values).sum(1)))
-        figures["label_cross_entropy"].append(soft)
-        figures["cross_entropy_minus_marginal"].append(
-            soft - marginal_entropy(actions, shares, values.shape[1])
-        )
-        figures["mean_rank"].append(float(rank.mean()))
-        figures["top_1"].append(float((rank <= 1).mean()))
-        figures["top_3"].append(float((rank <= 3).mean()))
-    if shown.treatment_accuracy is not None:
-        figures["treatment_balanced_accuracy"] = list(shown.treatment_accuracy)
-    row: Figures = {}
-    for name, per_individual in figures.items():
-        row |= named_figures(f"val/{name}", model.layout.individuals, np.array(per_individual))
-    return row
-
-
-def named_figures(name: str, individuals: tuple[str, ...], values: NDArray[np.floating]) -> Figures:
-    """The mean over individuals, and where there are several each one's own."""
-    row = {name: float(values.mean())}
-    if len(values) > 1:
-        row |= {f"{name}/{who}": float(v) for who, v in zip(individuals, values)}
-    return row
-
-
-def marginal_entropy(
-    actions: NDArray[np.integer], shares: NDArray[np.floating] | None, num_actions: int
-) -> float:
-    """Entropy [nat] of the mean label: of ``actions`` (N,), or of soft ``shares`` (N, A)."""
-    mean = np.bincount(actions, minlength=num_actions) / len(actions)
-    if shares is not None:
-        mean = shares.mean(0)
-    present = mean[mean > 0]
-    return float(-(present * np.log(present)).sum())
-
-
-def demonstrated_rank(
-    values: NDArray[np.floating], actions: NDArray[np.integer]
-) -> NDArray[np.float64]:
-    """Rank of each demonstrated action among its state's action values: 1 is the highest.
-
-    Ties share their mean rank, so that indifference ranks as chance does. Among values that are not
-    all finite there is no rank: NaN.
-    """
-    own = values[np.arange(len(actions)), actions][:, None]
-    higher, equal = (values > own).sum(1), (values == own).sum(1)
-    return np.where(np.isfinite(values).all(1), 1 + higher + (equal - 1) / 2, np.nan)
 
 
 @dataclass(frozen=True)
@@ -118,22 +49,28 @@ class DemonstratedValues:
 
 
 @torch.no_grad()
-def demonstrated_values(model: OfflineLearner, dataset: Episodes) -> DemonstratedValues:
-    """Run the network that would be kept along the demonstrated episodes."""
-    policy, count = model.policy, model.layout.num_individuals
-    network = judged_network(model)
+def demonstrated_values(
+    policy: GruPolicy,
+    phase: Phase,
+    dataset: WholeEpisodes,
+    batch_size: int,
+    network: StackedQNetwork | None = None,
+) -> DemonstratedValues:
+    """Return the action values along demonstrated episodes: the policy's, or those of ``network``.
+
+    Raises
+    ------
+    InputError
+        If an individual has no demonstrated action.
+    """
+    count = len(policy.individuals)
     values: list[list[NDArray[np.float64]]] = [[] for _ in range(count)]
     actions: list[list[NDArray[np.int64]]] = [[] for _ in range(count)]
     shares: list[list[NDArray[np.float64]]] = [[] for _ in range(count)]
     counts: list[torch.Tensor] = []
-    for batch in dataset.batches(min(model.offline_batch_size, MOST_EPISODES)):
+    for batch in dataset.batches(min(batch_size, MOST_EPISODES)):
         minibatch = minibatch_values(
-            batch.to(model.device),
-            model.phase("offline"),
-            network,
-            policy.q_net_target,
-            policy.distribution,
-            needs_target=False,
+            policy, batch.to(policy.device), phase, needs_target=False, network=network
         )
         labels, soft = minibatch.batch.labels, minibatch.batch.label_shares
         shown = (minibatch.valid & (labels >= 0)).cpu().numpy()
@@ -149,7 +86,7 @@ def demonstrated_values(model: OfflineLearner, dataset: Episodes) -> Demonstrate
                     minibatch.treatment_logits, minibatch.batch.condition, minibatch.valid
                 )
             )
-    if not all(sum(map(len, actions[k])) for k in range(count)):
+    if not all(sum(map(len, each)) for each in actions):
         raise InputError(
             "the validation split holds no demonstrated action: split the data again, or infer the "
             "actions from the positions first"
@@ -163,11 +100,75 @@ def demonstrated_values(model: OfflineLearner, dataset: Episodes) -> Demonstrate
     )
 
 
-def judged_network(model: OfflineLearner) -> StackedQNetwork:
-    """The online network, or while a moving average is kept that."""
-    policy = model.policy
-    if model.average_weights is None:
-        return policy.q_net
-    network = policy.make_q_net().to(model.device)
-    network.load_state_dict(model.average_weights)
-    return network
+def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) -> Figures:
+    """Return how the demonstrated actions fare among all actions.
+
+    ``val/cross_entropy`` [nat] with action values as logits, ``val/label_cross_entropy`` the same
+    of the labels learned from (soft ones too) and ``val/cross_entropy_minus_marginal`` that minus
+    the entropy of the labels' mean: what cloning without looking at the observation could reach,
+    so that below 0 something is known. ``val/mean_rank`` (best 1; ties count half), ``val/top_1``
+    and ``val/top_3`` (shares ranked first, among the first three), each as the mean over
+    individuals and for each; with a treatment head ``val/treatment_balanced_accuracy``.
+    """
+    figures: dict[str, list[float]] = {
+        "cross_entropy": [], "label_cross_entropy": [], "cross_entropy_minus_marginal": [],
+        "mean_rank": [], "top_1": [], "top_3": [],
+    }  # fmt: skip
+    for values, actions, shares in zip(shown.values, shown.actions, shown.shares, strict=True):
+        rank = demonstrated_rank(values, actions)
+        log_norm = np.log(np.exp(values - values.max(1, keepdims=True)).sum(1)) + values.max(1)
+        hard = float(np.mean(log_norm - values[np.arange(len(actions)), actions]))
+        soft = hard if shares is None else float(np.mean(log_norm - (shares * values).sum(1)))
+        figures["cross_entropy"].append(hard)
+        figures["label_cross_entropy"].append(soft)
+        figures["cross_entropy_minus_marginal"].append(
+            soft - marginal_entropy(actions, shares, values.shape[1])
+        )
+        figures["mean_rank"].append(float(rank.mean()))
+        figures["top_1"].append(float((rank <= 1).mean()))
+        figures["top_3"].append(float((rank <= 3).mean()))
+    if shown.treatment_accuracy is not None:
+        figures["treatment_balanced_accuracy"] = list(shown.treatment_accuracy)
+    row: Figures = {}
+    for name, per_individual in figures.items():
+        row |= named_figures(f"val/{name}", individuals, np.array(per_individual))
+    return row
+
+
+def named_figures(name: str, individuals: tuple[str, ...], values: NDArray[np.floating]) -> Figures:
+    """Return the mean over individuals, and where there are several each one's own."""
+    row = {name: float(values.mean())}
+    if len(values) > 1:
+        row |= {f"{name}/{who}": float(v) for who, v in zip(individuals, values)}
+    return row
+
+
+def own_figures(row: Figures, name: str, individuals: tuple[str, ...]) -> list[float]:
+    """Return each individual's own figure of :func:`named_figures`."""
+    if len(individuals) == 1:
+        return [row[name]]
+    return [row[f"{name}/{who}"] for who in individuals]
+
+
+def marginal_entropy(
+    actions: NDArray[np.integer], shares: NDArray[np.floating] | None, num_actions: int
+) -> float:
+    """Return the entropy [nat] of the mean of ``actions`` (N,), or of soft ``shares`` (N, A)."""
+    mean = np.bincount(actions, minlength=num_actions) / len(actions)
+    if shares is not None:
+        mean = shares.mean(0)
+    present = mean[mean > 0]
+    return float(-(present * np.log(present)).sum())
+
+
+def demonstrated_rank(
+    values: NDArray[np.floating], actions: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Return the rank of each demonstrated action among its state's values: 1 is the highest.
+
+    Ties share their mean rank, so that indifference ranks as chance does. Among values that are not
+    all finite there is no rank: NaN.
+    """
+    own = values[np.arange(len(actions)), actions][:, None]
+    higher, equal = (values > own).sum(1), (values == own).sum(1)
+    return np.where(np.isfinite(values).all(1), 1 + higher + (equal - 1) / 2, np.nan)

@@ -357,7 +357,7 @@ class TreatmentAdversary:
 class WeightDecay:
     """``J_l2``: squared norm of all weights of the individual's network.
 
-    Its value carries no gradient: :func:`animarl_algos.learner.gradient_step.update` adds that in
+    Its value carries no gradient: :func:`animarl_algos.learner.updates.update` adds that in
     closed form.
     """
 

@@ -188,7 +188,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             _ = self.optimizer  # what does not fit is refused now
 
     @property
-    def optimizer(self) -> torch.optim.Optimizer:
+    def optimizer(self) -> torch.optim.Optimizer:  # type: ignore[override]
         """That of ``q_net``, made when first asked for.
 
         Who only acts needs none, and the first one of a process takes seconds to import.
@@ -211,9 +211,13 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 ) from error
         return self._optimizer
 
-    @optimizer.setter
-    def optimizer(self, optimizer: torch.optim.Optimizer) -> None:
-        self._optimizer = optimizer
+    def reset_optimizer(self, learning_rate: float) -> None:
+        """Make a new optimiser, with nothing accumulated."""
+        self._optimizer = self.optimizer_class(
+            self.q_net.parameters(),
+            lr=learning_rate,  # type: ignore[call-arg]
+            **self.optimizer_kwargs,
+        )
 
     def make_q_net(self) -> StackedQNetwork:
         """A network as the constructor's arguments describe it, freshly initialised."""

@@ -19,7 +19,6 @@ from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.validation import demonstrated_values
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
 from animarl_algos.report.counterfactual_page import counterfactual_page
@@ -183,7 +182,7 @@ def _ask(
         blind.append(Answers(*zeroed))
         if species.condition_is_sensed:
             worlds.append(_other_world(run, model, name, test, repetitions))
-        found = demonstrated_values(model, model.demonstration_data().val).treatment_accuracy
+        found = model.demonstrated_values(model.demonstration_data().val).treatment_accuracy
         if found is not None:
             accuracy[run.settings.seed] = float(found.mean())
     algo = runs[0].settings.algo

@@ -21,15 +21,15 @@ from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import (
-    begin_as_clone,
+    cloned_progress,
     latest_checkpoint,
     load_checkpoint,
     steps_done,
 )
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
+from animarl_algos.learner.collecting import check_environment_supports
 from animarl_algos.learner.presets import constructed
-from animarl_algos.learner.recorder import check_environment
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
@@ -94,7 +94,7 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
         learner = named_recipe(algo).algorithm(
             env=env, seed=settings.seed, device="cpu", **arguments
         )
-        check_environment(env, learner.layout, learner.recipe)
+        check_environment_supports(learner.recipe, env, learner.layout)
 
 
 def load_demonstrations(
@@ -132,7 +132,7 @@ def learn(
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
     Goes on from the last checkpoint, exactly; without one from the run ``clone``, if given, which
-    has done the same offline phase (:func:`animarl_algos.learner.checkpoint.begin_as_clone`).
+    has done the same offline phase (:func:`animarl_algos.learner.checkpoint.cloned_progress`).
     """
     torch.set_num_threads(1)
     demos, settings = run.learnable_demos, run.settings
@@ -147,7 +147,7 @@ def learn(
         load_checkpoint(model, checkpoints)
     elif clone is not None:
         other = clone.settings.algo
-        begin_as_clone(model, clone.path / "checkpoints" / other)
+        model.offline_progress = cloned_progress(clone.path / "checkpoints" / other)
         logs = run.path / "logs" / algo
         shutil.copytree(clone.path / "logs" / other, logs, dirs_exist_ok=True)
     with (

@@ -22,9 +22,9 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import ProgressBar
 from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.presets import LearnerPreset, beneath, learner_preset
-from animarl_algos.learner.progress import ProgressBar
 from animarl_algos.learner.zoo_files import merged
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.ranges import COUNT, COUNT_OR_NONE
@@ -118,7 +118,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             result: tuple[BaseAlgorithm, dict[str, Any]] | None = super().setup_experiment()
             if result is not None:
                 assert isinstance(result[0], SequenceQLearning)
-                result[0].refuse_what_does_not_suit()
+                result[0].check_learnable()
         except InputError:
             self._leave_no_folder()
             raise

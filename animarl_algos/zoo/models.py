@@ -9,9 +9,8 @@ from pathlib import Path
 from gymnasium.spaces import Discrete
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import SlotLayout, refuse_other_actions
+from animarl_algos.data.slots import SlotLayout, refuse_other_actions, refuse_other_slots
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.making import refuse_other_slots
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs.errors import InputError
 

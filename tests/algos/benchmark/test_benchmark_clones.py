@@ -14,8 +14,8 @@ from test_benchmark import bytes_of, run, tiny
 from animarl_algos.benchmark.cells import Cell
 from animarl_algos.benchmark.matrix import Matrix, read_matrix
 from animarl_algos.benchmark.plan import claim_folder, plan
-from animarl_algos.learner import offline
 from animarl_algos.learner.checkpoint import latest_checkpoint
+from animarl_algos.learner.pretraining import Pretraining
 
 EPOCHS = 2
 PHASE = {"offline_epochs": EPOCHS, "offline_kwargs": {"updates_per_epoch": 2, "warm_up": 1}}
@@ -51,13 +51,13 @@ def results(cell: Cell, out: Path) -> dict[str, bytes]:
 def epochs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The offline epochs that are trained from now on."""
     trained: list[int] = []
-    original = offline.train_epoch
+    original = Pretraining.train_epoch
 
-    def counted(model: Any, dataset: Any, epoch: int) -> Any:
-        trained.append(epoch)
-        return original(model, dataset, epoch)
+    def counted(phase: Pretraining, dataset: Any) -> Any:
+        trained.append(phase.progress.epoch)
+        return original(phase, dataset)
 
-    monkeypatch.setattr(offline, "train_epoch", counted)
+    monkeypatch.setattr(Pretraining, "train_epoch", counted)
     return trained
 
 
@@ -85,15 +85,15 @@ def test_a_clone_goes_on_after_an_interruption(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, epochs: list[int]
 ) -> None:
     matrix, out = alike(("soft-bc", "dqaas")), tmp_path / "out"
-    counted = offline.train_epoch
+    counted = Pretraining.train_epoch
 
-    def interrupted(model: Any, dataset: Any, epoch: int) -> Any:
-        if epoch == 1:
+    def interrupted(phase: Pretraining, dataset: Any) -> Any:
+        if phase.progress.epoch == 1:
             raise KeyboardInterrupt
-        return counted(model, dataset, epoch)
+        return counted(phase, dataset)
 
     with monkeypatch.context() as patched:
-        patched.setattr(offline, "train_epoch", interrupted)
+        patched.setattr(Pretraining, "train_epoch", interrupted)
         with pytest.raises(KeyboardInterrupt):
             run(matrix, out)
     assert not run(matrix, out).errors

@@ -15,7 +15,7 @@ from stable_baselines3.common.callbacks import CallbackList
 
 from animarl_algos.cli.lazy import COMMANDS
 from animarl_algos.cli.main import app
-from animarl_algos.learner.progress import ProgressBar, with_progress_bar
+from animarl_algos.learner.callbacks import ProgressBar, with_progress_bar
 from animarl_envs.compiling import FirstCompilation
 
 HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "numba", "scipy", "pandas", "matplotlib"}

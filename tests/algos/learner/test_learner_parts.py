@@ -12,11 +12,9 @@ import toys
 from pair_learners import SETTINGS, make_pair_learner, weights
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
+from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.collecting import Collector
-from animarl_algos.learner.online import train_as_due
-from animarl_algos.learner.pace import AS_MANY_AS_STEPS, Pace
-from animarl_algos.learner.saving import pace_from, pace_numbers
-from animarl_algos.learner.updating import Updater
+from animarl_algos.learner.updates import AS_MANY_AS_STEPS, Updater, UpdateSchedule
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import DQN
 
@@ -27,109 +25,118 @@ STEPS = TrainFreq(3, TrainFrequencyUnit.STEP)
 
 
 def test_a_rollout_in_episodes_lasts_until_enough_have_finished() -> None:
-    pace = Pace()
+    schedule = UpdateSchedule()
     for finished, still in ((0, True), (1, True), (0, True), (1, False)):
-        pace.passed(finished)
-        assert pace.collecting(EPISODES) is still
-    assert (pace.steps, pace.episodes) == (4, 2)
+        schedule.count_step(finished)
+        assert schedule.needs_more_steps(EPISODES) is still
+    assert (schedule.steps, schedule.episodes) == (4, 2)
 
 
 def test_fractions_of_updates_are_kept_until_they_are_whole() -> None:
-    pace, made = Pace(), []
+    schedule, made = UpdateSchedule(), []
     for _ in range(6):
-        pace.passed(2)
-        pace.earn(EPISODES, copies=4, gradient_steps=1, updates_per_episode=0.375)
-        made.append(pace.spend())
+        schedule.count_step(2)
+        schedule.schedule_updates(EPISODES, copies=4, gradient_steps=1, updates_per_episode=0.375)
+        made.append(schedule.take_due_updates())
     assert made == [0, 1, 1, 1, 0, 1]  # of 0.75, 1.5, 2.25, 3, 3.75 and 4.5 in all
-    assert pace.updates_due == 0.5 and pace.steps == 0
+    assert schedule.updates_due == 0.5 and schedule.steps == 0
 
 
 @pytest.mark.parametrize(("asked", "updates"), [(5, 5), (AS_MANY_AS_STEPS, 12)])
 def test_updates_per_steps(asked: int, updates: int) -> None:
-    pace = Pace()
+    schedule = UpdateSchedule()
     for _ in range(3):
-        assert pace.collecting(STEPS)
-        pace.passed(0)
-    assert not pace.collecting(STEPS)
-    pace.earn(STEPS, copies=4, gradient_steps=asked, updates_per_episode=9.0)
-    assert pace.spend() == updates
+        assert schedule.needs_more_steps(STEPS)
+        schedule.count_step(0)
+    assert not schedule.needs_more_steps(STEPS)
+    schedule.schedule_updates(STEPS, copies=4, gradient_steps=asked, updates_per_episode=9.0)
+    assert schedule.take_due_updates() == updates
 
 
 def test_the_target_is_due_in_its_own_unit_and_the_rest_is_carried() -> None:
-    by_steps, by_episodes = Pace(), Pace()
+    by_steps, by_episodes = UpdateSchedule(), UpdateSchedule()
     due = [
-        (by_steps.target_due(STEPS, 2, 1), by_episodes.target_due(EPISODES, 2, 1)) for _ in range(6)
+        (by_steps.is_target_due(STEPS, 2, 1), by_episodes.is_target_due(EPISODES, 2, 1))
+        for _ in range(6)
     ]
     assert [a for a, _ in due] == [False, True, True, False, True, True]
     assert [b for _, b in due] == [False, True] * 3
 
 
-def test_the_pace_is_found_again_under_the_names_of_files() -> None:
-    pace = Pace(steps=3, episodes=1, updates_due=0.25, since_target=7)
-    numbers = pace_numbers(pace) | {"other": 1}
-    assert numbers["_updates_due"] == 0.25 and numbers["_target_count"] == 7
-    assert pace_from(numbers) == pace and numbers == {"other": 1}
-    assert pace_from({}) == Pace()
-
-
 # -- acting ---------------------------------------------------------------------------------------
 
 
-class ListRecorder:
-    """Keeps what it is given, and says that every copy ended."""
-
-    count = 2
+class ListBuffer:
+    """Keeps what it is given."""
 
     def __init__(self) -> None:
         self.given: list[Any] = []
 
-    def record(self, *given: Any) -> ListRecorder:
-        self.given.append(given)
-        return self
+    def add(self, *given: Any, **more: Any) -> None:
+        self.given.append((given, more))
 
-    def executed(self, actions: Any) -> Any:
-        return actions
+
+def collector(model: SequenceQLearning) -> Collector:
+    assert model.env is not None
+    return Collector(model.policy, model.env, model.layout, model.recipe)
 
 
 def test_a_step_is_recorded_with_the_state_before_it_and_forgotten_where_it_ended() -> None:
-    model = DQN("GruPolicy", toys.Pair(2), **SETTINGS)
-    env, recorder = model.env, ListRecorder()
-    assert env is not None
+    model, buffer = DQN("GruPolicy", toys.Pair(2), **SETTINGS), ListBuffer()
+    model.policy.epsilon = 0.0
     memory = model.policy.initial_state(4)
     memory[0][:] = 0.5
-    collector = Collector(model.policy, recorder)  # type: ignore[arg-type]
-    first = np.array(env.reset())
+    part = collector(model)
+    first = np.array(model.env.reset())  # type: ignore[union-attr]
     dones = np.zeros(4, dtype=bool)
     while not dones.any():
-        step = collector.step(env, None, first, memory, epsilon=0.0, at_random=False)  # type: ignore[arg-type]
+        step = part.step(buffer, first, memory)  # type: ignore[arg-type]
         dones = step.dones
-        assert (step.memory[0][dones] == 0).all() and (step.memory[0][~dones] != 0).any(
-            axis=-1
-        ).all()
+        assert (step.memory[0][dones] == 0).all()
+        assert (step.memory[0][~dones] != 0).any(axis=-1).all()
         assert (step.memory[1] == np.where(dones, 3, step.actions)).all()
-    given = recorder.given[-1]
-    assert given[1] is first and (given[2] == 0.5).all() and (given[3] == step.actions).all()
+    (observation, actions, *_), more = buffer.given[-1]
+    assert (observation.reshape(4, -1) == first).all() and (more["hidden"] == 0.5).all()
+    assert (actions.reshape(-1) == step.actions).all() and step.finished
     assert (memory[0] == 0.5).all()
 
 
 def test_acting_at_random_uses_every_action_and_leaves_the_rule_in_force() -> None:
     model = DQN("MlpPolicy", toys.Pair(2), **SETTINGS)
-    assert model.env is not None
-    collector = Collector(model.policy, ListRecorder())  # type: ignore[arg-type]
-    model.policy.temperature = 1e-6
-    observation, chosen = np.array(model.env.reset()), set()
+    model.policy.temperature, model.policy.epsilon = 1e-6, 0.1
+    part, chosen = collector(model), set()
+    observation = np.array(model.env.reset())  # type: ignore[union-attr]
     for _ in range(40):
-        step = collector.step(
-            model.env,
-            None,
+        step = part.step(
+            ListBuffer(),  # type: ignore[arg-type]
             observation,
             model.policy.initial_state(4),
-            epsilon=0.1,
-            at_random=True,  # type: ignore[arg-type]
+            at_random=True,
         )
         chosen |= set(step.actions.tolist())
     assert chosen == {0, 1, 2}
     assert model.policy.acting == replace(Acting.boltzmann(1e-6), epsilon=0.1)
+
+
+def test_each_step_is_taken_with_the_epsilon_that_is_due_before_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Not with that of the step before: the schedule says how many steps are done."""
+    model = DQN(
+        "MlpPolicy", toys.Pair(2), **SETTINGS | {"exploration_steps": 100}, learning_starts=0
+    )
+    used, choose = [], model.policy.choose
+
+    def watched(q_values: Any, deterministic: bool) -> Any:
+        used.append((model.num_timesteps, model.policy.acting.epsilon))
+        return choose(q_values, deterministic)
+
+    monkeypatch.setattr(model.policy, "choose", watched)
+    model.learn(60)
+    model.learn(40, reset_num_timesteps=False)
+    steps, epsilons = zip(*used)
+    assert steps == tuple(range(0, 100, 2))
+    assert epsilons == pytest.approx([0.5 - 0.2 * step / 100 for step in steps])
 
 
 # -- updating -------------------------------------------------------------------------------------
@@ -153,7 +160,7 @@ def test_losses_are_averaged_over_the_updates_since_the_last_look() -> None:
 
 def test_updates_before_learning_starts_are_forfeited() -> None:
     model = DQN("GruPolicy", toys.Pair(2), **SETTINGS, learning_starts=10_000).learn(100)
-    model.pace.passed(3)
-    train_as_due(model)
-    assert model.pace == Pace(since_target=model.pace.since_target)
+    model.schedule.count_step(3)
+    model._train_if_due()
+    assert model.schedule == UpdateSchedule(since_target=model.schedule.since_target)
     assert model._n_updates == 0

@@ -21,11 +21,10 @@ from pair_learners import (
 )
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
-import animarl_algos.learner.offline
 import animarl_envs
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.offline import train_epoch
+from animarl_algos.learner.pretraining import Pretraining
 from animarl_algos.recipes.registry import BC, DQAAS, DQCIL, DQDIL, DQN, QRDQN, named_recipe
 from animarl_algos.runs.run_settings import RunSettings, asked_species, checked_species
 from animarl_envs.demos.packaged import load_packaged
@@ -249,20 +248,22 @@ def test_diverged_offline_training_is_refused() -> None:
 def test_an_epoch_without_finite_values_is_never_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     """Chosen by rank, in which values that are not numbers are neither higher nor equal."""
 
-    def broken_in_the_second(model: Any, data: Any, epoch: int) -> Any:
-        row = train_epoch(model, data, epoch)
-        if epoch == 1:
-            model.policy.q_net.load_state_dict(
-                {name: w * np.nan for name, w in model.policy.q_net.state_dict().items()}
-            )
+    train_epoch = Pretraining.train_epoch
+
+    def broken_in_the_second(phase: Pretraining, data: Any) -> Any:
+        row = train_epoch(phase, data)
+        if phase.progress.epoch == 1:
+            q_net = phase.policy.q_net
+            q_net.load_state_dict({name: w * np.nan for name, w in q_net.state_dict().items()})
         return row
 
-    monkeypatch.setattr(animarl_algos.learner.offline, "train_epoch", broken_in_the_second)
+    monkeypatch.setattr(Pretraining, "train_epoch", broken_in_the_second)
     model = make_pair_learner("dqdil-pt", offline_epochs=3)
     with pytest.raises(InputError, match=r"diverged in epoch 2 .* lower offline_learning_rate"):
         model.pretrain()
-    assert model.offline_progress.best_epoch == 1 and model.best_weights is not None
-    assert not any(w.isnan().any() for w in model.best_weights.values())
+    assert model.offline_progress.best_epoch == 1
+    best = model.offline_progress.best_weights
+    assert best is not None and not any(w.isnan().any() for w in best.values())
 
 
 # -- a run's demonstrations -----------------------------------------------------------------------

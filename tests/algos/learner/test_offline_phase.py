@@ -14,10 +14,10 @@ from pair_learners import SETTINGS, Split, demonstrations, make_pair_learner, we
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.learner.offline import OfflineProgress, _decay, train_epoch
 from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.learner.pretraining import Pretraining, _decay
 from animarl_algos.recipes.registry import SoftBC
 from animarl_envs.errors import InputError
 
@@ -127,7 +127,7 @@ def test_a_stopped_phase_goes_on_exactly(policy: str, tmp_path: Path) -> None:
         cloning(policy).learn(1, callback=Stop(tmp_path, every=1000))
     resumed = cloning(policy)
     load_checkpoint(resumed, tmp_path)
-    assert resumed.offline_progress.epoch == 4 and resumed.average_weights is not None
+    assert resumed.offline_progress.epoch == 4 and resumed.offline_progress.average_weights
     resumed.learn(1)
     assert torch.equal(weights(resumed), weights(straight))
     assert torch.equal(resumed.policy.q_net.input_sd, straight.policy.q_net.input_sd)
@@ -186,18 +186,21 @@ def test_the_average_follows_the_weights() -> None:
         offline_epochs=5,
     )
     snapshots, averages = [], []
-    original = train_epoch
+    train_epoch = Pretraining.train_epoch
 
-    def watched(model: Any, data: Any, epoch: int) -> Any:
-        row = original(model, data, epoch)
-        snapshots.append([p.detach().clone() for p in model.policy.q_net.parameters()])
-        names = [name for name, _ in model.policy.q_net.named_parameters()]
-        averages.append([model.average_weights[name].clone() for name in names])
+    def watched(phase: Pretraining, data: Any) -> Any:
+        row = train_epoch(phase, data)
+        average = phase.progress.average_weights
+        assert average is not None
+        snapshots.append([p.detach().clone() for p in phase.policy.q_net.parameters()])
+        averages.append(
+            [average[name].clone() for name, _ in phase.policy.q_net.named_parameters()]
+        )
         return row
 
     start = [p.detach().clone() for p in model.policy.q_net.parameters()]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("animarl_algos.learner.offline.train_epoch", watched)
+        patch.setattr(Pretraining, "train_epoch", watched)
         model.pretrain()
     for t, (now, average) in enumerate(zip(snapshots, averages, strict=True), start=1):
         decay = min(0.3, (1 + t) / (10 + t))
@@ -222,15 +225,6 @@ def test_decay_takes_a_share_of_every_weight() -> None:
     _decay(network, 0.1)
     for old, new in zip(before, network.parameters(), strict=True):
         torch.testing.assert_close(new.detach(), 0.9 * old)
-
-
-def test_progress_of_before_had_one_best_epoch() -> None:
-    old = {"epoch": 3, "done": False, "best_epoch": 2, "best_figure": 1.5, "history": []}
-    progress = OfflineProgress.from_json(old)
-    assert (progress.best_epochs, progress.best_figures) == ([2], [1.5])
-    assert OfflineProgress.from_json(progress.as_json()) == progress
-    none = {"epoch": 0, "done": False, "best_epoch": 0, "best_figure": None, "history": []}
-    assert OfflineProgress.from_json(none) == OfflineProgress()
 
 
 def test_few_demonstrations_have_short_epochs() -> None:

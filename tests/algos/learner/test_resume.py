@@ -17,6 +17,7 @@ import toys
 from pair_learners import SETTINGS, demonstrations, weights
 
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import (
     in_short,
     latest_checkpoint,
@@ -24,7 +25,6 @@ from animarl_algos.learner.checkpoint import (
     save_checkpoint,
     serialised,
 )
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN, QRDQN
 from animarl_algos.runs.run_folder import RunFolder

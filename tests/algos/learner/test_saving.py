@@ -16,7 +16,7 @@ import toys
 from gymnasium.envs.classic_control import CartPoleEnv
 from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learner, weights
 
-import animarl_algos.learner.offline
+import animarl_algos.learner.pretraining
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.recipes.registry import DQDIL, DQN
 from animarl_envs.errors import InputError
@@ -172,10 +172,10 @@ def test_a_learner_saved_in_mid_pretraining_keeps_its_best_epoch(
         return {f"val/{model.recipe.selection}/{who}": figure for who in toys.Pair.individuals}
 
     loaded = None
-    monkeypatch.setattr(animarl_algos.learner.offline, "validation_figures", scored)
+    monkeypatch.setattr(animarl_algos.learner.pretraining, "validation_figures", scored)
     with pytest.raises(Stop):
         model.pretrain()
-    best = model.best_weights
+    best = model.offline_progress.best_weights
     assert best is not None and model.offline_progress.best_epoch == 1
     model.save(tmp_path / "model")
     loaded = DQDIL.load(tmp_path / "model", env=toys.Pair(2), device="cpu")

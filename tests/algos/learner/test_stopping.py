@@ -14,11 +14,10 @@ import toys
 from pair_learners import make_pair_learner, weights
 from stable_baselines3.common.callbacks import BaseCallback
 
-import animarl_algos.learner.offline
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
-from animarl_algos.learner.offline import train_epoch
+from animarl_algos.learner.pretraining import Pretraining
 
 STEPS = 240
 
@@ -104,12 +103,14 @@ def test_a_callback_that_was_interrupted_serves_again(tmp_path: Path) -> None:
 def test_ctrl_c_in_the_last_epoch_is_raised(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def last_is_interrupted(model: Any, data: Any, epoch: int) -> Any:
-        if epoch == 1:
-            interrupt()
-        return train_epoch(model, data, epoch)
+    train_epoch = Pretraining.train_epoch
 
-    monkeypatch.setattr(animarl_algos.learner.offline, "train_epoch", last_is_interrupted)
+    def last_is_interrupted(phase: Pretraining, data: Any) -> Any:
+        if phase.progress.epoch == 1:
+            interrupt()
+        return train_epoch(phase, data)
+
+    monkeypatch.setattr(Pretraining, "train_epoch", last_is_interrupted)
     with pytest.raises(KeyboardInterrupt):
         make_pair_learner("bc").learn(100, callback=CheckpointCallback(tmp_path, every=10_000))
     resumed = make_pair_learner("bc")

@@ -17,8 +17,8 @@ from pair_learners import Split, evaluated, make_pair_learner, weights
 from torch.nn import functional
 
 from animarl_algos.data.dataset import OfflineDataset
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, next_values
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.value_stream import into_logits, zero_value_stream

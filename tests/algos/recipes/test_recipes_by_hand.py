@@ -10,7 +10,7 @@ from given_values import GivenValues
 from pair_learners import SETTINGS, evaluated, make_pair_learner
 
 from animarl_algos.learner.exploration import LinearDecay, boltzmann_nll, fit_boltzmann_temperature
-from animarl_algos.learner.gradient_step import sequence_priorities
+from animarl_algos.learner.updates import sequence_priorities
 from animarl_algos.learner.validation import demonstrated_rank
 from animarl_algos.losses.terms import (
     MinibatchValues,

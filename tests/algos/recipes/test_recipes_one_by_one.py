@@ -11,7 +11,7 @@ import toys
 from pair_learners import SETTINGS, demonstrations, evaluated, make_pair_learner
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.gradient_step import update
+from animarl_algos.learner.updates import update
 from animarl_algos.recipes.registry import DQDIL, named_recipe
 
 
@@ -64,7 +64,7 @@ def test_replayed_individuals_together_are_individuals_alone() -> None:
     together = make_pair_learner("dqdil").learn(100)
     start = make_pair_learner("dqdil")
     together.policy.load_state_dict(start.policy.state_dict())
-    together.reset_optimizer(1e-3)
+    together.policy.reset_optimizer(1e-3)
     assert together.replay_buffer is not None
     alone = []
     for k, who in enumerate(toys.Pair.individuals):

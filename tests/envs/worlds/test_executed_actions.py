@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from animarl_algos.data.focal import FocalPolicy
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
-from animarl_algos.learner.evaluating import evaluate_individuals
+from animarl_algos.learner.callbacks import evaluate_individuals
 from animarl_algos.recipes.registry import DQN
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.transitions import demonstrated_actions

@@ -20,8 +20,8 @@ from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.teams import META, load_weights, trained_species
+from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import latest_checkpoint, load_checkpoint
-from animarl_algos.learner.checkpoint_callback import CheckpointCallback
 from animarl_algos.recipes.registry import DQN
 from animarl_envs.demos.packaged import packaged_team
 from animarl_envs.errors import InputError
