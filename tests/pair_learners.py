@@ -14,7 +14,7 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.losses.terms import MinibatchValues
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 
 SETTINGS: dict[str, Any] = {
     "learning_rate": 1e-3,

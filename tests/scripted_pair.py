@@ -13,7 +13,7 @@ import toys
 from numpy.typing import NDArray
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ TARGETS = {
     "animarl_algos/losses/losses.py": ("test_losses.py",),
     "animarl_algos/losses/terms.py": ("test_loss_terms.py", "test_losses.py"),
     "animarl_algos/losses/values.py": ("test_losses.py",),
-    "animarl_algos/replay/sum_tree.py": ("test_prioritised_replay.py",),
+    "animarl_algos/replay/sequence_kernels.py": ("test_prioritised_replay.py",),
     "animarl_algos/evaluation/statistics.py": ("test_statistics.py",),
     "animarl_algos/evaluation/distances.py": ("test_distances.py",),
 }

@@ -57,7 +57,7 @@ def load_trained(
         If the folder holds no trained policy, or one of another species or of other individuals
         than those given, or lacks its demonstrations.
     """
-    from animarl_algos.data.focal import FocalPolicy
+    from animarl_algos.data.slots import FocalPolicy
     from animarl_algos.runs.acting import acting_of
     from animarl_algos.runs.pretrained import model_folder
     from animarl_algos.runs.run_folder import RunFolder

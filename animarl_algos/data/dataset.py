@@ -1,24 +1,237 @@
-"""Demonstrations as training sequences."""
+"""Demonstrations as training sequences: whole episodes, or windows of them, maybe mirrored."""
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from animarl_algos.data import episode_arrays
-from animarl_algos.data.reflection import Reflection
-from animarl_algos.data.windows import WindowDraws
-from animarl_algos.replay.batch import SequenceBatch
-from animarl_algos.replay.gather import BatchBuffers
-from animarl_algos.replay.rings import Frames, Sequences
+from animarl_algos.replay.store import BatchBuffers, Frames, SequenceBatch, Sequences
 from animarl_envs.errors import InputError
+
+
+def checked_array(
+    source: str, name: str, value: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
+) -> NDArray[Any]:
+    """``value`` as the kernels want it, zeros if it is not given; finite and of this shape."""
+    if value is None:
+        return np.zeros(shape, dtype=dtype)
+    array = np.ascontiguousarray(value, dtype=dtype)
+    if array.shape != shape:
+        raise InputError(
+            f"{source}: {name} have shape {array.shape}, not {shape}: "
+            "make them from the same episodes"
+        )
+    if not np.isfinite(array).all():
+        place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(
+            f"{source}: {name} at {place} is not a finite number: "
+            "look for a gap in the recording there"
+        )
+    return array if array.flags.writeable else array.copy()
+
+
+def refuse_missing_actions(
+    source: str,
+    names: Sequence[str],
+    actions: NDArray[np.int16],
+    first: NDArray[np.int64],
+    lengths: NDArray[np.int64],
+    num_actions: int,
+) -> None:
+    """Every frame but each episode's last needs an action of each individual."""
+    bad = (actions < 0) | (actions >= num_actions)
+    bad[first + lengths - 1] = False
+    if bad.any():
+        frame, k = (int(i) for i in np.argwhere(bad)[0])
+        episode = int(np.searchsorted(first, frame, side="right") - 1)
+        raise InputError(
+            f"{source}: episode {episode}, frame {frame - first[episode]}, "
+            f"{names[k]}: action {actions[frame, k]} is not one of 0 .. "
+            f"{num_actions - 1}: infer the actions of the recording first"
+        )
+
+
+def leading_warmup(
+    warmup: NDArray[np.bool_], first: NDArray[np.int64], lengths: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Steps at the start of each episode that enter no loss."""
+    return np.array(
+        [
+            n - 1 if warmup[f : f + n - 1].all() else int(np.argmin(warmup[f : f + n - 1]))
+            for f, n in zip(first, lengths, strict=True)
+        ],
+        dtype=np.int64,
+    )
+
+
+def trainable_episodes(
+    source: str, warmup: NDArray[np.bool_], first: NDArray[np.int64], lengths: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Those with a step that enters a loss."""
+    kept = [not warmup[f : f + n - 1].all() for f, n in zip(first, lengths, strict=True)]
+    if not any(kept):
+        raise InputError(f"{source}: all episodes end within the warm-up: shorten the warm-up")
+    return np.flatnonzero(kept)
+
+
+class WindowDraws:
+    """Windows of a given number of steps, of episodes that lie end to end.
+
+    A window may hang over either end of its episode and is cut there, so that the first and the
+    last steps are drawn as often as those between them.
+
+    Parameters
+    ----------
+    first, steps
+        ``(episodes,)``, row of each episode's first frame, and its steps.
+    masked
+        ``(episodes,)``, leading steps that enter no loss; every window holds a later one.
+    terminated, condition
+        ``(episodes,)``.
+    """
+
+    def __init__(
+        self,
+        first: NDArray[np.int64],
+        steps: NDArray[np.int64],
+        masked: NDArray[np.int64],
+        terminated: NDArray[np.bool_],
+        condition: NDArray[np.float32],
+    ) -> None:
+        self._first, self._steps, self._masked = first, steps, masked
+        self._terminated, self._condition = terminated, condition
+
+    def draw(
+        self, generator: np.random.Generator, count: int, length: int, burn_in: int
+    ) -> tuple[NDArray[np.int64], Sequences]:
+        """``count`` windows of ``length`` steps, with up to ``burn_in`` steps before each.
+
+        Returns
+        -------
+        episodes : ndarray (count,)
+            Where each window lies.
+        windows : Sequences
+            In decreasing length.
+        """
+        places = np.where(self._steps > self._masked, self._steps - self._masked + length - 1, 0)
+        ends = np.cumsum(places)
+        drawn = generator.integers(ends[-1], size=count)
+        episode = np.searchsorted(ends, drawn, side="right")
+        begin = drawn - (ends - places)[episode] + self._masked[episode] - (length - 1)
+        end = np.minimum(begin + length, self._steps[episode])
+        begin = np.maximum(begin, 0)
+        order = np.argsort(begin - end, kind="stable")
+        episode, begin, end = episode[order], begin[order], end[order]
+        prefix = np.minimum(burn_in, begin)
+        return episode, Sequences(
+            first=self._first[episode] + begin - prefix,
+            prefix=prefix,
+            trained=end - begin,
+            at_start=begin == prefix,
+            terminated=self._terminated[episode] & (end == self._steps[episode]),
+            condition=self._condition[episode],
+            frames=np.zeros(count, dtype=np.int64),
+            initial_state=np.zeros((count, 1, 0), dtype=np.float32),
+        )
+
+
+class Mirror(Protocol):
+    """How observations and actions look in a mirror; see ``animarl_envs.worlds.mirror``."""
+
+    @property
+    def order(self) -> ArrayLike: ...
+
+    @property
+    def sign(self) -> ArrayLike: ...
+
+    @property
+    def actions(self) -> ArrayLike: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Reflection:
+    """Mirrors minibatches.
+
+    Parameters
+    ----------
+    order, sign
+        ``(n,)``: the mirrored observation has component ``order[c]``, times ``sign[c]``, in place
+        c.
+    actions
+        ``(actions,)``, the mirror image of each action.
+
+    Raises
+    ------
+    InputError
+        If mirroring twice does not give back what was there.
+    """
+
+    order: NDArray[np.int64]
+    sign: NDArray[np.float32]
+    actions: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        for key, dtype in (("order", np.int64), ("sign", np.float32), ("actions", np.int64)):
+            object.__setattr__(self, key, np.array(getattr(self, key), dtype=dtype))
+        n, a = np.arange(len(self.order)), np.arange(len(self.actions))
+        once = len(self.sign) == len(n) and np.array_equal(np.sort(self.order), n)
+        if not (
+            once
+            and np.array_equal(self.order[self.order], n)
+            and np.allclose(self.sign[self.order] * self.sign, 1.0)
+            and np.array_equal(np.sort(self.actions), a)
+            and np.array_equal(self.actions[self.actions], a)
+        ):
+            raise InputError(
+                "the mirror image of the mirror image is another: give order, sign and actions of "
+                "one reflection"
+            )
+
+    @classmethod
+    def of(cls, mirror: Mirror, *, flag: bool = False) -> Reflection:
+        """From a world's mirror; ``flag`` adds the condition flag, which is the same in it."""
+        order, sign = np.asarray(mirror.order), np.asarray(mirror.sign)
+        if flag:
+            order, sign = np.append(order, len(order)), np.append(sign, 1.0)
+        return cls(order, sign, np.asarray(mirror.actions))
+
+    def observations(self, seen: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Mirrored observations ``(..., n)``."""
+        mirrored: NDArray[np.floating] = seen[..., self.order] * self.sign
+        return mirrored
+
+    def some_of(self, batch: SequenceBatch, chosen: torch.Tensor) -> SequenceBatch:
+        """The batch with the ``chosen`` (K, B) columns mirrored; padding stays padding."""
+        per_step = chosen.unsqueeze(1)
+        order, actions = torch.from_numpy(self.order), torch.from_numpy(self.actions)
+        none = len(actions)
+        table = torch.cat([actions, torch.tensor([none, -1])])  # no action yet, and no label
+
+        def images(numbers: torch.Tensor) -> torch.Tensor:
+            return torch.where(per_step, table[numbers], numbers)
+
+        def per_action(values: torch.Tensor | None) -> torch.Tensor | None:
+            if values is None:
+                return None
+            return torch.where(per_step.unsqueeze(-1), values[..., actions], values)
+
+        mirrored = batch.observations[..., order] * torch.from_numpy(self.sign)
+        return replace(
+            batch,
+            observations=torch.where(per_step.unsqueeze(-1), mirrored, batch.observations),
+            previous_actions=images(batch.previous_actions),
+            actions=images(batch.actions),
+            labels=images(batch.labels),
+            action_penalties=per_action(batch.action_penalties),
+            label_shares=per_action(batch.label_shares),
+        )
 
 
 class OfflineDataset:
@@ -44,8 +257,7 @@ class OfflineDataset:
     action_penalties
         ``(frames, K, num_actions)``, what each action would have been penalised with.
     label_shares
-        ``(frames, K, num_actions)``, soft labels (:mod:`animarl_algos.data.labels`); ``None``: the
-        demonstrated action is the label.
+        ``(frames, K, num_actions)``, soft labels; ``None``: the demonstrated action is the label.
     reflection
         Its mirror image is as likely as what was recorded: half of the windows are mirrored.
     terminated
@@ -111,9 +323,9 @@ class OfflineDataset:
                 f"{frames} observations: give at least two frames per episode, end to end"
             )
         first = np.cumsum(size) - size
-        checked = partial(episode_arrays.checked, source)
+        checked = partial(checked_array, source)
         labels = checked("actions", actions, np.int16, (frames, k))
-        episode_arrays.refuse_missing_actions(source, self.names, labels, first, size, num_actions)
+        refuse_missing_actions(source, self.names, labels, first, size, num_actions)
         each, flat = (len(size),), (frames, k)
         scored = checked(
             "action_penalties",
@@ -159,11 +371,11 @@ class OfflineDataset:
             frames=size,
             initial_state=np.zeros((len(size), k, 0), dtype=np.float32),
         )
-        self._episodes = episode_arrays.trainable_episodes(source, self._frames.warmup, first, size)
+        self._episodes = trainable_episodes(source, self._frames.warmup, first, size)
         self._windows = WindowDraws(
             first,
             size - 1,
-            episode_arrays.leading_warmup(self._frames.warmup, first, size),
+            leading_warmup(self._frames.warmup, first, size),
             self._sequences.terminated,
             self._sequences.condition,
         )

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.labels import Labels, check_labels
 from animarl_algos.data.options import SCENARIO_OPTIONS
 from animarl_algos.data.slots import observed_in, warn_of_mixed_means
-from animarl_algos.data.species_data import SpeciesDemonstrations
+from animarl_algos.data.species_data import Labels, SpeciesDemonstrations, check_labels
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker

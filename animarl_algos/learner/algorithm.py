@@ -44,9 +44,9 @@ from animarl_algos.learner.validation import (
     demonstrated_values,
 )
 from animarl_algos.losses.terms import OfflineLoss
-from animarl_algos.networks.value_stream import into_logits, zero_value_stream
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.networks.policies import into_logits, zero_value_stream
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 FARTHEST = 1000.0

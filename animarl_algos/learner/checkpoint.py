@@ -33,8 +33,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.learner.pretraining import OfflineProgress
-from animarl_algos.replay.buffer_state import buffer_state, restore_buffer
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, buffer_state, restore_buffer
 from animarl_envs.errors import InputError
 
 FORMAT = 2

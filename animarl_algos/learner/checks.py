@@ -23,8 +23,7 @@ from animarl_algos.ranges import (
     Range,
     refuse_unknown,
 )
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.replay.state_mode import StateMode
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, StateMode
 from animarl_envs.errors import InputError
 
 LEARNER = {

@@ -33,10 +33,10 @@ from animarl_algos.learner.validation import (
     validation_figures,
 )
 from animarl_algos.losses.terms import Phase, Recipe, ScoredActionsTemporalDifference, Selection
-from animarl_algos.networks.dropout import DropoutDraws
+from animarl_algos.networks.layers import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 Weights = dict[str, torch.Tensor]

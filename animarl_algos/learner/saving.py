@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.save_util import open_path
 
-from animarl_algos.replay.buffer_state import buffer_state, restore_buffer
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, buffer_state, restore_buffer
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 

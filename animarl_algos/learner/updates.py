@@ -19,12 +19,11 @@ from animarl_algos.losses.losses import (
     treatment_counts,
 )
 from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
-from animarl_algos.networks.dropout import DropoutDraws
-from animarl_algos.networks.gru import Packing
+from animarl_algos.networks.layers import DropoutDraws, Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 AS_MANY_AS_STEPS = -1

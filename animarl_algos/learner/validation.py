@@ -15,7 +15,7 @@ from animarl_algos.losses.losses import mean_recall, treatment_counts
 from animarl_algos.losses.terms import Phase
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 MOST_EPISODES = 16

@@ -26,7 +26,7 @@ from animarl_algos.losses.losses import (
 )
 from animarl_algos.losses.values import ValueDistribution, n_step_target
 from animarl_algos.ranges import NOT_NEGATIVE, POSITIVE_OR_NONE, PROBABILITY
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 
@@ -100,7 +100,7 @@ class PhaseSettings(TypedDict, total=False):
 
 
 class ActionValues(Protocol):
-    """What :class:`animarl_algos.networks.output.QOutput` says of the T + 1 states of T steps."""
+    """What :class:`animarl_algos.networks.networks.QOutput` says of the T + 1 states of T steps."""
 
     @property
     def values(self) -> torch.Tensor:
@@ -312,7 +312,7 @@ class SoftActionSupervision:
     """Cross-entropy with soft labels, action values as logits.
 
     The label of a step is a distribution over the actions: how near each would have led under the
-    fitted dynamics (:func:`animarl_algos.data.labels.soft_labels`). Of two actions which both
+    fitted dynamics (:func:`animarl_algos.data.species_data.soft_labels`). Of two actions which both
     explain the track none is then called wrong, as in learning from label distributions (Geng 2016)
     and in distillation (Hinton et al. 2015). Demonstrations without soft labels have it all on the
     demonstrated action: plain cloning.

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from animarl_algos.ranges import Range
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 

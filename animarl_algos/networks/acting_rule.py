@@ -6,7 +6,7 @@ The rule is data: it is saved with a model, printed, and put on the command line
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from typing import Any
 
@@ -122,33 +122,19 @@ class Acting:
         return f"{self.kind}:{self.epsilon:g}" if self.kind is Kind.EPSILON else str(self.kind)
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
-        return {
-            "kind": str(self.kind),
-            "temperature": list(self.temperature),
-            "epsilon": self.epsilon,
-            "thrust": self.thrust,
-            "direction": self.direction,
-        }
+        """Return the rule as plain data."""
+        return asdict(self) | {"kind": str(self.kind), "temperature": list(self.temperature)}
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Acting:
-        """Inverse of :meth:`to_json`; also of the two numbers that older models hold.
+        """Return the rule that :meth:`to_json` wrote.
 
         Raises
         ------
         InputError
-            If ``row`` is none of these.
+            If ``row`` is none.
         """
-        if set(row) == {"temperature", "epsilon"}:
-            kind = Kind.EPSILON if row["temperature"] is None else Kind.BOLTZMANN
-            row = {
-                "kind": kind,
-                "epsilon": row["epsilon"],
-                "temperature": row["temperature"] or 1.0,
-            }
-        later = {"thrust", "direction"}
-        if set(row) | later != {"kind", "temperature", "epsilon"} | later:
+        if set(row) != {each.name for each in fields(cls)}:
             raise InputError(
                 "an acting rule has kind, temperature, epsilon, thrust and direction, not "
                 f"{sorted(row)}: write it anew with to_json"

@@ -1,17 +1,339 @@
-"""The layers of the stacked networks; every parameter has a leading axis of individuals."""
+"""Layers of the stacked networks: linear maps, GRUs, dueling heads, dropout, packed sequences.
+
+Every parameter has a leading axis of individuals and is stored (individual, in, out). The GRU's
+equations are PyTorch's, per individual, with x the input and h the hidden state::
+
+    r = sigmoid(x W_ir + b_ir + h W_hr + b_hr)
+    z = sigmoid(x W_iz + b_iz + h W_hz + b_hz)
+    n = tanh(x W_in + b_in + r (h W_hn + b_hn))
+    h' = (1 - z) n + z h
+
+Everything that does not depend on the previous state is done for all steps at once, before the
+loop (the input's part of the gates) or after it (the weights' gradients).
+"""
 
 from __future__ import annotations
 
 import math
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
-from animarl_algos.networks.gru import Packing, stacked_gru
+from animarl_algos.networks.kernels import gru_kernels, runs_compiled
+from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class Packing:
+    """Which rows of a padded (time, batch) rectangle are computed.
+
+    At step t these are the first ``active[t]`` rows of the batch, the same for every individual.
+    Nothing but padding is left out, and little is left in if rows are sorted by decreasing length;
+    in any other order the result is the same and only the saving smaller.
+
+    Attributes
+    ----------
+    time, batch
+        The rectangle.
+    active : ndarray (steps,) int64
+        Rows computed at each step, not increasing; steps <= time, the rest have none.
+    lengths : ndarray (individuals or 1, batch) int64, or None
+        Valid steps of each sequence; None means all ``time`` steps.
+    device
+        Where the index tensors live.
+    """
+
+    time: int
+    batch: int
+    active: NDArray[np.int64]
+    lengths: NDArray[np.int64] | None
+    device: torch.device
+
+    @classmethod
+    def full(cls, time: int, batch: int, device: torch.device | str = "cpu") -> Packing:
+        """Every row of every step."""
+        return cls(time, batch, np.full(time, batch, dtype=np.int64), None, torch.device(device))
+
+    @classmethod
+    def from_lengths(
+        cls, lengths: NDArray[Any], time: int, device: torch.device | str = "cpu"
+    ) -> Packing:
+        """The rows needed by sequences of the given lengths, (batch,) or (individuals, batch)."""
+        lengths = np.atleast_2d(np.asarray(lengths, dtype=np.int64))
+        if lengths.size == 0 or lengths.min() < 0 or lengths.max() > time:
+            raise InputError(
+                f"sequence lengths must lie in 0..{time}; pad the batch to its longest sequence"
+            )
+        longest = lengths.max(axis=0)
+        # A row is computed while it or a later one still runs: running maximum from the right.
+        reach = np.maximum.accumulate(longest[::-1])[::-1]
+        active = np.searchsorted(-reach, -np.arange(time), side="left").astype(np.int64)
+        return cls(time, lengths.shape[1], active[active > 0], lengths, torch.device(device))
+
+    @cached_property
+    def offsets(self) -> NDArray[np.int64]:
+        """Packed row of each step's first batch row; the last entry is the number of rows."""
+        return np.concatenate(([0], np.cumsum(self.active)))
+
+    @cached_property
+    def is_full(self) -> bool:
+        return int(self.offsets[-1]) == self.time * self.batch
+
+    @cached_property
+    def rows(self) -> torch.Tensor:
+        """(rows,) index of every packed row in the flattened (time * batch) rectangle."""
+        steps = np.repeat(np.arange(len(self.active)), self.active)
+        within = np.arange(self.offsets[-1]) - self.offsets[steps]
+        return torch.from_numpy(steps * self.batch + within).to(self.device)
+
+    @cached_property
+    def previous(self) -> torch.Tensor:
+        """(rows - active[0],) packed row of the step before, for rows from the second step on."""
+        steps = np.repeat(np.arange(1, len(self.active)), self.active[1:])
+        within = np.arange(len(steps)) + self.offsets[1] - self.offsets[steps]
+        return torch.from_numpy(self.offsets[steps - 1] + within).to(self.device)
+
+    def pack(self, padded: torch.Tensor) -> torch.Tensor:
+        """(individual, time, batch, ...) to (individual, row, ...)."""
+        flat = padded.flatten(1, 2)
+        return flat if self.is_full else flat.index_select(1, self.rows)
+
+    def unpack(self, packed: torch.Tensor) -> torch.Tensor:
+        """(individual, row, ...) to (individual, time, batch, ...), zero where not computed."""
+        individuals, _, *features = packed.shape
+        if not self.is_full:
+            padded = packed.new_zeros((individuals, self.time * self.batch, *features))
+            packed = padded.index_copy_(1, self.rows, packed)
+        return packed.view(individuals, self.time, self.batch, *features)
+
+    def final(self, hidden: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        """State after each sequence's last valid step, from hidden (K, row, H) and first state."""
+        if self.lengths is None:
+            return hidden[:, -self.batch :] if self.time else state
+        individuals, _, units = hidden.shape
+        lengths = np.broadcast_to(self.lengths, (individuals, self.batch))
+        last = self.offsets[np.maximum(lengths - 1, 0)] + np.arange(self.batch)
+        last = np.where(lengths > 0, last, 0)
+        index = torch.from_numpy(last).to(self.device)[..., None].expand(-1, -1, units)
+        empty = torch.from_numpy(lengths == 0).to(self.device)[..., None]
+        return torch.where(empty, state, hidden.gather(1, index))
+
+
+def _forward_loop(
+    gates: torch.Tensor,
+    hidden_n: torch.Tensor,
+    hidden: torch.Tensor,
+    state: torch.Tensor,
+    weight: torch.Tensor,
+    bias: torch.Tensor,
+    packing: Packing,
+) -> None:
+    """Run the recurrence; ``gates`` holds the input's part and is overwritten with r, z, n."""
+    units = state.shape[-1]
+    before = state
+    for start, count in zip(packing.offsets.tolist(), packing.active.tolist()):
+        before = before[:, :count]
+        here = slice(start, start + count)
+        from_state = torch.baddbmm(bias, before, weight)
+        hidden_n[:, here] = from_state[..., 2 * units :]
+        gates_now = gates[:, here]
+        rz = gates_now[..., : 2 * units].add_(from_state[..., : 2 * units]).sigmoid_()
+        n = gates_now[..., 2 * units :].addcmul_(rz[..., :units], hidden_n[:, here]).tanh_()
+        before = torch.lerp(n, before, rz[..., units:])
+        hidden[:, here] = before
+
+
+def _backward_loop(
+    grad_hidden: torch.Tensor,
+    gates: torch.Tensor,
+    hidden_n: torch.Tensor,
+    hidden: torch.Tensor,
+    state: torch.Tensor,
+    weight: torch.Tensor,
+    packing: Packing,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Gradients of the input's gates (K, row, 3H), of ``hidden_n`` (K, row, H), of the state."""
+    units = state.shape[-1]
+    r, z, n = gates.chunk(3, dim=-1)
+    # All gate gradients are the state's gradient times factors known before the loop.
+    factor = torch.empty_like(gates)
+    to_r, to_z, to_n = factor.chunk(3, dim=-1)
+    torch.mul(1 - z, 1 - n * n, out=to_n)
+    # (h_prev - n) z (1 - z), since h - n = z (h_prev - n).
+    torch.mul(hidden - n, 1 - z, out=to_z)
+    torch.mul(to_n * hidden_n, r * (1 - r), out=to_r)
+    factor = torch.cat((to_r, to_z, to_n * r), dim=-1)
+    grad_total = torch.empty_like(hidden)
+    weight_back = weight.transpose(1, 2)
+    carried = torch.zeros_like(state)
+    for start, count in zip(packing.offsets[-2::-1].tolist(), packing.active[::-1].tolist()):
+        here = slice(start, start + count)
+        total = grad_hidden[:, here] + carried[:, :count]
+        grad_total[:, here] = total
+        from_gates = factor[:, here].mul_(total.repeat(1, 1, 3))
+        carried[:, :count] = torch.baddbmm(total * z[:, here], from_gates, weight_back)
+    grad_hidden_n = factor[..., 2 * units :].contiguous()
+    factor[..., 2 * units :] = to_n * grad_total
+    return factor, grad_hidden_n, carried
+
+
+class _StackedGRU(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        inputs: torch.Tensor,
+        state: torch.Tensor,
+        weight_input: torch.Tensor,
+        weight_hidden: torch.Tensor,
+        bias_input: torch.Tensor,
+        bias_hidden: torch.Tensor,
+        packing: Packing,
+    ) -> torch.Tensor:
+        gates = torch.baddbmm(bias_input, inputs, weight_input)
+        individuals, rows, _ = gates.shape
+        units = state.shape[-1]
+        hidden_n = gates.new_empty((individuals, rows, units))
+        hidden = gates.new_empty((individuals, rows, units))
+        if runs_compiled(gates):
+            gru_kernels.forward(
+                gates, hidden_n, hidden, state, weight_hidden, bias_hidden, packing.active
+            )
+        else:
+            _forward_loop(gates, hidden_n, hidden, state, weight_hidden, bias_hidden, packing)
+        ctx.save_for_backward(inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden)
+        ctx.packing = packing
+        return hidden
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable  # type: ignore[misc]
+    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden = ctx.saved_tensors
+        packing: Packing = ctx.packing
+        units = state.shape[-1]
+        backward = gru_kernels.backward if runs_compiled(gates) else None
+        if backward is not None:
+            grad_gates, grad_hidden_n, grad_state = backward(
+                grad_outputs[0], gates, hidden_n, hidden, state, weight_hidden, packing.active
+            )
+        else:
+            grad_gates, grad_hidden_n, grad_state = _backward_loop(
+                grad_outputs[0], gates, hidden_n, hidden, state, weight_hidden, packing
+            )
+        first = int(packing.active[0]) if len(packing.active) else 0
+        if packing.is_full:
+            later = hidden[:, : hidden.shape[1] - first]
+        else:
+            later = hidden.index_select(1, packing.previous)
+        before = torch.cat((state[:, :first], later), dim=1).transpose(1, 2)
+        grad_rz = grad_gates[..., : 2 * units]
+        grad_weight_hidden = torch.cat((before @ grad_rz, before @ grad_hidden_n), dim=-1)
+        grad_bias = grad_gates.sum(1, keepdim=True)
+        grad_bias_hidden = torch.cat(
+            (grad_bias[..., : 2 * units], grad_hidden_n.sum(1, keepdim=True)), dim=-1
+        )
+        return (
+            grad_gates @ weight_input.transpose(1, 2) if ctx.needs_input_grad[0] else None,
+            grad_state if ctx.needs_input_grad[1] else None,
+            inputs.transpose(1, 2) @ grad_gates,
+            grad_weight_hidden,
+            grad_bias,
+            grad_bias_hidden,
+            None,
+        )
+
+
+def stacked_gru(
+    inputs: torch.Tensor,
+    state: torch.Tensor,
+    weight_input: torch.Tensor,
+    weight_hidden: torch.Tensor,
+    bias_input: torch.Tensor,
+    bias_hidden: torch.Tensor,
+    packing: Packing,
+) -> torch.Tensor:
+    """Hidden states of K GRUs over packed sequences.
+
+    Parameters
+    ----------
+    inputs : Tensor (K, row, I)
+        Inputs, packed by ``packing``.
+    state : Tensor (K, batch, H)
+        Hidden state before the first step.
+    weight_input, weight_hidden : Tensor (K, I, 3H), (K, H, 3H)
+        Gates in the order r, z, n.
+    bias_input, bias_hidden : Tensor (K, 1, 3H)
+    packing : Packing
+
+    Returns
+    -------
+    Tensor (K, row, H)
+    """
+    hidden: torch.Tensor = _StackedGRU.apply(  # type: ignore[no-untyped-call]
+        inputs, state, weight_input, weight_hidden, bias_input, bias_hidden, packing
+    )
+    return hidden
+
+
+@dataclass(frozen=True)
+class DropoutMasks:
+    """Factors 0 or ``1 / (1 - share)`` for every hidden layer.
+
+    Attributes
+    ----------
+    masks : Tensor (layers, K, batch, H)
+    """
+
+    masks: torch.Tensor
+
+    def to(self, device: torch.device | str) -> DropoutMasks:
+        """The same masks on ``device``."""
+        return DropoutMasks(self.masks.to(device))
+
+    def thin(self, features: torch.Tensor, layer: int, packing: Packing) -> torch.Tensor:
+        """Packed ``features`` (K, row, H) of a layer, times the mask of each row's sequence."""
+        mask = self.masks[layer]
+        if packing.is_full:
+            mask = mask.repeat(1, packing.time, 1)
+        else:
+            mask = mask.index_select(1, packing.rows % packing.batch)
+        return features * mask
+
+
+class DropoutDraws:
+    """Draws masks, each individual's from its own generator.
+
+    Parameters
+    ----------
+    share
+        Of the units that are left out, below 1.
+    seeds
+        Root of the draws, whole numbers; with an individual's name they seed its generator.
+    individuals
+        Names of the K individuals.
+    """
+
+    def __init__(self, share: float, seeds: Sequence[int], individuals: Sequence[str]) -> None:
+        self.share = share
+        self._generators = [
+            np.random.default_rng([*seeds, zlib.crc32(name.encode())]) for name in individuals
+        ]
+
+    def masks(self, layers: int, batch: int, units: int) -> DropoutMasks | None:
+        """For ``batch`` sequences of every individual, or None where nothing is left out."""
+        if not self.share:
+            return None
+        shape = (layers, batch, units)
+        kept = np.stack(
+            [g.random(shape, dtype=np.float32) >= self.share for g in self._generators], axis=1
+        )
+        return DropoutMasks(torch.from_numpy(kept).float().div_(1.0 - self.share))
 
 
 def individual_generators(individuals: Sequence[str], seed: int) -> list[torch.Generator]:

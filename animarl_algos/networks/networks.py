@@ -27,6 +27,7 @@ Axes: (individual, time, batch, feature).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -37,25 +38,139 @@ from numpy.typing import NDArray
 from torch import nn
 
 from animarl_algos.losses.losses import reverse_gradient
-from animarl_algos.networks.dropout import DropoutMasks
-from animarl_algos.networks.gru import Packing
-from animarl_algos.networks.kernels import feed_forward
+from animarl_algos.losses.values import take_action
+from animarl_algos.networks.kernels import chosen_head, feed_forward, runs_compiled
 from animarl_algos.networks.kernels.feed_forward import WeightViews
 from animarl_algos.networks.layers import (
+    DropoutMasks,
     DuelingHead,
+    Packing,
     StackedGRU,
     StackedLinear,
     individual_generators,
 )
-from animarl_algos.networks.output import Head, HeadUnits, HeadValues, QOutput
 from animarl_envs.errors import InputError
+
+
+@dataclass(frozen=True)
+class HeadUnits:
+    """A quantile network's head, known by its hidden units: of its many outputs few are asked for.
+
+    Attributes
+    ----------
+    units : Tensor (K, row, 2H)
+    weight, bias : Tensor (K, 2H, actions * quantiles), (K, 1, actions * quantiles)
+        From them to the values.
+    num_actions
+    """
+
+    units: torch.Tensor
+    weight: torch.Tensor
+    bias: torch.Tensor
+    num_actions: int
+
+    @property
+    def num_quantiles(self) -> int:
+        return self.weight.shape[-1] // self.num_actions
+
+    def values(self) -> torch.Tensor:
+        """Quantiles of all action values, (K, row, actions, quantiles)."""
+        return self._per_action(torch.baddbmm(self.bias, self.units, self.weight))
+
+    def means(self) -> torch.Tensor:
+        """Expected values of all actions, (K, row, actions)."""
+        weight, bias = (self._per_action(t).mean(-1) for t in (self.weight, self.bias))
+        return torch.baddbmm(bias, self.units, weight)
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Quantiles of one action's value in each row: (K, row) to (K, row, quantiles)."""
+        if not runs_compiled(self.units):
+            return take_action(self.values(), actions)
+        return chosen_head.chosen_values(
+            self.units, self.weight, self.bias, actions, self.num_quantiles
+        )
+
+    def _per_action(self, flat: torch.Tensor) -> torch.Tensor:
+        return flat.view(*flat.shape[:-1], self.num_actions, self.num_quantiles)
+
+
+@dataclass(frozen=True)
+class HeadValues:
+    """A head known by its values, (K, row, actions, quantiles)."""
+
+    known: torch.Tensor
+
+    def values(self) -> torch.Tensor:
+        return self.known
+
+    def means(self) -> torch.Tensor:
+        return self.known.squeeze(-1) if self.known.shape[-1] == 1 else self.known.mean(-1)
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        return take_action(self.known, actions)
+
+
+@dataclass(frozen=True)
+class QOutput:
+    """What a network says about a batch of sequences; zero where the packing computed nothing.
+
+    Attributes
+    ----------
+    treatment_logits : Tensor (K, T, B) or None
+        Logit of treatment 1, predicted from the hidden state through gradient reversal.
+    features : Tensor (K, row, H)
+        What the heads see, packed: the hidden states, without a GRU the encoded observations.
+    initial_state : Tensor (K, B, H)
+        Hidden state before the first step.
+    packing
+        Of the features.
+    recurrent
+        Whether the features are states.
+    head
+        Of the values of the packed rows.
+    """
+
+    treatment_logits: torch.Tensor | None
+    features: torch.Tensor
+    initial_state: torch.Tensor
+    packing: Packing
+    recurrent: bool
+    head: HeadUnits | HeadValues
+
+    @cached_property
+    def values(self) -> torch.Tensor:
+        """Quantiles of all action values, (K, T, B, actions, quantiles).
+
+        One "quantile" where the expected value is learned.
+        """
+        return self.packing.unpack(self.head.values())
+
+    @cached_property
+    def q_values(self) -> torch.Tensor:
+        """Expected values of all actions, (K, T, B, actions)."""
+        return self.packing.unpack(self.head.means())
+
+    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
+        """Quantiles of one action's value at each step: (K, T, B) to (K, T, B, quantiles)."""
+        return self.packing.unpack(self.head.of_actions(self.packing.pack(actions)))
+
+    @property
+    def hidden(self) -> torch.Tensor:
+        """The features of each step, (K, T, B, H)."""
+        return self.packing.unpack(self.features)
+
+    @property
+    def final_state(self) -> torch.Tensor:
+        """Hidden state after each sequence's last valid step, (K, B, H)."""
+        if not self.recurrent:
+            return self.initial_state
+        return self.packing.final(self.features, self.initial_state)
+
 
 TREATMENT_UNITS = 8
 INPUT_LIMIT = 6.0
 """Standardised inputs are clipped at this many standard deviations: a simulation may go where no
 recording has been."""
-STATISTICS = ("input_mean", "input_sd", "input_limit")
-"""The buffers that standardise the inputs."""
 
 
 class ConditionInput(StrEnum):
@@ -90,7 +205,7 @@ class StackedQNetwork(nn.Module):
         Whether the heads see the encoded observation beside the GRU's state.
     dropout
         Share of the hidden units (encoder and GRU) that are left out where masks are asked for;
-        see :mod:`animarl_algos.networks.dropout`.
+        see :mod:`animarl_algos.networks.layers`.
     previous_action
         Whether the previous action is an input.
     condition_flag
@@ -201,7 +316,6 @@ class StackedQNetwork(nn.Module):
         self.register_buffer("input_mean", torch.zeros(shape))
         self.register_buffer("input_sd", torch.ones(shape))
         self.register_buffer("input_limit", torch.full((shape[0], 1, 1), torch.inf))
-        self.register_load_state_dict_pre_hook(_take_raw_inputs)  # type: ignore[no-untyped-call]
         self.register_load_state_dict_post_hook(_look_parameters_up_anew)  # type: ignore[no-untyped-call]
 
     def initial_state(self, batch: int) -> torch.Tensor:
@@ -295,7 +409,7 @@ class StackedQNetwork(nn.Module):
             state = self.initial_state(batch)
         observed = self._standardised(packing.pack(observations))
         previous = packing.pack(previous_actions)
-        head: Head
+        head: HeadUnits | HeadValues
         if self.loops_fit and masks is None and feed_forward.usable(observed):
             features, values = feed_forward.features_and_values(
                 observed,
@@ -326,7 +440,7 @@ class StackedQNetwork(nn.Module):
             head=head,
         )
 
-    def _head(self, inputs: torch.Tensor) -> Head:
+    def _head(self, inputs: torch.Tensor) -> HeadUnits | HeadValues:
         weight, bias = self.dueling.combined()
         units = self.dueling.units(inputs)
         if self.num_quantiles > 1:
@@ -416,15 +530,6 @@ class StackedQNetwork(nn.Module):
         """
         output = self(observations.unsqueeze(1), previous_actions.unsqueeze(1), state)
         return output.q_values[:, 0], output.final_state
-
-
-def _take_raw_inputs(
-    network: StackedQNetwork, weights: dict[str, Any], prefix: str, *_: Any
-) -> None:
-    """Weights that were saved without statistics of the inputs were trained on raw ones."""
-    if prefix + STATISTICS[0] not in weights:
-        for name, value in zip(STATISTICS, (0.0, 1.0, torch.inf), strict=True):
-            weights[prefix + name] = torch.full_like(getattr(network, name), value)
 
 
 def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:

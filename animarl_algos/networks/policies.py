@@ -23,13 +23,88 @@ from animarl_algos.losses.values import (
     Quantiles,
     value_distribution,
 )
-from animarl_algos.networks import slots
 from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.kernels.acting import CompiledActor
 from animarl_algos.networks.networks import ConditionInput, StackedQNetwork
-from animarl_algos.networks.slots import State
 from animarl_algos.ranges import COUNT, NOT_NEGATIVE, Range
 from animarl_envs.errors import InputError
+
+State = tuple[NDArray[np.float32], NDArray[np.int64]]
+"""Hidden state (S, H) and previous action (S,)."""
+GONE = np.iinfo(np.int64).min
+"""In the place of a previous action: this slot's episode is over, nothing is worked out for it."""
+
+
+def flattened(
+    observation: NDArray[Any] | dict[str, NDArray[Any]],
+    shape: tuple[int, ...] | None,
+    individuals: tuple[str, ...],
+) -> tuple[NDArray[np.float32], bool]:
+    """Observations (S, n) of all slots, and whether there was one bare slot of that shape."""
+    observation = np.asarray(observation)
+    single = observation.shape == shape
+    slots = 1 if single else len(observation)
+    if not single and observation.shape[1:] != shape:
+        raise InputError(
+            f"observation of shape {observation.shape} does not fit the observation space: "
+            f"give {shape}, or (slots, *{shape})"
+        )
+    if slots % len(individuals):
+        raise InputError(
+            f"{slots} slots cannot be dealt to the {len(individuals)} individuals "
+            f"{individuals}: give the observations of all of them, copy by copy"
+        )
+    return np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32), single
+
+
+def remembered(
+    state: tuple[NDArray[Any], ...],
+    episode_start: NDArray[Any] | None,
+    slots: int,
+    units: int,
+    num_actions: int,
+) -> State:
+    """A copy of the memory, without that of slots whose episode begins."""
+    hidden = np.array(state[0], dtype=np.float32, order="C")
+    previous = np.array(state[1], dtype=np.int64, order="C")
+    if hidden.shape != (slots, units) or previous.shape != (slots,):
+        raise InputError(
+            f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
+            f"of {units} units: give the one that the last call returned"
+        )
+    told = previous[previous != GONE]
+    if len(told) and not 0 <= told.min() <= told.max() <= num_actions:
+        raise InputError(
+            f"previous actions run from {told.min()} to {told.max()}: they must lie in "
+            f"0 .. {num_actions - 1}, or be {num_actions} for none"
+        )
+    if episode_start is not None:
+        begins = np.asarray(episode_start, dtype=bool)
+        hidden[begins], previous[begins] = 0.0, num_actions
+    return hidden, previous
+
+
+def decide_on_device(
+    network: StackedQNetwork,
+    observation: NDArray[np.float32],
+    previous: NDArray[np.int64],
+    hidden: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Q-values (S, actions) and next hidden state (S, H), where the network is not on the CPU."""
+    individuals, device = len(network.individuals), network.input_mean.device
+
+    def stacked(array: NDArray[Any]) -> torch.Tensor:
+        shaped = array.reshape(-1, individuals, *array.shape[1:])
+        return torch.from_numpy(shaped).to(device).transpose(0, 1)
+
+    def slots(tensor: torch.Tensor) -> NDArray[Any]:
+        array: NDArray[Any] = tensor.transpose(0, 1).flatten(0, 1).cpu().numpy()
+        return array
+
+    some = np.where(previous == GONE, 0, previous)
+    q_values, state = network.step(stacked(observation), stacked(some), stacked(hidden))
+    return slots(q_values), slots(state)
+
 
 DROPOUT = Range(most=0.95)
 
@@ -325,7 +400,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
         They still get an action, any, so that the others meet the same random numbers.
         """
-        return state[0], np.where(over, slots.GONE, state[1])
+        return state[0], np.where(over, GONE, state[1])
 
     def advance(
         self,
@@ -335,11 +410,11 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], bool]:
         """Q-values (S, actions), next hidden state (S, H), and whether there was one bare slot."""
         shape, individuals = self.observation_space.shape, self.individuals
-        flat, single = slots.flattened(observation, shape, individuals)
+        flat, single = flattened(observation, shape, individuals)
         hidden, previous = self._remembered(state, episode_start, len(flat))
         if self.q_net.input_mean.is_cpu:  # self.device would walk all parameters
             return self._actor.decide(flat, previous, hidden), hidden, single
-        return *slots.decide_on_device(self.q_net, flat, previous, hidden), single
+        return *decide_on_device(self.q_net, flat, previous, hidden), single
 
     def _remembered(
         self,
@@ -350,7 +425,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         """A copy of the memory, without that of slots whose episode begins."""
         if state is None:
             return self.initial_state(count)
-        return slots.remembered(state, episode_start, count, self.q_net.units, self.num_actions)
+        return remembered(state, episode_start, count, self.q_net.units, self.num_actions)
 
     def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> NDArray[np.int64]:
         """Actions (S,) for Q-values (S, actions): greedy, or by the acting rule, one draw each."""
@@ -392,3 +467,33 @@ class MlpPolicy(GruPolicy):
     """
 
     recurrent: ClassVar[bool] = False
+
+
+@torch.no_grad()
+def zero_value_stream(network: StackedQNetwork) -> None:
+    """Set V of the dueling head to 0, which leaves the policy ``softmax Q`` as it is.
+
+    Cloning says nothing about V, as it adds the same to all actions: -100 has been seen. Temporal
+    differences begun from there spend themselves on V and spoil the policy, so call this before the
+    first one after cloning.
+    """
+    value = network.dueling.value
+    value.weight.zero_()
+    value.bias.zero_()
+
+
+@torch.no_grad()
+def into_logits(policy: GruPolicy) -> None:
+    """Divide the action values by the temperatures of ``policy``, which are 1 from then on.
+
+    It acts as before: ``softmax Q``, for learners to whom action values are the policy's logits.
+    Individuals that share a network are divided by the mean of their temperatures.
+    """
+    fitted = torch.tensor(policy.acting.temperature).view(-1, 1, 1)
+    if policy.q_net.shared:
+        fitted = fitted.mean(0, keepdim=True)
+    for network in (policy.q_net, policy.q_net_target):
+        for layer in (network.dueling.value, network.dueling.advantage):
+            for parameter in (layer.weight, layer.bias):
+                parameter.div_(fitted.to(parameter))
+    policy.temperature = 1.0

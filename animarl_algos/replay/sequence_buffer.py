@@ -6,35 +6,151 @@ al. 2019, "Recurrent experience replay in distributed reinforcement learning".
 
 from __future__ import annotations
 
+import enum
 import math
+import os
 import zlib
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from animarl_algos.ranges import COUNT_OR_NONE, NOT_NEGATIVE, PROBABILITY
 from animarl_algos.replay import sequence_kernels as kernels
-from animarl_algos.replay.batch import SequenceBatch
-from animarl_algos.replay.gather import BatchBuffers
-from animarl_algos.replay.memory_limit import refuse_too_large
-from animarl_algos.replay.rings import (
+from animarl_algos.replay.sequence_kernels import SumTrees
+from animarl_algos.replay.store import (
     EPISODES,
     NEXT,
     NEXT_ROW,
+    NO_LABEL,
     OLDEST,
     ROWS_USED,
+    BatchBuffers,
     Frames,
     Ring,
+    SequenceBatch,
     Sequences,
     Staging,
 )
-from animarl_algos.replay.state_mode import StateMode, check_state_mode
-from animarl_algos.replay.step_arrays import NotGiven, Step, fit
-from animarl_algos.replay.sum_tree import SumTrees
 from animarl_envs.errors import InputError
+
+
+class StateMode(enum.StrEnum):
+    """The choices; see Kapturowski et al. 2019, section 3."""
+
+    RECOMPUTE = "recompute"  # zeros before the burn-in prefix, which then rebuilds it
+    STORED = "stored"  # the acting network's state before the prefix
+    ZERO = "zero"  # zeros at the first trained step; no prefix
+
+
+def check_state_mode(
+    mode: StateMode | str, sequence_length: int | None, burn_in: int, state_size: int
+) -> StateMode:
+    """The mode, if it fits the other settings of a piece."""
+    try:
+        mode = StateMode(mode)
+    except ValueError:
+        raise InputError(
+            f"state_mode {mode!r} is unknown: choose one of {', '.join(StateMode)}"
+        ) from None
+    if sequence_length is None:
+        if burn_in or mode is not StateMode.RECOMPUTE:
+            raise InputError(
+                f"burn_in {burn_in} and state_mode {mode.value!r} are for pieces: "
+                "set sequence_length, or leave them out for whole episodes"
+            )
+    elif not 0 <= burn_in < sequence_length:
+        raise InputError(
+            f"burn_in {burn_in} does not fit sequence_length {sequence_length}: "
+            "it must be at least 0 and smaller"
+        )
+    if mode is StateMode.ZERO and burn_in:
+        raise InputError(
+            f"state_mode 'zero' starts without a prefix but burn_in is {burn_in}: set it to 0"
+        )
+    if mode is StateMode.STORED and state_size < 1:
+        raise InputError("state_mode 'stored' needs state_size, the size of the recurrent state")
+    return mode
+
+
+_MEMINFO = Path("/proc/meminfo")
+_GIB = 2**30
+
+
+def available_memory() -> int | None:
+    """Bytes that can be allocated without swapping; ``None`` where the system does not say."""
+    if _MEMINFO.is_file():
+        for line in _MEMINFO.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    names = getattr(os, "sysconf_names", {})
+    if "SC_AVPHYS_PAGES" in names and "SC_PAGE_SIZE" in names:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return None
+
+
+def refuse_too_large(nbytes: int, setting: str) -> None:
+    """Raise :class:`InputError` if ``nbytes`` exceed the available memory.
+
+    ``setting`` names what asks for so much, such as ``"buffer_size 1000000"``.
+    """
+    available = available_memory()
+    if available is not None and nbytes > available:
+        raise InputError(
+            f"the replay memory for {setting} needs {nbytes / _GIB:.1f} GiB but "
+            f"{available / _GIB:.1f} GiB are available: lower it"
+        )
+
+
+class Step(NamedTuple):
+    """One step of every copy, as the kernels want it."""
+
+    observations: NDArray[np.float32]  # (copies, K, n)
+    actions: NDArray[np.int64]  # (copies, K)
+    rewards: NDArray[np.float32]  # (copies, K)
+    next_observations: NDArray[np.float32]  # (copies, K, n)
+    terminated: NDArray[np.bool_]  # (copies,)
+    truncated: NDArray[np.bool_]  # (copies,)
+    penalties: NDArray[np.float32]  # (copies, K)
+    labels: NDArray[np.int64]  # (copies, K)
+    warmup: NDArray[np.bool_]  # (copies,)
+    hidden: NDArray[np.float32]  # (copies, K, H)
+    condition: NDArray[np.float32]  # (copies,)
+
+
+class NotGiven(NamedTuple):
+    """What stands in for the optional parts of a step."""
+
+    penalties: NDArray[np.float32]
+    labels: NDArray[np.int64]
+    warmup: NDArray[np.bool_]
+    hidden: NDArray[np.float32]
+    condition: NDArray[np.float32]
+
+    @classmethod
+    def allocate(cls, copies: int, num_individuals: int) -> NotGiven:
+        """No penalty, label, warm-up, recurrent state or condition for any copy."""
+        return cls(
+            penalties=np.zeros((copies, num_individuals), dtype=np.float32),
+            labels=np.full((copies, num_individuals), NO_LABEL, dtype=np.int64),
+            warmup=np.zeros(copies, dtype=np.bool_),
+            hidden=np.zeros((copies, num_individuals, 0), dtype=np.float32),
+            condition=np.zeros(copies, dtype=np.float32),
+        )
+
+
+def fit(name: str, value: Any, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    """``value`` as the kernels want it: contiguous, writeable, of this type and shape."""
+    array = np.ascontiguousarray(value, dtype=dtype)
+    if array.shape != shape:
+        raise InputError(
+            f"{name} of a step have shape {array.shape}, this memory wants {shape}: "
+            "make the memory for this environment"
+        )
+    return array if array.flags.writeable else array.copy()
 
 
 class SequenceReplayBuffer:
@@ -372,3 +488,75 @@ class SequenceReplayBuffer:
             *(k, self.observation_dim, self.state_size),
         )
         self._none = NotGiven.allocate(copies, k)
+
+
+_SETTINGS = (
+    "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
+    "stride", "burn_in", "state_size", "prioritized", "max_episodes",
+)  # fmt: skip
+"""What must be equal for a state to fit a buffer."""
+
+
+def buffer_state(buffer: SequenceReplayBuffer) -> dict[str, Any]:
+    """Arrays (copies) and plain numbers: the used part of the ring and the running episodes."""
+    rows, slots = buffer.ring.used_rows, buffer.ring.used_slots
+    state: dict[str, Any] = {name: getattr(buffer, name) for name in _SETTINGS}
+    state["num_copies"] = buffer.num_copies
+    state["cursor"] = buffer.ring.cursor.copy()
+    state["streams"] = buffer.streams.copy()
+    state["max_priority"] = buffer.ring.max_priority.copy()
+    state["priorities"] = buffer.trees.priorities[:, slots if buffer.prioritized else slots[:0]]
+    for name, array in buffer.ring.frames._asdict().items():
+        state[f"ring_{name}"] = array[rows]
+    for name, array in buffer.ring.sequences._asdict().items():
+        state[f"sequence_{name}"] = array[slots]
+    if buffer.num_copies:
+        running = buffer.staging.used_rows
+        state["step_count"] = buffer.staging.step_count.copy()
+        state["staged_state"] = buffer.staging.state.copy()
+        for name, array in buffer.staging.frames._asdict().items():
+            state[f"staging_{name}"] = array[running]
+    return state
+
+
+def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> None:
+    """Go on from the :func:`buffer_state` of a buffer with the same settings.
+
+    Raises
+    ------
+    InputError
+        If a setting differs or the state is damaged.
+    """
+    for name in _SETTINGS:
+        if name not in state:
+            raise InputError(f"the saved replay memory lacks {name!r}: start the run anew")
+        if state[name] != getattr(buffer, name):
+            raise InputError(
+                f"the saved replay memory has {name} {state[name]}, this run has "
+                f"{getattr(buffer, name)}: resume with the settings it was saved with"
+            )
+    try:
+        buffer.ring.cursor[:] = state["cursor"]
+        buffer.streams[:] = state["streams"]
+        buffer.ring.max_priority[:] = state["max_priority"]
+        rows, slots = buffer.ring.used_rows, buffer.ring.used_slots
+        for name, array in buffer.ring.frames._asdict().items():
+            array[rows] = state[f"ring_{name}"]
+        for name, array in buffer.ring.sequences._asdict().items():
+            array[slots] = state[f"sequence_{name}"]
+        if buffer.prioritized:
+            buffer.trees.restore(slots, state["priorities"])
+        if copies := int(state["num_copies"]):
+            buffer.allocate_staging(copies)
+            buffer.staging.step_count[:] = state["step_count"]
+            buffer.staging.state[:] = state["staged_state"]
+            running = buffer.staging.used_rows
+            for name, array in buffer.staging.frames._asdict().items():
+                array[running] = state[f"staging_{name}"]
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
+            "start the run anew"
+        ) from error

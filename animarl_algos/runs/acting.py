@@ -6,7 +6,7 @@ import json
 from functools import partial
 from pathlib import Path
 
-from animarl_algos.data.focal import FocalPolicy, focal_drivers
+from animarl_algos.data.slots import FocalPolicy, focal_drivers
 from animarl_algos.evaluation.acting_choice import (
     candidate_rules,
     choice_episodes,

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.data.focal import focal_drivers
+from animarl_algos.data.slots import focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, serialised

@@ -108,7 +108,7 @@ def in_functions(tree: ast.Module) -> set[ast.AST]:
 def imports_of(module: str, text: str, known: set[str]) -> list[Import]:
     """Imports of other project modules; of ``from a import b`` the module ``a.b`` if there is one.
 
-    A lazy table of names, such as ``{"DQN": "animarl_algos.recipes.dqn"}``, is no import.
+    A lazy table of names, such as ``{"DQN": "animarl_algos.recipes.registry"}``, is no import.
     """
     tree = ast.parse(text)
     later = in_functions(tree)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from animarl_algos.networks.kernels.compiled import runs_compiled
+from animarl_algos.networks.kernels import runs_compiled
 from animarl_envs.compiling import jit
 
 MOST_ROWS = 256

@@ -1,7 +1,7 @@
 """The GRU's recurrence as compiled loops, for float32 on the CPU.
 
 At 32 units an update through tensor operations spends most of its time starting them; these loops
-run the same equations (see :mod:`animarl_algos.networks.gru`) row by row, everything in cache.
+run the same equations (see :mod:`animarl_algos.networks.layers`) row by row, everything in cache.
 """
 
 from __future__ import annotations

@@ -10,10 +10,8 @@ import torch
 from numpy.typing import NDArray
 from test_offline_data import LENGTHS, NAMES, arrays
 
-from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.data.labels import soft_labels
-from animarl_algos.data.reflection import Reflection
-from animarl_algos.data.species_data import SpeciesDemonstrations
+from animarl_algos.data.dataset import OfflineDataset, Reflection
+from animarl_algos.data.species_data import SpeciesDemonstrations, soft_labels
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.losses.losses import action_cross_entropy, soft_action_cross_entropy
 from animarl_envs import SPECIES

@@ -35,14 +35,6 @@ def test_what_is_written_on_the_command_line() -> None:
     assert Acting.parse("boltzmann:0.7,0.4/0.6/0.5") == both
 
 
-def test_models_of_before_hold_two_numbers() -> None:
-    assert Acting.from_json({"epsilon": 0.3, "temperature": None}) == Acting.epsilon_greedy(0.3)
-    sampled = Acting.from_json({"epsilon": 0.3, "temperature": [0.5, 0.6]})
-    assert (sampled.kind, sampled.temperature) == (Kind.BOLTZMANN, (0.5, 0.6))
-    later = {"kind": "boltzmann", "temperature": [0.5], "epsilon": 0.0}
-    assert Acting.from_json(later) == Acting.boltzmann(0.5)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

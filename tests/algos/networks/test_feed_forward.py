@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from animarl_algos.networks.gru import Packing
 from animarl_algos.networks.kernels import feed_forward
+from animarl_algos.networks.layers import Packing
 from animarl_algos.networks.networks import StackedQNetwork
 
 NAMES = ("predator_0", "predator_1", "prey")

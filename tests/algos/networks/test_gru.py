@@ -8,8 +8,8 @@ import torch
 from sequences import LENGTHS, B, H, K, N, T, batch, torch_gru, valid_steps
 
 from animarl_algos.networks import gru as gru_module
-from animarl_algos.networks.gru import Packing, stacked_gru
 from animarl_algos.networks.kernels.gru_kernels import tanh_float32
+from animarl_algos.networks.layers import Packing, stacked_gru
 from animarl_envs.errors import InputError
 
 

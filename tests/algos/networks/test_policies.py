@@ -12,8 +12,7 @@ from stable_baselines3.common.utils import ConstantSchedule
 
 from animarl_algos.losses.values import ErrorLoss, ExpectedValue
 from animarl_algos.networks.acting_rule import boltzmann
-from animarl_algos.networks.policies import GruPolicy, MlpPolicy
-from animarl_algos.networks.slots import decide_on_device
+from animarl_algos.networks.policies import GruPolicy, MlpPolicy, decide_on_device
 from animarl_envs.errors import InputError
 
 NAMES = ("predator_0", "predator_1", "prey")

@@ -21,9 +21,9 @@ from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, next_values
 from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.networks.value_stream import into_logits, zero_value_stream
+from animarl_algos.networks.policies import into_logits, zero_value_stream
 from animarl_algos.recipes.registry import IQLearn
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 LOG2, LOG3 = math.log(2.0), math.log(3.0)

@@ -19,7 +19,7 @@ from animarl_algos.losses.terms import (
     TreatmentAdversary,
 )
 from animarl_algos.recipes.registry import DQDIL
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 
 
 def three_steps() -> SequenceBatch:

@@ -15,7 +15,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.losses.terms import ActionSupervision
 from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN
-from animarl_algos.replay.batch import SequenceBatch
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.wrappers import DTWReward
 
 NEVER = 10**9

@@ -12,7 +12,7 @@ from scipy import stats
 from step_streams import Stream, fill, make_buffer
 
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.replay.sum_tree import SumTrees, find_leaf
+from animarl_algos.replay.sequence_kernels import SumTrees, find_leaf
 
 
 @pytest.mark.parametrize("stratified", [True, False])

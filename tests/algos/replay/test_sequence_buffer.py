@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from step_streams import NUM_ACTIONS, STATE, Stream, fill, make_buffer
 
-from animarl_algos.replay.batch import SequenceBatch
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.store import SequenceBatch
 
 
 @dataclass

@@ -10,9 +10,8 @@ import pytest
 import torch
 from step_streams import STATE, Stream, fill, make_buffer
 
-from animarl_algos.replay.batch import SequenceBatch
-from animarl_algos.replay.buffer_state import buffer_state, restore_buffer
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, buffer_state, restore_buffer
+from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 
