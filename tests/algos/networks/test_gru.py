@@ -7,7 +7,7 @@ import pytest
 import torch
 from sequences import LENGTHS, B, H, K, N, T, batch, torch_gru, valid_steps
 
-from animarl_algos.networks import gru as gru_module
+from animarl_algos.networks import layers
 from animarl_algos.networks.kernels.gru_kernels import tanh_float32
 from animarl_algos.networks.layers import Packing, stacked_gru
 from animarl_envs.errors import InputError
@@ -84,7 +84,7 @@ def test_kernels_equal_the_tensor_loop(monkeypatch: pytest.MonkeyPatch) -> None:
         return (out, *torch.autograd.grad(out, [inputs, *arguments], upstream))
 
     compiled = results()
-    monkeypatch.setattr(gru_module, "runs_compiled", lambda tensor: False)
+    monkeypatch.setattr(layers, "runs_compiled", lambda tensor: False)
     for got, want in zip(compiled, results()):
         torch.testing.assert_close(got, want, rtol=1e-4, atol=3e-6)
 

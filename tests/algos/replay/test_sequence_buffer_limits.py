@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from step_streams import Stream, fill, make_buffer
 
-from animarl_algos.replay import memory_limit
+from animarl_algos.replay import sequence_buffer
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -29,7 +29,7 @@ def test_memory_is_allocated_once_and_stated() -> None:
 
 
 def test_more_memory_than_there_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(memory_limit, "available_memory", lambda: 10 * 2**20)
+    monkeypatch.setattr(sequence_buffer, "available_memory", lambda: 10 * 2**20)
     with pytest.raises(InputError, match=r"buffer_size 1000000 needs .* GiB .* available"):
         SequenceReplayBuffer(1_000_000, 18, 3, 13, 148)
     with pytest.raises(InputError, match="5000 copies"):
