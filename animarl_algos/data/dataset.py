@@ -6,14 +6,15 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from animarl_algos.replay.store import BatchBuffers, Frames, SequenceBatch, Sequences
 from animarl_envs.errors import InputError
+from animarl_envs.worlds import Mirror
 
 
 def checked_array(
@@ -61,98 +62,9 @@ def refuse_missing_actions(
 def leading_warmup(
     warmup: NDArray[np.bool_], first: NDArray[np.int64], lengths: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Steps at the start of each episode that enter no loss."""
-    return np.array(
-        [
-            n - 1 if warmup[f : f + n - 1].all() else int(np.argmin(warmup[f : f + n - 1]))
-            for f, n in zip(first, lengths, strict=True)
-        ],
-        dtype=np.int64,
-    )
-
-
-def trainable_episodes(
-    source: str, warmup: NDArray[np.bool_], first: NDArray[np.int64], lengths: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Those with a step that enters a loss."""
-    kept = [not warmup[f : f + n - 1].all() for f, n in zip(first, lengths, strict=True)]
-    if not any(kept):
-        raise InputError(f"{source}: all episodes end within the warm-up: shorten the warm-up")
-    return np.flatnonzero(kept)
-
-
-class WindowDraws:
-    """Windows of a given number of steps, of episodes that lie end to end.
-
-    A window may hang over either end of its episode and is cut there, so that the first and the
-    last steps are drawn as often as those between them.
-
-    Parameters
-    ----------
-    first, steps
-        ``(episodes,)``, row of each episode's first frame, and its steps.
-    masked
-        ``(episodes,)``, leading steps that enter no loss; every window holds a later one.
-    terminated, condition
-        ``(episodes,)``.
-    """
-
-    def __init__(
-        self,
-        first: NDArray[np.int64],
-        steps: NDArray[np.int64],
-        masked: NDArray[np.int64],
-        terminated: NDArray[np.bool_],
-        condition: NDArray[np.float32],
-    ) -> None:
-        self._first, self._steps, self._masked = first, steps, masked
-        self._terminated, self._condition = terminated, condition
-
-    def draw(
-        self, generator: np.random.Generator, count: int, length: int, burn_in: int
-    ) -> tuple[NDArray[np.int64], Sequences]:
-        """``count`` windows of ``length`` steps, with up to ``burn_in`` steps before each.
-
-        Returns
-        -------
-        episodes : ndarray (count,)
-            Where each window lies.
-        windows : Sequences
-            In decreasing length.
-        """
-        places = np.where(self._steps > self._masked, self._steps - self._masked + length - 1, 0)
-        ends = np.cumsum(places)
-        drawn = generator.integers(ends[-1], size=count)
-        episode = np.searchsorted(ends, drawn, side="right")
-        begin = drawn - (ends - places)[episode] + self._masked[episode] - (length - 1)
-        end = np.minimum(begin + length, self._steps[episode])
-        begin = np.maximum(begin, 0)
-        order = np.argsort(begin - end, kind="stable")
-        episode, begin, end = episode[order], begin[order], end[order]
-        prefix = np.minimum(burn_in, begin)
-        return episode, Sequences(
-            first=self._first[episode] + begin - prefix,
-            prefix=prefix,
-            trained=end - begin,
-            at_start=begin == prefix,
-            terminated=self._terminated[episode] & (end == self._steps[episode]),
-            condition=self._condition[episode],
-            frames=np.zeros(count, dtype=np.int64),
-            initial_state=np.zeros((count, 1, 0), dtype=np.float32),
-        )
-
-
-class Mirror(Protocol):
-    """How observations and actions look in a mirror; see ``animarl_envs.worlds.mirror``."""
-
-    @property
-    def order(self) -> ArrayLike: ...
-
-    @property
-    def sign(self) -> ArrayLike: ...
-
-    @property
-    def actions(self) -> ArrayLike: ...
+    """Count the steps at the start of each episode that enter no loss, at most all of them."""
+    counted = [np.append(warmup[f : f + n - 1], False) for f, n in zip(first, lengths, strict=True)]
+    return np.array([int(np.argmin(steps)) for steps in counted], dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,14 +283,10 @@ class OfflineDataset:
             frames=size,
             initial_state=np.zeros((len(size), k, 0), dtype=np.float32),
         )
-        self._episodes = trainable_episodes(source, self._frames.warmup, first, size)
-        self._windows = WindowDraws(
-            first,
-            size - 1,
-            leading_warmup(self._frames.warmup, first, size),
-            self._sequences.terminated,
-            self._sequences.condition,
-        )
+        self._masked = leading_warmup(self._frames.warmup, first, size)
+        self._episodes = np.flatnonzero(self._masked < size - 1)
+        if not len(self._episodes):
+            raise InputError(f"{source}: all episodes end within the warm-up: shorten the warm-up")
         self._batch = BatchBuffers(
             k, dim, num_actions, 0, self._per_action.shape[2], pinned=self.device.type == "cuda"
         )
@@ -484,7 +392,7 @@ class OfflineDataset:
         own = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in self.names]
         slots = np.arange(len(own) * batch_size).reshape(len(own), batch_size)
         for _ in range(count):
-            drawn = [self._windows.draw(g, batch_size, length, burn_in) for g in own]
+            drawn = [self._draw_windows(g, batch_size, length, burn_in) for g in own]
             windows = [np.concatenate(parts) for parts in zip(*(w for _, w in drawn), strict=True)]
             batch = self._filled(
                 Sequences(*windows), slots, np.stack([episodes for episodes, _ in drawn])
@@ -493,6 +401,45 @@ class OfflineDataset:
                 coins = np.stack([g.random(batch_size) < 0.5 for g in own])
                 batch = self.reflection.some_of(batch, torch.from_numpy(coins))
             yield batch.to(self.device)
+
+    def _draw_windows(
+        self, generator: np.random.Generator, count: int, length: int, burn_in: int
+    ) -> tuple[NDArray[np.int64], Sequences]:
+        """Draw ``count`` windows of ``length`` steps, with up to ``burn_in`` steps before each.
+
+        A window may hang over either end of its episode and is cut there, so that the first and
+        the last steps are drawn as often as those between them; every window holds a step that
+        enters a loss.
+
+        Returns
+        -------
+        episodes : ndarray (count,)
+            Where each window lies.
+        windows : Sequences
+            In decreasing length.
+        """
+        whole, masked = self._sequences, self._masked
+        steps = whole.trained
+        places = np.where(steps > masked, steps - masked + length - 1, 0)
+        ends = np.cumsum(places)
+        drawn = generator.integers(ends[-1], size=count)
+        episode = np.searchsorted(ends, drawn, side="right")
+        begin = drawn - (ends - places)[episode] + masked[episode] - (length - 1)
+        end = np.minimum(begin + length, steps[episode])
+        begin = np.maximum(begin, 0)
+        order = np.argsort(begin - end, kind="stable")
+        episode, begin, end = episode[order], begin[order], end[order]
+        prefix = np.minimum(burn_in, begin)
+        return episode, Sequences(
+            first=whole.first[episode] + begin - prefix,
+            prefix=prefix,
+            trained=end - begin,
+            at_start=begin == prefix,
+            terminated=whole.terminated[episode] & (end == steps[episode]),
+            condition=whole.condition[episode],
+            frames=np.zeros(count, dtype=np.int64),
+            initial_state=np.zeros((count, 1, 0), dtype=np.float32),
+        )
 
     def input_statistics(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean and standard deviation (K, n) of the observations of all steps that enter a loss.

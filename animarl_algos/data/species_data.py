@@ -5,21 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.data.dataset import Mirror, OfflineDataset, Reflection
+from animarl_algos.data.dataset import OfflineDataset, Reflection
 from animarl_algos.ranges import POSITIVE, Range
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.tracking import one_step_misses
+from animarl_envs.fitting.tracking import Tracking, one_step_misses
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import Species
-from animarl_envs.worlds import demonstration_observations
+from animarl_envs.worlds import Mirror, demonstration_observations
 
 HORIZON = Range(least=1.0)  # [steps]
 
@@ -80,20 +79,6 @@ def soft_labels(
     return np.asarray(share / share.sum(axis=-1, keepdims=True), dtype=np.float32)
 
 
-class Tracked(Protocol):
-    """Recorded episodes as the locomotion model follows them, closed loop."""
-
-    @property
-    def positions(self) -> NDArray[np.float64]:
-        """``(frames, K, 2)``, arena frame [arena unit]."""
-        ...
-
-    @property
-    def actions(self) -> NDArray[np.integer]:
-        """``(frames, K)``, the action taken at each frame, -1 at each episode's last."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class SpeciesDemonstrations:
     """The two splits that training may see, in the terms of a species.
@@ -130,7 +115,7 @@ class SpeciesDemonstrations:
     labels: str = Labels.HARD
     label_width: float = 0.35
     mirror: Mirror | None = None
-    tracked: Tracked | None = None
+    tracked: Tracking | None = None
 
     def __post_init__(self) -> None:
         check_labels(self.labels, self.label_width)

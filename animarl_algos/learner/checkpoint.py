@@ -33,7 +33,7 @@ import torch
 from numpy.typing import NDArray
 
 from animarl_algos.learner.pretraining import OfflineProgress
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, buffer_state, restore_buffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
 FORMAT = 2
@@ -115,7 +115,7 @@ def save_checkpoint(model: Checkpointed, folder: str | Path) -> Path:
         tensors = tensors | {"torch_random_state": torch.get_rng_state()}
         _write(part / "model.pt", lambda file: file.write(serialised(tensors)))
         if model.replay_buffer is not None:
-            replay = buffer_state(model.replay_buffer)
+            replay = model.replay_buffer.state()
             _write(part / "replay.npz", lambda file: np.savez(file, **replay))
         _write(part / "run.npz", lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
         generator, keys, *rest = np.random.get_state()  # noqa: NPY002
@@ -215,7 +215,7 @@ def load_checkpoint(model: Checkpointed, folder: str | Path) -> None:
         tensors = load_tensors(path / "model.pt")
         arrays = _arrays(path / "run.npz")
         if model.replay_buffer is not None:
-            restore_buffer(model.replay_buffer, _arrays(path / "replay.npz"))
+            model.replay_buffer.restore(_arrays(path / "replay.npz"))
         torch_random_state = tensors.pop("torch_random_state")
         model.restore_training_state(TrainingState(state["counters"], arrays, tensors))
         torch.set_rng_state(torch_random_state)

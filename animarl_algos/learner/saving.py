@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.save_util import open_path
 
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, buffer_state, restore_buffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 
@@ -95,7 +95,7 @@ def _opened(path: Place, suffix: str) -> Iterator[Any]:
 def save_replay(buffer: SequenceReplayBuffer, path: Place) -> None:
     """Write a replay memory as an ``npz`` archive, whatever the name of ``path``."""
     with whole_file(path, ".npz") as place:
-        state = buffer_state(buffer)
+        state = buffer.state()
         if isinstance(place, io.BufferedIOBase):
             np.savez(place, **state)
         else:
@@ -113,7 +113,7 @@ def load_replay(buffer: SequenceReplayBuffer, path: Place) -> None:
     """
     try:
         with _opened(path, "npz") as file, np.load(file, allow_pickle=False) as arrays:
-            restore_buffer(buffer, dict(arrays))
+            buffer.restore(dict(arrays))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:

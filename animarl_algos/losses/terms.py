@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import Protocol, TypedDict
+from typing import ClassVar, Protocol, TypedDict
 
 import torch
 from torch.nn import functional
@@ -184,41 +184,40 @@ class MinibatchValues:
         )
 
 
-class LossTerm(Protocol):
-    """One summand of a recipe's loss."""
+@dataclass(frozen=True)
+class LossTerm:
+    """One summand of a recipe's loss.
 
-    @property
-    def name(self) -> str:
-        """Under which it is logged."""
-        ...
+    Attributes
+    ----------
+    name
+        Under which it is logged.
+    needs_target
+        Whether it bootstraps from the target network.
+    """
 
-    @property
-    def needs_target(self) -> bool:
-        """Whether it bootstraps from the target network."""
-        ...
+    name: ClassVar[str]
+    needs_target: ClassVar[bool] = False
 
     def weight(self, phase: Phase) -> float:
-        """Its factor in the sum."""
-        ...
+        """Return its factor in the sum."""
+        return 1.0
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        """``(K,)``, one number per individual."""
-        ...
+        """Return ``(K,)``, one number per individual."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class TemporalDifference:
+class TemporalDifference(LossTerm):
     """``J_DQ``: one-step double-Q loss of the action taken, with reward ``R - alpha * penalty``.
 
     ``shaped=False`` leaves the distance penalty out (DQN, DQAAS).
     """
 
     shaped: bool = False
-    name: str = "td"
-    needs_target: bool = True
-
-    def weight(self, phase: Phase) -> float:
-        return 1.0
+    name: ClassVar[str] = "td"
+    needs_target: ClassVar[bool] = True
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         batch, rewards = minibatch.batch, minibatch.batch.rewards
@@ -231,7 +230,7 @@ class TemporalDifference:
 
 
 @dataclass(frozen=True)
-class ScoredActionsTemporalDifference:
+class ScoredActionsTemporalDifference(LossTerm):
     """Offline ``J_DQ`` of DQDIL: all actions of a demonstrated state, each with its own penalty.
 
     From state s_t the fitted dynamics predicts where each action would lead; its distance to the
@@ -251,11 +250,8 @@ class ScoredActionsTemporalDifference:
     the common target drowns them; scaled, alpha weighs imitation alike for every species.
     """
 
-    name: str = "td"
-    needs_target: bool = True
-
-    def weight(self, phase: Phase) -> float:
-        return 1.0
+    name: ClassVar[str] = "td"
+    needs_target: ClassVar[bool] = True
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         batch = minibatch.batch
@@ -285,7 +281,7 @@ def _padded(per_valid_step: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
 
 
 @dataclass(frozen=True)
-class ActionSupervision:
+class ActionSupervision(LossTerm):
     """``J_AS``: cross-entropy with the demonstrated action, action values as logits.
 
     Online the label is the demonstrated action that dynamic time warping aligns with the rollout's
@@ -294,8 +290,7 @@ class ActionSupervision:
     """
 
     weighted: bool = True
-    name: str = "supervision"
-    needs_target: bool = False
+    name: ClassVar[str] = "supervision"
 
     def weight(self, phase: Phase) -> float:
         return phase.lambda3 if self.weighted else 1.0
@@ -308,7 +303,7 @@ class ActionSupervision:
 
 
 @dataclass(frozen=True)
-class SoftActionSupervision:
+class SoftActionSupervision(LossTerm):
     """Cross-entropy with soft labels, action values as logits.
 
     The label of a step is a distribution over the actions: how near each would have led under the
@@ -318,11 +313,7 @@ class SoftActionSupervision:
     demonstrated action: plain cloning.
     """
 
-    name: str = "supervision"
-    needs_target: bool = False
-
-    def weight(self, phase: Phase) -> float:
-        return 1.0
+    name: ClassVar[str] = "supervision"
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         batch = minibatch.batch
@@ -336,11 +327,10 @@ class SoftActionSupervision:
 
 
 @dataclass(frozen=True)
-class TreatmentAdversary:
+class TreatmentAdversary(LossTerm):
     """``J_tr``: cross-entropy of the condition, predicted from h_t through gradient reversal."""
 
-    name: str = "treatment"
-    needs_target: bool = False
+    name: ClassVar[str] = "treatment"
 
     def weight(self, phase: Phase) -> float:
         return phase.lambda2
@@ -354,15 +344,14 @@ class TreatmentAdversary:
 
 
 @dataclass(frozen=True)
-class WeightDecay:
+class WeightDecay(LossTerm):
     """``J_l2``: squared norm of all weights of the individual's network.
 
     Its value carries no gradient: :func:`animarl_algos.learner.updates.update` adds that in
     closed form.
     """
 
-    name: str = "l2"
-    needs_target: bool = False
+    name: ClassVar[str] = "l2"
 
     def weight(self, phase: Phase) -> float:
         return phase.lambda1
@@ -386,14 +375,10 @@ def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Te
 
 
 @dataclass(frozen=True)
-class InverseSoftQ:
+class InverseSoftQ(LossTerm):
     """The loss above. A demonstrated step with a soft label counts for each action by its share."""
 
-    name: str = "iq"
-    needs_target: bool = False
-
-    def weight(self, phase: Phase) -> float:
-        return 1.0
+    name: ClassVar[str] = "iq"
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         shown = minibatch.demonstrated

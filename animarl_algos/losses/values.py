@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -128,31 +128,6 @@ class TDLoss:
     error: torch.Tensor
 
 
-class ValueDistribution(Protocol):
-    """What the learners ask of :class:`ExpectedValue` and :class:`Quantiles`."""
-
-    @property
-    def num_quantiles(self) -> int:
-        """Outputs of the network per action."""
-        ...
-
-    def q_values(self, values: torch.Tensor) -> torch.Tensor:
-        """Expected returns (..., actions) of network outputs (..., actions, quantiles)."""
-        ...
-
-    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
-        """Loss of the value of an action against its target.
-
-        Parameters
-        ----------
-        value : Tensor (..., quantiles)
-            Of the action taken; see :func:`take_action`.
-        target : Tensor (..., quantiles)
-            From :func:`one_step_target`. It gets no gradient.
-        """
-        ...
-
-
 def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
     """Pick one action's outputs: (..., actions, quantiles) and (...) to (..., quantiles)."""
     index = actions[..., None, None].expand(*actions.shape, 1, values.shape[-1])
@@ -251,6 +226,10 @@ class Quantiles:
         """Quantile Huber loss: summed over the quantiles, averaged over the target's."""
         error = (target.mean(-1) - value.mean(-1)).detach().abs()
         return TDLoss(quantile_huber(value, target), error)
+
+
+ValueDistribution = ExpectedValue | Quantiles
+"""What is learned about an action; ``td_loss`` takes the value of the action that was taken."""
 
 
 def value_distribution(

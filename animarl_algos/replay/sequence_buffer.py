@@ -30,10 +30,15 @@ from animarl_algos.replay.store import (
     ROWS_USED,
     BatchBuffers,
     Frames,
+    Layout,
     Ring,
     SequenceBatch,
     Sequences,
     Staging,
+    bytes_of_row,
+    frame_layout,
+    sequence_layout,
+    zeros,
 )
 from animarl_envs.errors import InputError
 
@@ -121,27 +126,6 @@ class Step(NamedTuple):
     condition: NDArray[np.float32]  # (copies,)
 
 
-class NotGiven(NamedTuple):
-    """What stands in for the optional parts of a step."""
-
-    penalties: NDArray[np.float32]
-    labels: NDArray[np.int64]
-    warmup: NDArray[np.bool_]
-    hidden: NDArray[np.float32]
-    condition: NDArray[np.float32]
-
-    @classmethod
-    def allocate(cls, copies: int, num_individuals: int) -> NotGiven:
-        """No penalty, label, warm-up, recurrent state or condition for any copy."""
-        return cls(
-            penalties=np.zeros((copies, num_individuals), dtype=np.float32),
-            labels=np.full((copies, num_individuals), NO_LABEL, dtype=np.int64),
-            warmup=np.zeros(copies, dtype=np.bool_),
-            hidden=np.zeros((copies, num_individuals, 0), dtype=np.float32),
-            condition=np.zeros(copies, dtype=np.float32),
-        )
-
-
 def fit(name: str, value: Any, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
     """``value`` as the kernels want it: contiguous, writeable, of this type and shape."""
     array = np.ascontiguousarray(value, dtype=dtype)
@@ -151,6 +135,13 @@ def fit(name: str, value: Any, dtype: DTypeLike, shape: tuple[int, ...]) -> NDAr
             "make the memory for this environment"
         )
     return array if array.flags.writeable else array.copy()
+
+
+_SETTINGS = (
+    "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
+    "stride", "burn_in", "state_size", "prioritized", "max_episodes",
+)  # fmt: skip
+"""What must be equal for a saved state to fit a memory."""
 
 
 class SequenceReplayBuffer:
@@ -254,20 +245,20 @@ class SequenceReplayBuffer:
         # An episode of T steps takes T + 1 rows and ceil(T / stride) slots.
         self.num_slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
         tree_nodes = SumTrees.num_nodes(self.num_slots) if prioritized else 0
+        sequence = sequence_layout(num_individuals, self.state_size)
         refuse_too_large(
-            buffer_size * Frames.bytes_per_row(num_individuals, observation_dim)
-            + self.num_slots * Sequences.bytes_per_slot(num_individuals, self.state_size)
+            buffer_size * bytes_of_row(frame_layout(num_individuals, observation_dim))
+            + self.num_slots * bytes_of_row(sequence)
             + 8 * num_individuals * tree_nodes,
             f"buffer_size {buffer_size}",
         )
         self.trees = SumTrees(num_individuals, self.num_slots if prioritized else 0)
-        self.ring = Ring.allocate(
-            buffer_size,
-            self.num_slots,
-            num_individuals,
-            observation_dim,
-            self.state_size,
+        self.ring = Ring(
+            Frames.allocate(buffer_size, num_individuals, observation_dim),
+            Sequences(**zeros(sequence, self.num_slots)),
+            cursor=np.zeros(5, dtype=np.int64),
             trees=self.trees.nodes,
+            max_priority=np.ones(num_individuals),
         )
         self.streams = np.empty(num_individuals, dtype=np.uint64)
         self.seed(seed)
@@ -377,29 +368,21 @@ class SequenceReplayBuffer:
         """
         if self.num_copies == 0:
             self.allocate_staging(len(observations))
-        each = (self.num_copies,)
-        pair = (*each, self.num_individuals)
-        observed = (*pair, self.observation_dim)
         if self.state_size and hidden is None:
             raise InputError("state_mode 'stored' needs the recurrent state: pass hidden to add")
-        none = self._none
-        hidden = none.hidden if hidden is None or not self.state_size else hidden
-        penalties = none.penalties if penalties is None else penalties
-        labels = none.labels if labels is None else labels
-        warmup = none.warmup if warmup is None else warmup
-        condition = none.condition if condition is None else condition
+        given = (
+            *(observations, actions, rewards, next_observations, terminated, truncated),
+            *(penalties, labels, warmup, hidden if self.state_size else None, condition),
+        )
         step = Step(
-            fit("observations", observations, np.float32, observed),
-            fit("actions", actions, np.int64, pair),
-            fit("rewards", rewards, np.float32, pair),
-            fit("next_observations", next_observations, np.float32, observed),
-            fit("terminated", terminated, np.bool_, each),
-            fit("truncated", truncated, np.bool_, each),
-            fit("penalties", penalties, np.float32, pair),
-            fit("labels", labels, np.int64, pair),
-            fit("warmup", warmup, np.bool_, each),
-            fit("hidden", hidden, np.float32, (*pair, self.state_size)),
-            fit("condition", condition, np.float32, each),
+            *[
+                self._not_given[name]
+                if value is None
+                else fit(name, value, dtype, (self.num_copies, *shape))
+                for value, (name, (dtype, shape)) in zip(
+                    given, self._step_layout.items(), strict=True
+                )
+            ]
         )
         cut = (self.stride, self.burn_in)
         ended = kernels.stage_steps(self.staging, step, *cut, self.num_actions)
@@ -471,6 +454,69 @@ class SequenceReplayBuffer:
             )
         kernels.update_priorities(self.ring, self.alpha, indices, errors)
 
+    # -- saving ----------------------------------------------------------------------------------
+
+    def _used(self) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
+        """Arrays with the part of them that is in use, as the cursor and the step counts say."""
+        ring, each = self.ring, np.arange(self.num_individuals)
+        used = {
+            "streams": (self.streams, each),
+            "max_priority": (ring.max_priority, each),
+            **{f"ring_{n}": (a, ring.used_rows) for n, a in ring.frames._asdict().items()},
+            **{f"sequence_{n}": (a, ring.used_slots) for n, a in ring.sequences._asdict().items()},
+        }
+        if self.num_copies:
+            staged, running = self.staging.frames._asdict(), self.staging.used_rows
+            used["staged_state"] = (self.staging.state, np.arange(self.num_copies))
+            used |= {f"staging_{name}": (array, running) for name, array in staged.items()}
+        return used
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays (copies) and plain numbers from which an interrupted run goes on exactly.
+
+        They are the used part of the ring and the running episodes.
+        """
+        slots = self.ring.used_slots if self.prioritized else np.zeros(0, dtype=np.int64)
+        state: dict[str, Any] = {name: getattr(self, name) for name in _SETTINGS}
+        state |= {"num_copies": self.num_copies, "cursor": self.ring.cursor.copy()}
+        state["priorities"] = self.trees.priorities[:, slots]
+        if self.num_copies:
+            state["step_count"] = self.staging.step_count.copy()
+        return state | {name: array[part] for name, (array, part) in self._used().items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from the :meth:`state` of a memory with the same settings.
+
+        Raises
+        ------
+        InputError
+            If a setting differs or the state is damaged.
+        """
+        for name in _SETTINGS:
+            if name not in state:
+                raise InputError(f"the saved replay memory lacks {name!r}: start the run anew")
+            if state[name] != getattr(self, name):
+                raise InputError(
+                    f"the saved replay memory has {name} {state[name]}, this run has "
+                    f"{getattr(self, name)}: resume with the settings it was saved with"
+                )
+        try:
+            self.ring.cursor[:] = state["cursor"]
+            if copies := int(state["num_copies"]):
+                self.allocate_staging(copies)
+                self.staging.step_count[:] = state["step_count"]
+            for name, (array, part) in self._used().items():
+                array[part] = state[name]
+            if self.prioritized:
+                self.trees.restore(self.ring.used_slots, state["priorities"])
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
+                "start the run anew"
+            ) from error
+
     # -- inside -----------------------------------------------------------------------------------
 
     def allocate_staging(self, copies: int) -> None:
@@ -478,85 +524,24 @@ class SequenceReplayBuffer:
         k, rows = self.num_individuals, copies * (self.max_episode_steps + 1)
         pieces = math.ceil(self.max_episode_steps / self.stride)
         refuse_too_large(
-            rows * Frames.bytes_per_row(k, self.observation_dim)
+            rows * bytes_of_row(frame_layout(k, self.observation_dim))
             + 4 * copies * pieces * k * self.state_size,
             f"{copies} copies of max_episode_steps {self.max_episode_steps}",
         )
         self.num_copies = copies
-        self.staging = Staging.allocate(
-            *(copies, self.max_episode_steps + 1, pieces),
-            *(k, self.observation_dim, self.state_size),
+        self.staging = Staging(
+            Frames.allocate(rows, k, self.observation_dim),
+            step_count=np.zeros(copies, dtype=np.int64),
+            state=np.zeros((copies, pieces, k, self.state_size), dtype=np.float32),
         )
-        self._none = NotGiven.allocate(copies, k)
-
-
-_SETTINGS = (
-    "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
-    "stride", "burn_in", "state_size", "prioritized", "max_episodes",
-)  # fmt: skip
-"""What must be equal for a state to fit a buffer."""
-
-
-def buffer_state(buffer: SequenceReplayBuffer) -> dict[str, Any]:
-    """Arrays (copies) and plain numbers: the used part of the ring and the running episodes."""
-    rows, slots = buffer.ring.used_rows, buffer.ring.used_slots
-    state: dict[str, Any] = {name: getattr(buffer, name) for name in _SETTINGS}
-    state["num_copies"] = buffer.num_copies
-    state["cursor"] = buffer.ring.cursor.copy()
-    state["streams"] = buffer.streams.copy()
-    state["max_priority"] = buffer.ring.max_priority.copy()
-    state["priorities"] = buffer.trees.priorities[:, slots if buffer.prioritized else slots[:0]]
-    for name, array in buffer.ring.frames._asdict().items():
-        state[f"ring_{name}"] = array[rows]
-    for name, array in buffer.ring.sequences._asdict().items():
-        state[f"sequence_{name}"] = array[slots]
-    if buffer.num_copies:
-        running = buffer.staging.used_rows
-        state["step_count"] = buffer.staging.step_count.copy()
-        state["staged_state"] = buffer.staging.state.copy()
-        for name, array in buffer.staging.frames._asdict().items():
-            state[f"staging_{name}"] = array[running]
-    return state
-
-
-def restore_buffer(buffer: SequenceReplayBuffer, state: Mapping[str, Any]) -> None:
-    """Go on from the :func:`buffer_state` of a buffer with the same settings.
-
-    Raises
-    ------
-    InputError
-        If a setting differs or the state is damaged.
-    """
-    for name in _SETTINGS:
-        if name not in state:
-            raise InputError(f"the saved replay memory lacks {name!r}: start the run anew")
-        if state[name] != getattr(buffer, name):
-            raise InputError(
-                f"the saved replay memory has {name} {state[name]}, this run has "
-                f"{getattr(buffer, name)}: resume with the settings it was saved with"
-            )
-    try:
-        buffer.ring.cursor[:] = state["cursor"]
-        buffer.streams[:] = state["streams"]
-        buffer.ring.max_priority[:] = state["max_priority"]
-        rows, slots = buffer.ring.used_rows, buffer.ring.used_slots
-        for name, array in buffer.ring.frames._asdict().items():
-            array[rows] = state[f"ring_{name}"]
-        for name, array in buffer.ring.sequences._asdict().items():
-            array[slots] = state[f"sequence_{name}"]
-        if buffer.prioritized:
-            buffer.trees.restore(slots, state["priorities"])
-        if copies := int(state["num_copies"]):
-            buffer.allocate_staging(copies)
-            buffer.staging.step_count[:] = state["step_count"]
-            buffer.staging.state[:] = state["staged_state"]
-            running = buffer.staging.used_rows
-            for name, array in buffer.staging.frames._asdict().items():
-                array[running] = state[f"staging_{name}"]
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
-            "start the run anew"
-        ) from error
+        observed, pair = (np.float32, (k, self.observation_dim)), (k,)
+        self._step_layout: Layout = {
+            **{"observations": observed, "actions": (np.int64, pair)},
+            **{"rewards": (np.float32, pair), "next_observations": observed},
+            **dict.fromkeys(("terminated", "truncated"), (np.bool_, ())),
+            **{"penalties": (np.float32, pair), "labels": (np.int64, pair)},
+            **{"warmup": (np.bool_, ()), "hidden": (np.float32, (k, self.state_size))},
+            "condition": (np.float32, ()),
+        }
+        self._not_given = zeros(self._step_layout, copies)
+        self._not_given["labels"][:] = NO_LABEL

@@ -287,13 +287,12 @@ def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: i
     columns = serials.shape[1]
     order, raw = np.empty(columns, dtype=np.int64), np.empty(columns, dtype=np.int64)
     for k in range(len(streams)):
-        for b in range(columns):
-            share = next_uniform(streams, k)
-            if stratified:
-                share = (b + share) / columns
-            if trees.shape[1] > 0:
-                raw[b] = find_leaf(trees, k, share * trees[k, 1])
-            else:
+        if trees.shape[1] > 0:
+            draw_leaves(trees, streams, k, stratified, raw)
+        else:
+            for b in range(columns):
+                share = next_uniform(streams, k)
+                share = (b + share) / columns if stratified else share
                 raw[b] = (oldest + min(np.int64(share * num), num - 1)) % num_slots
         sort_by_length(sequences, raw, order)
         largest = 0.0

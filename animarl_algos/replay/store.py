@@ -25,6 +25,44 @@ OLDEST, NEXT, NEXT_ROW, ROWS_USED, EPISODES = 0, 1, 2, 3, 4
 NO_LABEL = -1
 
 
+Layout = dict[str, tuple[Any, tuple[int, ...]]]
+"""Type and shape of one row of each array."""
+
+
+def frame_layout(num_individuals: int, observation_dim: int) -> Layout:
+    """Return the layout of :class:`Frames`."""
+    each = (num_individuals,)
+    return {
+        "observations": (np.float32, (*each, observation_dim)),
+        "actions": (np.int16, each),
+        "rewards": (np.float32, each),
+        "penalties": (np.float32, each),
+        "labels": (np.int16, each),
+        "warmup": (np.bool_, ()),
+    }
+
+
+def sequence_layout(num_individuals: int, state_size: int) -> Layout:
+    """Return the layout of :class:`Sequences`."""
+    return {
+        **dict.fromkeys(("first", "prefix", "trained"), (np.int64, ())),
+        **dict.fromkeys(("at_start", "terminated"), (np.bool_, ())),
+        "condition": (np.float32, ()),
+        "frames": (np.int64, ()),
+        "initial_state": (np.float32, (num_individuals, state_size)),
+    }
+
+
+def bytes_of_row(layout: Layout) -> int:
+    """Return the bytes of one row of all arrays together."""
+    return sum(np.dtype(dtype).itemsize * math.prod(shape) for dtype, shape in layout.values())
+
+
+def zeros(layout: Layout, rows: int) -> dict[str, NDArray[Any]]:
+    """Allocate so many rows of each array."""
+    return {name: np.zeros((rows, *shape), dtype) for name, (dtype, shape) in layout.items()}
+
+
 class Frames(NamedTuple):
     """What is known per frame, one row each; an episode of T steps fills T + 1 rows in order.
 
@@ -40,20 +78,10 @@ class Frames(NamedTuple):
 
     @classmethod
     def allocate(cls, rows: int, num_individuals: int, observation_dim: int) -> Frames:
-        """Rows of zeros."""
-        flat = (rows, num_individuals)
-        return cls(
-            observations=np.zeros((*flat, observation_dim), dtype=np.float32),
-            actions=np.zeros(flat, dtype=np.int16),
-            rewards=np.zeros(flat, dtype=np.float32),
-            penalties=np.zeros(flat, dtype=np.float32),
-            labels=np.full(flat, NO_LABEL, dtype=np.int16),
-            warmup=np.zeros(rows, dtype=np.bool_),
-        )
-
-    @staticmethod
-    def bytes_per_row(num_individuals: int, observation_dim: int) -> int:
-        return num_individuals * (4 * observation_dim + 12) + 1
+        """Return rows of zeros without labels."""
+        frames = cls(**zeros(frame_layout(num_individuals, observation_dim), rows))
+        frames.labels[:] = NO_LABEL
+        return frames
 
 
 class Sequences(NamedTuple):
@@ -68,24 +96,6 @@ class Sequences(NamedTuple):
     frames: NDArray[np.int64]  # (slots,), rows of the episode, at its last sequence; else 0
     initial_state: NDArray[np.float32]  # (slots, K, H), state before the first step; H may be 0
 
-    @classmethod
-    def allocate(cls, slots: int, num_individuals: int, state_size: int) -> Sequences:
-        """Empty slots."""
-        return cls(
-            first=np.zeros(slots, dtype=np.int64),
-            prefix=np.zeros(slots, dtype=np.int64),
-            trained=np.zeros(slots, dtype=np.int64),
-            at_start=np.zeros(slots, dtype=np.bool_),
-            terminated=np.zeros(slots, dtype=np.bool_),
-            condition=np.zeros(slots, dtype=np.float32),
-            frames=np.zeros(slots, dtype=np.int64),
-            initial_state=np.zeros((slots, num_individuals, state_size), dtype=np.float32),
-        )
-
-    @staticmethod
-    def bytes_per_slot(num_individuals: int, state_size: int) -> int:
-        return 38 + 4 * num_individuals * state_size
-
 
 class Ring(NamedTuple):
     """Finished episodes."""
@@ -95,25 +105,6 @@ class Ring(NamedTuple):
     cursor: NDArray[np.int64]  # (5,), serial numbers of the oldest and the next sequence, next row
     trees: NDArray[np.float64]  # (K, nodes), priorities as sum trees; no node: drawn uniformly
     max_priority: NDArray[np.float64]  # (K,), the largest so far, before the exponent
-
-    @classmethod
-    def allocate(
-        cls,
-        rows: int,
-        slots: int,
-        num_individuals: int,
-        observation_dim: int,
-        state_size: int,
-        trees: NDArray[np.float64],
-    ) -> Ring:
-        """Without an episode."""
-        return cls(
-            frames=Frames.allocate(rows, num_individuals, observation_dim),
-            sequences=Sequences.allocate(slots, num_individuals, state_size),
-            cursor=np.zeros(5, dtype=np.int64),
-            trees=trees,
-            max_priority=np.ones(num_individuals),
-        )
 
     @property
     def used_rows(self) -> NDArray[np.int64]:
@@ -134,23 +125,6 @@ class Staging(NamedTuple):
     frames: Frames
     step_count: NDArray[np.int64]  # (copies,)
     state: NDArray[np.float32]  # (copies, pieces, K, H), recurrent state before each piece
-
-    @classmethod
-    def allocate(
-        cls,
-        copies: int,
-        rows: int,
-        pieces: int,
-        num_individuals: int,
-        observation_dim: int,
-        state_size: int,
-    ) -> Staging:
-        """``rows`` for each copy, none used."""
-        return cls(
-            frames=Frames.allocate(copies * rows, num_individuals, observation_dim),
-            step_count=np.zeros(copies, dtype=np.int64),
-            state=np.zeros((copies, pieces, num_individuals, state_size), dtype=np.float32),
-        )
 
     @property
     def used_rows(self) -> NDArray[np.int64]:

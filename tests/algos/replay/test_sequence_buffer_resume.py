@@ -10,7 +10,7 @@ import pytest
 import torch
 from step_streams import STATE, Stream, fill, make_buffer
 
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, buffer_state, restore_buffer
+from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -46,9 +46,9 @@ def test_a_restored_buffer_goes_on_identically(kind: str, tmp_path: Path) -> Non
 
     go(one, steps[:71])
     go(other, steps[50:60])  # what it held is replaced
-    np.savez(tmp_path / "replay.npz", **buffer_state(one))
+    np.savez(tmp_path / "replay.npz", **one.state())
     with np.load(tmp_path / "replay.npz", allow_pickle=False) as stored:
-        restore_buffer(other, stored)
+        other.restore(stored)
     for left, right in zip(go(one, steps[71:]), go(other, steps[71:]), strict=True):
         np.testing.assert_array_equal(left.indices, right.indices)
         for name in ("observations", "previous_actions", "rewards", "mask", "weights", "labels"):
@@ -56,14 +56,14 @@ def test_a_restored_buffer_goes_on_identically(kind: str, tmp_path: Path) -> Non
         if kind == "pieces":
             assert left.initial_state is not None and right.initial_state is not None
             assert torch.equal(left.initial_state, right.initial_state)
-    for name, value in buffer_state(one).items():
-        np.testing.assert_array_equal(value, buffer_state(other)[name])
+    for name, value in one.state().items():
+        np.testing.assert_array_equal(value, other.state()[name])
 
 
 def test_only_the_used_part_is_saved() -> None:
     stream = Stream(1, 1, 2, 4, seed=3)
     buffer = fill(make_buffer(stream, 100_000), stream, 40)
-    saved = sum(np.asarray(value).nbytes for value in buffer_state(buffer).values())
+    saved = sum(np.asarray(value).nbytes for value in buffer.state().values())
     assert saved < 10_000 < buffer.nbytes
 
 
@@ -71,8 +71,8 @@ def test_a_foreign_or_damaged_state_is_refused() -> None:
     stream = Stream(1, 1, 2, 4, seed=3)
     buffer = fill(make_buffer(stream, 50), stream, 30)
     with pytest.raises(InputError, match="buffer_size 60, this run has 50"):
-        restore_buffer(buffer, buffer_state(make_buffer(stream, 60)))
-    state = buffer_state(buffer)
+        buffer.restore(make_buffer(stream, 60).state())
+    state = buffer.state()
     state["ring_rewards"] = state["ring_rewards"][:-1]
     with pytest.raises(InputError, match="damaged"):
-        restore_buffer(buffer, state)
+        buffer.restore(state)
