@@ -24,6 +24,7 @@ from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, 
 from stable_baselines3.common.utils import configure_logger, polyak_update, safe_mean
 from stable_baselines3.common.vec_env import VecEnv
 
+from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.base import BaseLearner
 from animarl_algos.learner.callbacks import with_progress_bar
 from animarl_algos.learner.collecting import Collector, check_environment_supports
@@ -38,11 +39,7 @@ from animarl_algos.learner.pretraining import (
     check_demonstrations,
 )
 from animarl_algos.learner.updates import Updater
-from animarl_algos.learner.validation import (
-    DemonstratedValues,
-    WholeEpisodes,
-    demonstrated_values,
-)
+from animarl_algos.learner.validation import DemonstratedValues, demonstrated_values
 from animarl_algos.losses.terms import OfflineLoss
 from animarl_algos.networks.policies import into_logits, zero_value_stream
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
@@ -354,12 +351,12 @@ class SequenceQLearning(BaseLearner):
         record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
         self.logger.dump(step=self.num_timesteps)
 
-    def demonstrated_values(self, dataset: WholeEpisodes) -> DemonstratedValues:
+    def demonstrated_values(self, dataset: OfflineDataset) -> DemonstratedValues:
         """Return the action values along demonstrated episodes."""
         phase = self.phase("offline")
         return demonstrated_values(self.policy, phase, dataset, self.offline_batch_size)
 
-    def fit_temperature(self, dataset: WholeEpisodes) -> NDArray[np.float64]:
+    def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
         """Return Boltzmann temperatures ``(K,)`` of maximum likelihood for demonstrated actions.
 
         To act by them: ``model.policy.temperature = model.fit_temperature(data.val)``.

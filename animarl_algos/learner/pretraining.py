@@ -22,11 +22,11 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
+from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.updates import add_losses, minibatch_values, update
 from animarl_algos.learner.validation import (
     Figures,
-    WholeEpisodes,
     demonstrated_values,
     named_figures,
     own_figures,
@@ -40,36 +40,6 @@ from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 Weights = dict[str, torch.Tensor]
-
-
-class OfflineDataset(WholeEpisodes, Protocol):
-    """Demonstrated episodes as sequences; see :mod:`animarl_algos.data.dataset`."""
-
-    def windows(
-        self,
-        batch_size: int,
-        count: int,
-        generator: np.random.Generator,
-        *,
-        length: int,
-        burn_in: int = 0,
-    ) -> Iterator[SequenceBatch]:
-        """``count`` minibatches of pieces, drawn independently."""
-        ...
-
-    def input_statistics(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean and standard deviation (K, n) of the observations."""
-        ...
-
-    @property
-    def num_episodes(self) -> int:
-        """Episodes with a step that enters a loss."""
-        ...
-
-    @property
-    def num_steps(self) -> int:
-        """Steps of all episodes."""
-        ...
 
 
 class DemonstrationData(Protocol):
@@ -250,7 +220,8 @@ class Pretraining:
                 last_states=settings.sequence_length is None,
                 dropout=dropout,
             )
-            add_losses(totals, update(minibatch, terms, policy.optimizer).losses)
+            losses, _ = update(minibatch, terms, policy.optimizer)
+            add_losses(totals, losses)
             if settings.weight_decay:
                 _decay(policy.q_net, rate * settings.weight_decay)
             updates += 1
@@ -279,7 +250,7 @@ class Pretraining:
             size, count, generator, length=settings.sequence_length, burn_in=settings.burn_in
         )
 
-    def validate(self, dataset: WholeEpisodes, network: StackedQNetwork | None = None) -> Figures:
+    def validate(self, dataset: OfflineDataset, network: StackedQNetwork | None = None) -> Figures:
         """Return the figures of the policy, or of ``network``, on the validation split."""
         shown = demonstrated_values(self.policy, self.phase, dataset, self.batch_size, network)
         return validation_figures(shown, self.policy.individuals)

@@ -10,6 +10,19 @@ from torch import nn
 
 from animarl_envs.errors import InputError
 
+AS_IT_IS = {
+    "activation_fn": (
+        nn.ReLU, "hidden layers are rectified here, so give torch.nn.ReLU or leave it out",
+    ),
+    "features_extractor_class": (
+        FlattenExtractor,
+        "observations are flattened here, so give FlattenExtractor, leave it out, or put the "
+        "features into the observation with a wrapper",
+    ),
+    "features_extractor_kwargs": (None, "flattening takes none, so leave it out"),
+}  # fmt: skip
+"""Names of stable-baselines3 that may say what the networks do anyway, and why nothing else."""
+
 
 def translated(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """A table ``policy_kwargs`` without the names that only stable-baselines3 has.
@@ -33,25 +46,10 @@ def translated(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
                 "or net_arch alone"
             )
         table |= _widths(layers)
-    activation = table.pop("activation_fn", nn.ReLU)
-    if activation is not nn.ReLU:
-        raise InputError(
-            f"policy_kwargs: activation_fn is {_name(activation)}: hidden layers are rectified "
-            "here, so give torch.nn.ReLU or leave it out"
-        )
-    extractor = table.pop("features_extractor_class", FlattenExtractor)
-    if extractor is not FlattenExtractor:
-        raise InputError(
-            f"policy_kwargs: features_extractor_class is {_name(extractor)}: observations are "
-            "flattened here, so give FlattenExtractor, leave it out, or put the features into the "
-            "observation with a wrapper"
-        )
-    options = table.pop("features_extractor_kwargs", None)
-    if options:
-        raise InputError(
-            f"policy_kwargs: features_extractor_kwargs is {options!r}: flattening takes none, so "
-            "leave it out"
-        )
+    for name, (usual, why) in AS_IT_IS.items():
+        asked = table.pop(name, usual)
+        if asked is not usual and asked != {}:
+            raise InputError(f"policy_kwargs: {name} is {_name(asked)}: {why}")
     return table
 
 

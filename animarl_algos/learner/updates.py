@@ -98,22 +98,6 @@ class UpdateSchedule:
 # -- one update -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class UpdateResult:
-    """What one update leaves behind for the replay and the log.
-
-    Attributes
-    ----------
-    losses
-        ``{term: (K,)}``, unweighted.
-    priorities
-        ``(K, B)``, or None where they are not asked for or no term measures an error.
-    """
-
-    losses: dict[str, torch.Tensor]
-    priorities: NDArray[np.float64] | None
-
-
 def minibatch_values(
     policy: GruPolicy,
     batch: SequenceBatch,
@@ -180,11 +164,18 @@ def update(
     optimizer: torch.optim.Optimizer,
     *,
     prioritized: bool = False,
-) -> UpdateResult:
+) -> tuple[dict[str, torch.Tensor], NDArray[np.float64] | None]:
     """Step along the gradient of the terms' weighted sum, clipped for each individual by itself.
 
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
     That of weights which are kept the same for all becomes their mean.
+
+    Returns
+    -------
+    losses
+        ``{term: (K,)}``, unweighted.
+    priorities
+        ``(K, B)``, or None where they are not asked for or no term measures an error.
 
     Raises
     ------
@@ -218,10 +209,8 @@ def update(
         clip_grad_norm_per_individual(minibatch.parameters, phase.max_grad_norm)
     share_gradients(minibatch.shared)  # clipped ones: what is clipped by own norms differs
     optimizer.step()
-    return UpdateResult(
-        losses={name: loss.detach() for name, loss in losses.items()},
-        priorities=sequence_priorities(minibatch) if prioritized else None,
-    )
+    priorities = sequence_priorities(minibatch) if prioritized else None
+    return {name: loss.detach() for name, loss in losses.items()}, priorities
 
 
 @torch.no_grad()
@@ -358,12 +347,12 @@ class Updater:
             minibatch = self._values(batch, phase)
             if demonstrated is not None:
                 minibatch.demonstrated = self._values(next(demonstrated), phase)
-            result = update(
+            losses, priorities = update(
                 minibatch, self._terms, self._policy.optimizer, prioritized=buffer.prioritized
             )
-            if result.priorities is not None:
-                buffer.update_priorities(batch.indices, result.priorities)
-            add_losses(totals, result.losses)
+            if priorities is not None:
+                buffer.update_priorities(batch.indices, priorities)
+            add_losses(totals, losses)
             if minibatch.treatment_logits is not None:
                 self._treatment_counts += treatment_counts(
                     minibatch.treatment_logits, minibatch.batch.condition, minibatch.valid

@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.updates import minibatch_values
 from animarl_algos.losses.losses import mean_recall, treatment_counts
 from animarl_algos.losses.terms import Phase
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 MOST_EPISODES = 16
 """Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
 Figures = dict[str, float]
-
-
-class WholeEpisodes(Protocol):
-    """Demonstrated episodes, whole; see :mod:`animarl_algos.data.dataset`."""
-
-    def batches(
-        self, batch_size: int, generator: np.random.Generator | None = None
-    ) -> Iterator[SequenceBatch]:
-        """All episodes once, shuffled by ``generator`` or in order."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -52,7 +40,7 @@ class DemonstratedValues:
 def demonstrated_values(
     policy: GruPolicy,
     phase: Phase,
-    dataset: WholeEpisodes,
+    dataset: OfflineDataset,
     batch_size: int,
     network: StackedQNetwork | None = None,
 ) -> DemonstratedValues:
@@ -119,14 +107,11 @@ def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) 
         log_norm = np.log(np.exp(values - values.max(1, keepdims=True)).sum(1)) + values.max(1)
         hard = float(np.mean(log_norm - values[np.arange(len(actions)), actions]))
         soft = hard if shares is None else float(np.mean(log_norm - (shares * values).sum(1)))
-        figures["cross_entropy"].append(hard)
-        figures["label_cross_entropy"].append(soft)
-        figures["cross_entropy_minus_marginal"].append(
-            soft - marginal_entropy(actions, shares, values.shape[1])
-        )
-        figures["mean_rank"].append(float(rank.mean()))
-        figures["top_1"].append(float((rank <= 1).mean()))
-        figures["top_3"].append(float((rank <= 3).mean()))
+        marginal = marginal_entropy(actions, shares, values.shape[1])
+        top = [float((rank <= n).mean()) for n in (1, 3)]
+        found = (hard, soft, soft - marginal, float(rank.mean()), *top)
+        for figure, value in zip(figures.values(), found, strict=True):
+            figure.append(value)
     if shown.treatment_accuracy is not None:
         figures["treatment_balanced_accuracy"] = list(shown.treatment_accuracy)
     row: Figures = {}
