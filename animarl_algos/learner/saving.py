@@ -56,11 +56,6 @@ def loading(path: Place, saved_by: dict[str, Any]) -> Iterator[None]:
         )
     try:
         yield
-    except RuntimeError as error:  # of torch: weights of other shapes or names
-        raise InputError(
-            f"{path}: its networks are not those of {name} ({str(error).splitlines()[0]}): load it "
-            "with the class that saved it"
-        ) from error
     except ValueError as error:
         if "spaces do not match" not in str(error):
             raise

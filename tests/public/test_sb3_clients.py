@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import warnings
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -142,26 +140,6 @@ def test_clients_load_files_of_others_in_vain(tmp_path: Path) -> None:
             DQN.load(tmp_path / name, device="cpu")
     with pytest.raises(FileNotFoundError):
         DQN.load(tmp_path / "nothing", device="cpu")
-
-
-def test_clients_load_older_zips_that_name_no_learner(tmp_path: Path) -> None:
-    """Of the right learner as ever; of quantiles, torch tells that the weights are others."""
-    learner(DQN).save(tmp_path / "new.zip")
-    with (
-        zipfile.ZipFile(tmp_path / "new.zip") as new,
-        zipfile.ZipFile(tmp_path / "old.zip", "w") as old,
-    ):
-        for name in new.namelist():
-            content = new.read(name)
-            if name == "data":
-                content = json.dumps(
-                    {k: v for k, v in json.loads(content).items() if k != "saved_by"}
-                ).encode()
-            old.writestr(name, content)
-    assert isinstance(DQN.load(tmp_path / "old.zip", device="cpu"), DQN)
-    with pytest.raises(InputError, match="its networks are not those of QRDQN") as told:
-        QRDQN.load(tmp_path / "old.zip", device="cpu")
-    assert len(str(told.value).splitlines()) == 1
 
 
 # -- several individuals --------------------------------------------------------------------------
