@@ -245,6 +245,7 @@ class SequenceQLearning(BaseLearner):
             and schedule.needs_more_steps(train_freq)
         ):
             last_obs: Any = self._last_obs
+            self.policy.epsilon = self.exploration_rate  # whatever a callback left there
             at_random = self.num_timesteps < learning_starts
             step = self.collector.step(replay_buffer, last_obs, self.memory, at_random=at_random)
             # Callbacks of stable-baselines3 read these by name.
