@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [
+    ROOT / "benchmarks" / "README.md",
     ROOT / "README.md",
     *sorted((ROOT / "docs").rglob("*.md")),
     *sorted((ROOT / "animarl_algos" / "pretrained").rglob("*.md")),
