@@ -35,17 +35,17 @@ CUSTOM_NUMBERS = [
     (
         "`turning`, `senses_heading`",
         "where headings are recorded (`animarl import --heading thorax,head`): a fit to those of "
-        "each individual, unless the direction of travel foretells the next heading better; they "
-        "are seen if one individual has such a fit",
+        "each individual, unless the direction of travel predicts the next heading better; they "
+        "are perceived if one individual has such a fit",
     ),
     ("`start_half_side`, `warmup`", "half the arena's size; 0 steps"),
 ]
 CUSTOM = (
     "Any file of demonstrations is an environment at once: one or more pursuers and a target, one "
     "pursuer and its targets, or one searcher. `animarl import` makes the file from a tracker's "
-    "(name the target with `--target NAME`, let `--target auto` find who is approached, or name "
-    "who pursues all others with `--pursuer NAME`), `animarl run demos.npz` "
-    "learns from it, `animarl watch AnimaRL/Custom-v0 --demos demos.npz` shows it."
+    "(`--target NAME` names the target, `--target auto` finds the individual that is approached, "
+    "`--pursuer NAME` names one that pursues all others). `animarl run demos.npz` learns from it, "
+    "`animarl watch AnimaRL/Custom-v0 --demos demos.npz` shows it."
 )
 
 
@@ -74,15 +74,14 @@ def custom_page() -> str:
         NOTICE,
         CUSTOM,
         f"```python\n{script('custom_demonstrations.py')[1]}\n```",
-        "What the species is made of. If the file names a species of the suite (`animarl import "
+        "Where its numbers come from: if the file names a species of the suite (`animarl import "
         "--species fly`), its numbers hold where the file is silent; otherwise:",
         markdown_table(("number", "from"), CUSTOM_NUMBERS),
-        "Each of them but names and roles, which are the file's, is an option as well: "
-        "`contact_radius=0.1` wins over all rules. A "
+        "All but names and roles are options as well: `contact_radius=0.1` overrides the rules. A "
         "searcher gets the silkmoth's senses, plume and conditions. Files of flies, newts, "
         "silkmoths or agents can be given to those environments too, `gym.make(\"AnimaRL/Fly-v0\", "
-        "demos=\"demos.npz\")`: names, number and time step are then the file's, all else is the "
-        "species'.",
+        "demos=\"demos.npz\")`: names, number and time step are then the file's, all else is "
+        "the species'.",
         FLOCK,
         "## A species without demonstrations",
         doc,

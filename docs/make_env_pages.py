@@ -63,9 +63,9 @@ def page(species: Species) -> str:
         "## Ends of an episode",
         ends(species),
         "## Options",
-        "Keyword arguments of `gym.make`, `gym.make_vec` and `animarl_envs.parallel_env` "
-        '(`focal` and `others` not in the last). Each is checked; `info["scenario"]` at reset '
-        'says what is in force. `reset(options={"demo": 3})` starts from demonstration 3.',
+        "These are keyword arguments of `gym.make`, `gym.make_vec` and `animarl_envs.parallel_env` "
+        '(except `focal` and `others`). `info["scenario"]` at reset shows the values in force. '
+        '`reset(options={"demo": 3})` starts from demonstration 3.',
         options(species),
         "## Usage",
         usage(species),
@@ -79,18 +79,18 @@ def page(species: Species) -> str:
 
 
 FOCUS = {
-    "chase": "the target is a pursuer's focus, the nearest pursuer is the target's; where one "
-    "pursues several, the pursuer is theirs and the nearest of them is the pursuer's",
+    "chase": "the focus of a pursuer is the target, that of the target the nearest pursuer; a "
+    "single pursuer of several targets has the nearest target as focus, and they have it",
     "search": "the direction upwind, -x, since the moth is not told where the source is",
 }
 ORDER = {
-    "chase": " Others are in this order: the target first (or who pursues several), then the "
-    "others by distance."
+    "chase": " The others follow in this order: first the target (or the single pursuer of several "
+    "targets), then the others by distance."
 }
 OTHER_OBSERVATION = {
     "chase": (
-        '`observation="paper"` has the components of the paper instead, of which three are '
-        "constant or copies, since the frame points at the focus.",
+        '`observation="paper"` has the components of the paper instead. Three of them are '
+        "constant or copies, because the frame points at the focus.",
     )
 }
 ACTIONS = (
@@ -101,19 +101,19 @@ ACTIONS = (
 
 OUTCOMES = {
     "chase": (
-        '`info["outcome"]` says how: k above 0 for contact by individual k - 1 (of several '
-        "targets: with it), 0 for the time limit (and as long as the episode goes on), -1 if "
-        "the target left, -2 if a pursuer did. Recordings that were cut for another reason have -3."
+        '`info["outcome"]`: k above 0 for contact by individual k - 1 (of several targets: with '
+        "it), 0 for the time limit (and while the episode lasts), -1 if the target left, -2 if a "
+        "pursuer left. Recordings that were cut for another reason have -3."
     ),
     "search": (
-        '`info["outcome"]` says how: 1 for the source, 0 for the time limit (and as long as the '
-        "episode goes on). Recordings that were cut for another reason have -3."
+        '`info["outcome"]`: 1 for the source, 0 for the time limit (and while the episode lasts). '
+        "Recordings that were cut for another reason have -3."
     ),
 }
 WRAPPERS = (
-    "In `animarl_envs.wrappers`, each for the single, the vector (`...Vector`) and the parallel "
-    "view (`...Parallel`): `DTWReward` rewards staying near the paired demonstration; "
-    "`ConditionFlag` adds the experimental condition to the observation, as it is or flipped."
+    "`animarl_envs.wrappers` has each wrapper for the single, the vector (`...Vector`) and the "
+    "parallel view (`...Parallel`). `DTWReward` rewards staying near the demonstration. "
+    "`ConditionFlag` adds the experimental condition to the observation, true or flipped."
 )
 
 
@@ -189,7 +189,7 @@ def rewards(world: World, species: Species) -> str:
     if not species.conditions:
         said = re.sub(r" \(with shared reward[^)]*\)", "", said)
     names = ", ".join(f"`{name}`" for name in world.reward_components)
-    return f"{said}\n\nThe reward is their sum; `info` holds each by its name: {names}."
+    return f"{said}\n\nThe reward is their sum. `info` has each by name: {names}."
 
 
 def ends(species: Species) -> str:
@@ -201,8 +201,8 @@ def ends(species: Species) -> str:
         ]
     edge = species.arena.boundary
     beyond = {
-        "square": f"somebody is beyond +-{edge:g} in x or y",
-        "disc": f"somebody is farther than {edge:g} from the centre",
+        "square": f"an individual is beyond +-{edge:g} in x or y",
+        "disc": f"an individual is farther than {edge:g} from the centre",
     }
     if species.arena.shape in beyond:
         when = "only with `rebound=False`" if species.arena.rebound else "not with `rebound=True`"
@@ -269,7 +269,7 @@ observations, infos = envs.reset(seed=0)
 observations, rewards, terminated, truncated, infos = envs.step(envs.action_space.sample())
 ```
 
-All individuals, in PettingZoo's way:
+All individuals act, with PettingZoo:
 
 ```python
 everybody = animarl_envs.parallel_env("{species.name}")
@@ -278,9 +278,9 @@ actions = {{name: everybody.action_space(name).sample() for name in everybody.ag
 observations, rewards, terminated, truncated, infos = everybody.step(actions)
 ```
 
-Those are registered with PettingZoo too: `pettingzoo.make("parallel", "{env_id}")`.
+They are registered with PettingZoo too: `pettingzoo.make("parallel", "{env_id}")`.
 
-See it move: `animarl watch {env_id} --out clip.gif`. Play it with
+Watch it: `animarl watch {env_id} --out clip.gif`. Play it with
 `gymnasium.utils.play.play(gym.make("{env_id}", render_mode="rgb_array"), noop={coast})`:
 w goes towards the focus, a to the left of it, s away, d to the right, q, e, z, c and pairs of keys
 in between."""
