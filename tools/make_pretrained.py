@@ -3,16 +3,19 @@
 The recipes of the benchmark's preset ``short`` are trained on the packaged demonstrations with its
 seeds (what is finished in ``--out`` is kept). For each species the cell whose rollouts from
 validation starts are most like the validation recordings is evaluated on the test split and
-exported.
+exported. ``--judge`` trains nothing: it evaluates the models that are there once more and writes
+their cards anew.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from animarl_algos.benchmark.cells import Cell
 from animarl_algos.benchmark.engine import perform_all
@@ -23,7 +26,7 @@ from animarl_algos.evaluation.acting_choice import compared
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.pipeline import evaluate_run
-from animarl_algos.runs.pretrained import FOLDER, export_run
+from animarl_algos.runs.pretrained import FOLDER, METRICS, export_run
 from animarl_algos.runs.rolling_out import trained_model
 from animarl_algos.runs.run_folder import RunFolder
 from animarl_envs.demos.packaged import packaged_names
@@ -96,6 +99,17 @@ def make(
         export_run(best, FOLDER / species, made_by=command, chosen=chosen)
 
 
+def judge(names: Sequence[str]) -> None:
+    """Evaluate packaged models on the test split and write their cards and metrics anew."""
+    for species in names:
+        model = FOLDER / species
+        chosen = json.loads((model / METRICS).read_text())["chosen_by_validation"]
+        with TemporaryDirectory() as place:
+            run = RunFolder(Path(shutil.copytree(model, Path(place) / species)))
+            print(species, evaluate_run(run).verdict.overall, flush=True)
+            export_run(run, model, chosen=chosen)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     by_default, preset = f"by default all of preset {PRESET}", read_matrix(PRESET)
@@ -104,8 +118,11 @@ def main() -> None:
     parser.add_argument("--recipe", action="append", help=f"{by_default}; repeatable")
     parser.add_argument("--seed", action="append", type=int, help=f"{by_default}; repeatable")
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--judge", action="store_true", help="only evaluate them once more")
     given = parser.parse_args()
     names = given.species or packaged_names()
+    if given.judge:
+        return judge(names)
     recipes, seeds = given.recipe or preset.recipes, given.seed or preset.seeds
     make(given.out, names, recipes, seeds, given.processes)
 
