@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from animarl_algos.learner.callbacks import EvaluateIndividuals as EvaluateIndividuals
     from animarl_algos.learner.callbacks import evaluate_individuals as evaluate_individuals
     from animarl_algos.recipes.registry import *  # noqa: F403
-    from animarl_algos.runs.loading import load_run as load_run
     from animarl_algos.runs.pretrained import load_pretrained as load_pretrained
+    from animarl_algos.runs.pretrained import load_run as load_run
 
 
 @cache
@@ -43,7 +43,7 @@ def _homes() -> dict[str, str]:
         "SlotVecEnv": "data.vec_env",
         "evaluate": "evaluation.tables",
         "evaluate_individuals": "learner.callbacks",
-        "load_run": "runs.loading",
+        "load_run": "runs.pretrained",
         "load_pretrained": "runs.pretrained",
     }
     return learners | {name: f"{__name__}.{module}" for name, module in others.items()}

@@ -21,7 +21,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,8 +35,8 @@ from animarl_algos.evaluation.comparison import interval
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.sentences import with_interval
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.asking import AskedRuns
-from animarl_algos.runs.run_folder import RunFolder, versions
+from animarl_algos.runs.counterfactual import CounterfactualRuns
+from animarl_algos.runs.run import Run, versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -82,15 +81,15 @@ def asked_for(
     preset = settings.learner()
     if share < 1.0:
         epochs = max(1, round(share * int(preset.arguments["offline_epochs"])))
-        settings = replace(settings, overrides=overrides | {"offline_epochs": epochs})
+        settings = settings.changed(overrides=overrides | {"offline_epochs": epochs})
     online = bool(named_recipe(algo).algorithm.recipe.online)
     wanted = preset.n_timesteps if steps is None or not online else steps
-    return replace(settings, steps=wanted, copies=preset.n_envs)
+    return settings.changed(steps=wanted, copies=preset.n_envs)
 
 
 def cell(
     demos: Demonstrations, folder: Path, settings: RunSettings, fits: dict[int, LocomotionFit]
-) -> RunFolder:
+) -> Run:
     """Train what is not there yet; all learners of a seed have one fit, kept in ``fits``."""
     run = pipeline.open_run(settings, folder, shlex.join(["python", *sys.argv]), demos)
     file = run.path / "locomotion.json"
@@ -105,8 +104,8 @@ def seconds(
     demos: Demonstrations, fitted: LocomotionFit, algo: str, steps: int, epochs: int
 ) -> float:
     """Processor time of learning so many steps and epochs, in a folder that is removed."""
-    settings = replace(
-        asked_for(algo, 0, steps, {"offline_epochs": epochs}), steps=steps, acting="greedy"
+    settings = asked_for(algo, 0, steps, {"offline_epochs": epochs}).changed(
+        steps=steps, acting="greedy"
     )
     with tempfile.TemporaryDirectory() as folder:
         run = pipeline.open_run(settings, Path(folder) / "cell", "an estimate", demos)
@@ -206,7 +205,7 @@ def main(
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-def markdown(found: AskedRuns) -> str:
+def markdown(found: CounterfactualRuns) -> str:
     """The table of shifts with their truth, and what may be claimed."""
     effects, conditions = found.effects, found.runs.species.conditions
     table = effects.table[effects.table["counting"] == "all"]

@@ -41,7 +41,7 @@ from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
 from animarl_algos.report.verdict_section import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run_folder import versions
+from animarl_algos.runs.run import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -217,14 +217,15 @@ def trained(
         **pipeline_settings(environment_id(species), "default"),
     )  # fmt: skip
     preset = asked.learner()
-    asked = replace(asked, steps=preset.n_timesteps, copies=preset.n_envs)
+    asked = asked.changed(steps=preset.n_timesteps, copies=preset.n_envs)
     run = pipeline.open_run(asked, folder, shlex.join(sys.argv), demos)
     policy = pipeline.learn(run, algo, progress_bar=False)
     policy.policy.seed(seed)
-    spec = run.species(demos, pipeline.fit(run))
-    world = partial(make_world, run.scenario(split))
+    pipeline.fit(run)
+    spec = run.species
+    world = partial(make_world, run.starting_from(split))
     collect = partial(collect_rollouts, world, seed=seed, repetitions=repetitions)
-    told = run.environment(spec, demos).condition_flag
+    told = run.environment(demos).condition_flag
     name = pipeline.method_name(algo)
     asked_for = demos.select(split=split)
     followed = track(asked_for, spec.locomotion, spec.arena).positions

@@ -40,7 +40,7 @@ from rich.table import Table
 
 from animarl_algos.cli.main import main as animarl
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -283,7 +283,7 @@ def all_commands(place: Path) -> dict[str, Command]:
         pipeline.report(opened)
 
     def evaluate(folder: Path) -> None:
-        pipeline.evaluate_run(RunFolder(folder))
+        pipeline.evaluate_run(Run(folder))
 
     def trained(folder: Path) -> None:
         if not (place / "trained").exists():

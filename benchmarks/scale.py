@@ -64,7 +64,7 @@ def cloning(demos: Demonstrations, updates: int = 40, **changed: Any) -> RunSett
     asked = matrix.run_settings(demos.species, demos, "soft-bc", 0)
     offline = {"updates_per_epoch": updates, "warm_up": 1}
     over = {"offline_epochs": 1, "offline_kwargs": offline} | changed
-    return replace(asked, overrides=over, **FIXED)
+    return asked.changed(overrides=over, **FIXED)
 
 
 def growth(species: str) -> Iterator[tuple[str, list[tuple[float, float]]]]:
@@ -106,14 +106,14 @@ def rates(cells: Mapping[str, Cell], say: Callable[[str], None]) -> dict[str, di
         offline = cell.settings.learner().arguments.get("offline_epochs", 0) > 0
         small = over | ({"offline_epochs": EPOCHS[0]} if offline else {})
         steps = few_steps(cell.settings) if recipe.online else (1, 1)
-        base = replace(cell.settings, steps=steps[0], overrides=small, **FIXED)
+        base = cell.settings.changed(steps=steps[0], overrides=small, **FIXED)
         least = min(training_time(base, demos, fit) for _ in range(2))  # the first may compile
         per_step = per_epoch = 0.0
         if recipe.online:
-            more = training_time(replace(base, steps=steps[1]), demos, fit)
+            more = training_time(base.changed(steps=steps[1]), demos, fit)
             per_step = max(0.0, more - least) / (steps[1] - steps[0])
         if offline:
-            twice = replace(base, overrides=over | {"offline_epochs": EPOCHS[1]})
+            twice = base.changed(overrides=over | {"offline_epochs": EPOCHS[1]})
             per_epoch = max(0.0, training_time(twice, demos, fit) - least)
         found[algo] = {
             "least": least,
@@ -184,7 +184,7 @@ def on_machines(what: str, costs: list[float]) -> Iterator[str]:
 def around_training(cell: Cell, out: Path) -> float:
     """Processor seconds of a default cell beside its training: a cell with next to none of it."""
     assert cell.settings is not None
-    settings = replace(cell.settings, overrides=cloning(load_packaged(cell.data), 5).overrides)
+    settings = cell.settings.changed(overrides=cloning(load_packaged(cell.data), 5).overrides)
     demos = load_packaged(cell.data)
     run = pipeline.open_run(settings, out / cell.data, "benchmarks/scale.py", demos)
     pipeline.fit(run)

@@ -5,22 +5,26 @@ python docs/make_defaults_table.py
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.learner.presets import OF_NO_SPECIES, beneath
+from animarl_algos.checked import prose
+from animarl_algos.learner.presets import COMMON_SECTION
+from animarl_algos.learner.settings import OfflineSettings, default_settings, settings_prose
 from animarl_algos.recipes.registry import RECIPES
 from animarl_envs import SPECIES, environment_id
 
 PAGE = Path(__file__).with_name("learners.md")
 BEGIN, END = "<!-- defaults: docs/make_defaults_table.py -->\n", "<!-- end of defaults -->\n"
+BEGIN_OFFLINE = "<!-- offline_kwargs: docs/make_defaults_table.py -->\n"
 ALGOS = [name for name in RECIPES if not name.startswith("qr-")]
 """The quantile twins have ``policy_kwargs: {n_quantiles: 20}`` beside."""
 
 
 def defaults(algo: str, species: str | None) -> dict[str, Any]:
     """What the learner called ``algo`` takes where it is not told."""
-    env = OF_NO_SPECIES if species is None else environment_id(species)
+    env = COMMON_SECTION if species is None else environment_id(species)
     learner = RECIPES[algo].algorithm
     return learner.default_settings(env, pretrained=algo == learner.pretrained_preset)
 
@@ -54,17 +58,38 @@ def exceptions(name: str, every: dict[tuple[str, str | None], dict[str, Any]]) -
 def table() -> str:
     """The rows, in Markdown."""
     every = {(a, s): defaults(a, s) for a in ALGOS for s in (None, *SPECIES)}
+    meanings = settings_prose()
     rows = (
-        f"| `{name}` | {shown(every['dqn', None][name])} | {exceptions(name, every)} |"
-        for name in beneath()
+        f"| `{name}` | {shown(every['dqn', None][name])} | {exceptions(name, every)} "
+        f"| {in_markdown(meanings[name])} |"
+        for name in default_settings()
     )
-    return "\n".join(["| setting | default | elsewhere |", "|---|---|---|", *rows]) + "\n"
+    head = ["| setting | default | elsewhere | meaning |", "|---|---|---|---|"]
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def offline_table() -> str:
+    """The rows for ``offline_kwargs``, in Markdown."""
+    described = OfflineSettings.model_json_schema()["properties"].items()
+    rows = (
+        f"| `{name}` | {shown(one['default'])} | {in_markdown(prose(one))} |"
+        for name, one in described
+    )
+    return "\n".join(["| setting | default | meaning |", "|---|---|---|", *rows]) + "\n"
+
+
+def in_markdown(text: str) -> str:
+    """Docstring markup as Markdown."""
+    return re.sub(r":class:`[\w.]*?(\w+)`", r"`\1`", text).replace("``", "`")
 
 
 def main() -> None:
-    """Put the table between its two marks."""
-    before, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(before + BEGIN + "\n" + table() + "\n" + END + rest.split(END)[1])
+    """Put the tables between their marks."""
+    page = PAGE.read_text()
+    for begin, made in ((BEGIN, table()), (BEGIN_OFFLINE, offline_table())):
+        before, rest = page.split(begin)
+        page = f"{before}{begin}\n{made}\n{END}{rest.split(END, 1)[1]}"
+    PAGE.write_text(page)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.rolling_out import roll_out
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -43,7 +43,7 @@ def made(
     rolled_out: bool = True,
     baselines: bool = False,
     env_kwargs: dict[str, Any] | None = None,
-) -> RunFolder:
+) -> Run:
     """A run that was fitted, trained a little, and rolled out."""
     quick = QUICK if named_recipe(algo).pretrained else {"policy_kwargs": QUICK["policy_kwargs"]}
     asked = RunSettings(

@@ -10,7 +10,7 @@ import pytest
 from commands import animarl
 
 from animarl_algos import load_run
-from animarl_algos.runs.loading import LoadedRun
+from animarl_algos.runs.run import Run
 from animarl_algos.whatif.answer import ask
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
@@ -23,7 +23,7 @@ MM = Unit("mm", 500.0)
 
 
 @pytest.fixture(scope="module")
-def chase() -> LoadedRun:
+def chase() -> Run:
     return load_run("agent")
 
 
@@ -83,7 +83,7 @@ def test_a_change_that_cannot_be_made_is_one_sentence(texts: list[str], said: st
         options("arena=3furlong")
 
 
-def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: LoadedRun) -> None:
+def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: Run) -> None:
     heard = []
     found = ask([chase], ["prey.thrust=x1..x1.2/2"], repetitions=2, on_answer=heard.append)
     same, faster = found.answers
@@ -98,7 +98,7 @@ def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: LoadedRun) -> 
     assert rows.loc["duration", "finding"]
 
 
-def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: LoadedRun) -> None:
+def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: Run) -> None:
     (answer,) = ask([chase], ["prey.speed=+20%"], repetitions=2).answers
     speed = answer.table.set_index("quantity").loc["speed of prey"]
     assert speed["changed"] / speed["baseline"] == pytest.approx(1.2, abs=0.06)
@@ -107,13 +107,13 @@ def test_a_wanted_speed_is_achieved_and_an_impossible_one_refused(chase: LoadedR
         ask([chase], ["prey.speed=x30"], repetitions=1)
 
 
-def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: LoadedRun) -> None:
+def test_the_warning_is_red_in_an_absurd_arena_and_names_what_is_new(chase: Run) -> None:
     (answer,) = ask([chase], ["arena=x3"], repetitions=2).answers
     assert answer.warning == "red" and "distance to the edge" in answer.reason
     assert not answer.table["finding"].any()
 
 
-def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: LoadedRun) -> None:
+def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: Run) -> None:
     class Untold:
         scenario, demos, told_condition = chase.scenario, chase.demos, False
 
@@ -121,7 +121,7 @@ def test_a_policy_that_was_never_told_a_condition_cannot_be_told_another(chase: 
         ask([Untold()], ["condition=shared"], repetitions=1)  # type: ignore[list-item]
 
 
-def test_a_cue_shifts_only_starts_of_the_other_condition(chase: LoadedRun) -> None:
+def test_a_cue_shifts_only_starts_of_the_other_condition(chase: Run) -> None:
     (answer,) = ask([chase], ["condition=shared"], repetitions=1).answers
     other = chase.demos.select(split="test").condition == 0
     recorded = answer.table.set_index("quantity").loc["duration", "recorded"]

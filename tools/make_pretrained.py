@@ -27,8 +27,7 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.pipeline import evaluate_run
 from animarl_algos.runs.pretrained import FOLDER, METRICS, export_run
-from animarl_algos.runs.rolling_out import trained_model
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.demos.packaged import packaged_names
 from animarl_envs.errors import InputError
 from animarl_envs.worlds import make_world
@@ -55,13 +54,13 @@ class Printed:
             self.failed.append(done.error)
 
 
-def validation_mismatch(run: RunFolder) -> float:
+def validation_mismatch(run: Run) -> float:
     """How far rollouts from validation starts are from the validation recordings."""
     algo = run.settings.algo
-    model = trained_model(run, algo)
+    model = run.trained(algo)
     model.policy.seed(run.settings.seed)
     rollouts = collect_rollouts(
-        partial(make_world, run.scenario("val")),
+        partial(make_world, run.starting_from("val")),
         model,
         method=algo,
         seed=run.settings.seed,
@@ -87,7 +86,7 @@ def make(
     for cell in asked.cells:
         by_species.setdefault(cell.data, []).append(cell)
     for species, cells in by_species.items():
-        runs = {f"{c.method}, seed {c.seed}": RunFolder(c.folder(out) / "run") for c in cells}
+        runs = {f"{c.method}, seed {c.seed}": Run(c.folder(out) / "run") for c in cells}
         chosen = {name: validation_mismatch(run) for name, run in runs.items()}
         best = runs[min(chosen, key=lambda name: chosen[name])]
         print(species, ", ".join(f"{name}: {value:.3f}" for name, value in chosen.items()))

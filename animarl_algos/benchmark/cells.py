@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from animarl_algos.benchmark.scores import crossed_score, score
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.worlds import make_world
@@ -118,8 +118,8 @@ class Cell:
     def world_name(self) -> str:
         return _world_name(self.data, self.fold)
 
-    def world_folder(self, out: Path) -> RunFolder:
-        return RunFolder(out / "worlds" / f"{self.data}-{self.world}")
+    def world_folder(self, out: Path) -> Run:
+        return Run(out / "worlds" / f"{self.data}-{self.world}")
 
     @cached_property
     def cloning(self) -> RunSettings | None:
@@ -149,13 +149,13 @@ class Cell:
 
     def perform(self, out: Path) -> None:
         began, folder = time.process_time(), self.folder(out)
-        clone = RunFolder(self.clone_folder(out) / "run") if cost(self.clone_folder(out)) else None
+        clone = Run(self.clone_folder(out) / "run") if cost(self.clone_folder(out)) else None
         rollouts, parameters = self._rolled_out(folder, self.world_folder(out), clone)
         rollouts.save(folder / "rollouts.npz")
         write_cost(folder, began, parameters, self.clone_name if clone else None)
 
     def _rolled_out(
-        self, folder: Path, world: RunFolder, clone: RunFolder | None
+        self, folder: Path, world: Run, clone: Run | None
     ) -> tuple[Rollouts, int | None]:
         if self.settings is not None:
             return self._trained(folder, world, clone, self.settings)
@@ -169,7 +169,7 @@ class Cell:
         with foreign(f"method {self.method}: its factory raised", "mend it"):
             policy = factory(setting)
         made = collect_rollouts(
-            partial(make_world, world.scenario("test")),
+            partial(make_world, world.scenario),
             Checked(self.method, policy, setting.species.num_actions),
             method=self.method, seed=self.seed, repetitions=self.repetitions,
             cue="actual" if setting.environment().condition_flag else None,
@@ -177,13 +177,13 @@ class Cell:
         return made, parameters_of(policy)
 
     def _trained(
-        self, folder: Path, world: RunFolder, clone: RunFolder | None, settings: RunSettings
+        self, folder: Path, world: Run, clone: Run | None, settings: RunSettings
     ) -> tuple[Rollouts, int]:
         run = opened(settings, folder, world)
         model = pipeline.learn(run, settings.algo, clone=clone, progress_bar=False)
         model.policy.seed(self.seed)
         made = collect_rollouts(
-            partial(make_world, run.scenario("test")),
+            partial(make_world, run.scenario),
             model,
             method=self.method,
             seed=self.seed,
@@ -262,5 +262,5 @@ def _world_name(data: str, fold: int | None) -> str:
 def _resolved(settings: RunSettings) -> dict[str, Any]:
     """A run's settings with everything that they leave to presets; where the file lies is not."""
     learner = settings.learner()
-    own = {k: v for k, v in asdict(settings).items() if k not in ("file", "source", "config")}
+    own = {k: v for k, v in settings.model_dump().items() if k not in ("file", "source", "config")}
     return {"settings": own, "learner": learner.arguments, "environment": learner.env_kwargs}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from animarl_algos.learner.presets import constructed
 from animarl_algos.losses.terms import OfflineLoss
 from animarl_algos.recipes.registry import SoftBC, named_recipe
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Clone:
         return cost(self.folder(out))
 
 
-def opened(settings: RunSettings, folder: Path, world: RunFolder) -> RunFolder:
+def opened(settings: RunSettings, folder: Path, world: Run) -> Run:
     """The run of a piece, in a world that is fitted."""
     run = pipeline.open_run(settings, folder / "run", COMMAND, world.demos)
     shutil.copyfile(world.path / "locomotion.json", run.path / "locomotion.json")
@@ -107,8 +107,8 @@ def cloning(settings: RunSettings) -> RunSettings | None:
     alike = own.offline == SoftBC.recipe.offline and own.selection is SoftBC.recipe.selection
     if not (alike and determining["offline_epochs"]):
         return None
-    alone = replace(
-        settings, algo="qr-soft-bc" if algorithm.quantiles else "soft-bc", preset="default",
+    alone = settings.changed(
+        algo="qr-soft-bc" if algorithm.quantiles else "soft-bc", preset="default",
         config=None, overrides=determining, steps=1, copies=1, repetitions=1, acting="greedy",
     )  # fmt: skip
     return alone if _determining(alone) == determining else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.learner.zoo_files import PRESETS
+from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
@@ -177,22 +177,23 @@ class Matrix:
         """Of one training."""
         species = demos.species if demos.species in SPECIES else CUSTOM
         around = pipeline_settings(environment_id(species), self.preset)
+        around |= {"preset": self.preset}
         around |= {k: v for k in AROUND if (v := getattr(self, k)) is not None}
         asked = RunSettings(
-            file=name, species=species, algo=algo, preset=self.preset, steps=1, seed=seed,
+            file=name, species=species, algo=algo, steps=1, seed=seed,
             repetitions=self.repetitions, baselines=False,
             overrides=dict(self.settings.get(algo, {})), **around,
         )  # fmt: skip
         learner = asked.learner()
         online = bool(named_recipe(algo).algorithm.recipe.online)
         steps = self.steps if self.steps is not None and online else learner.n_timesteps
-        return replace(asked, steps=steps, copies=learner.n_envs)
+        return asked.changed(steps=steps, copies=learner.n_envs)
 
     def world_settings(self, name: str, demos: Demonstrations) -> RunSettings:
         """Of the world that all methods share, and that those without training act in."""
         asked = self.run_settings(name, demos, WORLD_ALGO, 0)
         seen = {"env_kwargs": {"observation": "full"}}
-        return replace(asked, overrides=seen, copies=WORLD_COPIES)
+        return asked.changed(overrides=seen, copies=WORLD_COPIES)
 
 
 def read_matrix(preset: str, config: Path | None = None) -> Matrix:

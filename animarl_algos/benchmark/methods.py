@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from animarl_algos.benchmark.pieces import TERMINATED, one_line
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.runs.run_folder import RunFolder
-from animarl_algos.runs.run_world import of_the_training
+from animarl_algos.runs.run import Run
+from animarl_algos.runs.run_world import training_options
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
@@ -48,15 +48,15 @@ class MethodSetting:
     options: Mapping[str, Any]
 
     @classmethod
-    def of(cls, world: RunFolder, seed: int) -> MethodSetting:
+    def of(cls, world: Run, seed: int) -> MethodSetting:
         """That of a fitted world."""
         demos = world.learnable_demos
         return cls(
             demos=demos,
-            species=world.species(demos, world.fit),
+            species=world.species,
             seed=seed,
             copies=world.settings.copies,
-            options=of_the_training(world.environment_options),
+            options=training_options(world.environment_options),
         )
 
     def environment(self) -> SlotVecEnv:

@@ -31,7 +31,7 @@ from animarl_algos.evaluation.classifier_row import followed
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
@@ -49,11 +49,11 @@ OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", 
 
 
 def reference_rollouts(
-    name: str, world: RunFolder, seed: int, repetitions: int, *, fold: bool = False
+    name: str, world: Run, seed: int, repetitions: int, *, fold: bool = False
 ) -> Rollouts:
     """The rollouts of one row, from every test start; ``fold``: those of a cross-validation."""
     demos = world.demos
-    test, species = demos.select(split="test"), world.species(demos, world.fit)
+    test, species = demos.select(split="test"), world.species
     if name == RECORDINGS:
         return others_as_rollouts(beside_fold(demos) if fold else learnable(demos), test, seed)
     if name == "tracking":
@@ -61,7 +61,7 @@ def reference_rollouts(
         return replace(tracked, method=name, seed=np.full(len(tracked), seed))
     if name == "experts":
         return expert_rollouts(demos, species, seed, repetitions)
-    scenario = world.scenario("test")
+    scenario = world.scenario
     if name == "scripted" and not isinstance(species, SearchSpecies):
         scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
     return collect_rollouts(

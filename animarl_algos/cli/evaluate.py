@@ -1,4 +1,4 @@
-"""``animarl evaluate``, ``counterfactual`` and ``inspect``: they look at runs and train nothing.
+"""``animarl evaluate``, ``counterfactual``, ``inspect``, ``export``: what is made of trained runs.
 
 What they look with is imported when they run: their help waits for none of it.
 """
@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
+from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.errors import InputError
 
 Runs = Annotated[list[Path], typer.Argument(help="Run folders, of methods and seeds.")]
@@ -48,7 +48,7 @@ def evaluate_command(
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import evaluate_runs
     from animarl_algos.runs.rolling_out import lacking
-    from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run import Run
 
     console = _console()
     if out is not None:
@@ -62,7 +62,7 @@ def evaluate_command(
     else:
         if len(runs) > 1:
             raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
-        run = RunFolder(runs[0], acting)
+        run = Run(runs[0], acting)
         evaluation, missing = pipeline.evaluate_run(run), lacking(run)
     console.print(evaluation_table(evaluation))
     console.print(verdict_table(evaluation.verdict))
@@ -93,7 +93,7 @@ def counterfactual_command(
 
       animarl counterfactual runs/dqcil-pt-0 runs/dqdil-pt-0 --out out/cf
     """
-    from animarl_algos.runs.asking import counterfactual_runs
+    from animarl_algos.runs.counterfactual import counterfactual_runs
 
     found = counterfactual_runs(runs, out, truth=truth, repetitions=repetitions)
     console = _console()
@@ -124,16 +124,45 @@ def inspect_command(
     _say(_console(), [], out)
 
 
-def _say(console: Console, missing: list[str], out: Path | None) -> None:
+def export_command(
+    run: Annotated[Path, typer.Argument(help="Run folder, trained and evaluated.")],
+    out: Annotated[Path, typer.Option(help="Folder of the model.")],
+    demonstrations: Annotated[
+        bool,
+        typer.Option(
+            "--with-demonstrations",
+            help="Copy the recordings too: whoever loads the model needs them.",
+        ),
+    ] = False,
+) -> None:
+    """Write a run's trained policy with a model card: weights as safetensors, the rest as JSON.
+
+    The folder loads like the run: animarl watch --model FOLDER, or in Python
+    animarl_algos.load_pretrained(FOLDER).
+
+    Example:
+
+      animarl export out/demo --out out/agent-model
+    """
+    from animarl_algos.runs.pretrained import CARD, export_run
+    from animarl_algos.runs.run import Run
+
+    folder = export_run(Run(run), out, with_demonstrations=demonstrations)
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    _console().print(
+        f"Wrote {folder} ({size / 1e6:.2f} MB); read {folder / CARD}",
+        highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def _say(console: PlainConsole, missing: list[str], out: Path | None) -> None:
     for sentence in missing:
-        console.print(sentence, soft_wrap=True, highlight=False, markup=False)
+        console.print(sentence, soft_wrap=True, highlight=False)
     if out is not None:
         from animarl_algos.runs.evaluating import PAGE
 
-        console.print(f"Open {out / PAGE}", soft_wrap=True, highlight=False, markup=False)
+        console.print(f"Open {out / PAGE}", soft_wrap=True, highlight=False)
 
 
-def _console() -> Console:
-    console = Console()
-    console.width = max(console.width, 128)
-    return console
+def _console() -> PlainConsole:
+    return PlainConsole(least_width=128)

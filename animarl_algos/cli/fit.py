@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Literal, get_args
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -31,13 +30,8 @@ MATTERS = 0.1  # relative difference of thrusts that is worth a warning
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
 
 
-class MethodChoice(StrEnum):
-    """What ``--method`` takes."""
-
-    joint = "joint"
-    onset = "onset"
-    noise = "noise"
-    both = "both"
+MethodChoice = Literal["joint", "onset", "noise", "both"]
+"""What ``--method`` takes."""
 
 
 def fit_command(
@@ -53,7 +47,7 @@ def fit_command(
     method: Annotated[
         MethodChoice,
         typer.Option(help="joint (default), onset (the paper's), both, or noise: noisy tracks."),
-    ] = MethodChoice.joint,
+    ] = "joint",
     thrusts: Annotated[
         str | None,
         typer.Option(help="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit)."),
@@ -94,7 +88,7 @@ def fit_command(
         compare_thrusts(demos, compared, chosen, seed, console, out)
         return
     fits: list[LocomotionFit] = []
-    methods = list(get_args(Method))[:2] if method is MethodChoice.both else [method.value]
+    methods = list(get_args(Method))[:2] if method == "both" else [method]
     for name in methods:
         try:
             fit = fit_locomotion(
@@ -106,7 +100,7 @@ def fit_command(
                 seed=seed,
             )
         except InputError as error:
-            if method is not MethodChoice.both or not fits:
+            if method != "both" or not fits:
                 raise
             console.print(f"{name}: {error}", highlight=False, soft_wrap=True)
             continue
@@ -125,7 +119,7 @@ def _compared(thrusts: str | None, method: MethodChoice) -> tuple[int, ...]:
         return ()
     from animarl_algos.cli.thrusts import parse_thrusts
 
-    if method is not MethodChoice.joint:
+    if method != "joint":
         raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
     return parse_thrusts(thrusts)
 

@@ -57,7 +57,7 @@ COMMANDS = {
     "counterfactual": Place("evaluate", "counterfactual_command"),
     "inspect": Place("evaluate", "inspect_command"),
     "report": Place("run", "report_command"),
-    "export": Place("exporting", "export_command"),
+    "export": Place("evaluate", "export_command"),
     "watch": Place("watch", "watch_command"),
     "benchmark": Place("benchmark", "benchmark_command", app="app"),
 }

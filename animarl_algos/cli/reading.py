@@ -20,7 +20,7 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
 
 
 def load(file: str, source: str | None = None, *, takes: Collection[str] = ()) -> Demonstrations:
-    """A packaged set by name, or a file; ``takes`` as of :func:`said_with_import`."""
+    """A packaged set by name, or a file; ``takes`` as of :func:`suggest_import_on_error`."""
     path = Path(file)
     if file in packaged_names() and not path.exists():
         return load_packaged(file)
@@ -29,12 +29,12 @@ def load(file: str, source: str | None = None, *, takes: Collection[str] = ()) -
             f"{file}: there is no such file, and packaged are {', '.join(packaged_names())}: check "
             "the path"
         )
-    with said_with_import(file, takes):
+    with suggest_import_on_error(file, takes):
         return read(file, source)
 
 
 @contextmanager
-def said_with_import(file: str | Path, takes: Collection[str] = ()) -> Iterator[None]:
+def suggest_import_on_error(file: str | Path, takes: Collection[str] = ()) -> Iterator[None]:
     """Of a file that is refused, say how ``animarl import`` mends it.
 
     Readers name options of that command; those in ``takes`` the command at hand has too.

@@ -5,33 +5,73 @@ What learns and draws is imported when a command runs: its help waits for none o
 
 from __future__ import annotations
 
+import inspect
 import shlex
 import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
 
 import typer
 import yaml
 from rich.text import Text
 
-from animarl_algos.cli.reading import SOURCE, said_with_import
-from animarl_algos.cli.run_options import with_run_options
+from animarl_algos.cli.options import CONTEXT, asks_for, option
+from animarl_algos.cli.reading import SOURCE, suggest_import_on_error
 from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
-    from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run import Run
+
+SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts", "acting")
+"""Options that are None where they are not given."""
 
 
-@with_run_options(before="settings")
-def run_command(
-    context: typer.Context,
-    repetitions: Annotated[int, typer.Option(help="Rollouts per test demonstration.")] = 5,
-    baselines: Annotated[
-        bool, typer.Option(help="Also train BC and evaluate an untrained network and chance.")
-    ] = True,
-) -> None:
+OTHERS = {
+    "context": CONTEXT,
+    "env": option("env", str | None, None, typer.Option(
+        help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
+    )),
+    "out": option("out", Path, Path("runs/run"), typer.Option(
+        help="Run folder; made if absent, continued if killed.",
+    )),
+    "policy": option("policy", str | None, None, typer.Option(
+        help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
+    )),
+    "resume": option("resume", Path | None, None, typer.Option(
+        help="Continue this run folder, up to --steps.",
+    )),
+    "settings": option("settings", list[str] | None, None, typer.Option(
+        "--set",
+        help="A setting of the learner, KEY=VALUE, such as learning_rate=0.001; may be repeated. "
+        "Names: docs/learners.md.",
+    )),
+}  # fmt: skip
+"""Options that are no field of :class:`RunSettings`."""
+
+
+def _field_option(name: str) -> inspect.Parameter:
+    """Return the option that sets a field of :class:`RunSettings`."""
+    field = RunSettings.model_fields[name]
+    kind: Any = str if get_origin(field.annotation) is Literal else field.annotation
+    prose = " ".join(str(field.description).split())
+    if name == "file":
+        return option(name, kind, field.default, typer.Argument(help=prose))
+    if name in SET_BY_PRESET:
+        return option(name, kind | None, None, typer.Option(help=prose))
+    return option(name, kind, field.default, typer.Option(help=prose))
+
+
+def _options(names: str) -> list[inspect.Parameter]:
+    return [OTHERS.get(name) or _field_option(name) for name in names.split()]
+
+
+@asks_for(_options(
+    "file env species algo preset steps seed out source copies focal policy device config "
+    "fit_method thrusts acting repetitions baselines settings"
+))  # fmt: skip
+def run_command(**given: Any) -> None:
     """Fit, pretrain, adapt, evaluate and report: recordings in, simulator and page out.
 
     A run that was killed goes on when the same command is given again.
@@ -56,7 +96,7 @@ def run_command(
     from animarl_envs.fitting.doubts import doubts
 
     console = _console()
-    run = _open(context.params)
+    run = _open(given)
     _say(console, "1/4", "fitting locomotion")
     fit = pipeline.fit(run)
     console.print(format_fit_table(fit, run.demos))
@@ -75,13 +115,11 @@ def run_command(
     console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
 
 
-@with_run_options(before="source")
-def train_command(
-    context: typer.Context,
-    resume: Annotated[
-        Path | None, typer.Option(help="Continue this run folder, up to --steps.")
-    ] = None,
-) -> None:
+@asks_for(_options(
+    "context file env species algo preset steps seed out resume source copies focal policy device "
+    "config fit_method thrusts acting settings"
+))  # fmt: skip
+def train_command(context: typer.Context, **given: Any) -> None:
     """Train only: fit the locomotion and learn. A run that was killed is resumed exactly.
 
     Examples:
@@ -95,15 +133,15 @@ def train_command(
       animarl train --env AnimaRL/Agent-v0 --algo dqn --focal prey --policy MlpPolicy
     """
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run import Run
 
     console = _console()
-    if resume is not None:
+    if given["resume"] is not None:
         _refuse_beside_resume(context)
-        run = RunFolder(resume)
-        run.extend(context.params["steps"], context.params["device"])
+        run = Run(given["resume"])
+        run.extend(given["steps"], given["device"])
     else:
-        run = _open(context.params)
+        run = _open(given)
     pipeline.learn(run, run.settings.algo)
     console.print(f"Trained: {run.path}", soft_wrap=True, highlight=False)
 
@@ -118,9 +156,9 @@ def report_command(
       animarl report runs/agents
     """
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run import Run
 
-    _console().print(f"Open {pipeline.report(RunFolder(run))}", soft_wrap=True, highlight=False)
+    _console().print(f"Open {pipeline.report(Run(run))}", soft_wrap=True, highlight=False)
 
 
 def parse_settings(given: list[str] | None) -> dict[str, Any]:
@@ -143,48 +181,28 @@ def parse_settings(given: list[str] | None) -> dict[str, Any]:
     return settings
 
 
-def _open(given: dict[str, Any]) -> RunFolder:
+def _open(given: dict[str, Any]) -> Run:
     """The run folder that a command's parameters ask for; refused before it is made."""
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
+    from animarl_algos.runs.run_settings import asked_species, pipeline_settings
     from animarl_envs import environment_id
     from animarl_envs.species import CUSTOM, SPECIES
 
-    file, source = given["file"], given["source"]
     species = asked_species(given["env"], given["species"])
-    with said_with_import(file, takes=(SOURCE,)):
-        demos = pipeline.load_demonstrations(file, source, species)
+    with suggest_import_on_error(given["file"], takes=(SOURCE,)):
+        demos = pipeline.load_demonstrations(given["file"], given["source"], species)
     if species is None:
         species = demos.species if demos.species in SPECIES else CUSTOM
     overrides = parse_settings(given["settings"])
     if given["policy"] is not None:
         overrides["policy"] = given["policy"]
-    asked = RunSettings(
-        file=file,
-        source=source,
-        species=species,
-        algo=given["algo"],
-        preset=given["preset"],
-        config=None if given["config"] is None else str(given["config"]),
-        steps=1 if given["steps"] is None else given["steps"],
-        seed=given["seed"],
-        copies=1 if given["copies"] is None else given["copies"],
-        focal=given["focal"],
-        device=given["device"] or "cpu",
-        overrides=overrides,
-        repetitions=given.get("repetitions", 5),
-        baselines=given.get("baselines", True),
-    )
-    learner = asked.learner()
-    around = pipeline_settings(environment_id(species), asked.preset)
-    around |= {key: given[key] for key in around if given[key] is not None}
-    asked = replace(
-        asked,
-        steps=learner.n_timesteps if given["steps"] is None else asked.steps,
-        copies=learner.n_envs if given["copies"] is None else asked.copies,
-        **around,
-    )
-    return pipeline.open_run(asked, given["out"], shlex.join(["animarl", *sys.argv[1:]]), demos)
+    told = {k: v for k, v in given.items() if k in RunSettings.model_fields and v is not None}
+    told |= {"species": species, "overrides": overrides}
+    learner = RunSettings(**{"steps": 1} | told).learner()
+    preset = pipeline_settings(environment_id(species), given["preset"])
+    preset |= {"steps": learner.n_timesteps, "copies": learner.n_envs}
+    command = shlex.join(["animarl", *sys.argv[1:]])
+    return pipeline.open_run(RunSettings(**preset | told), given["out"], command, demos)
 
 
 def _refuse_beside_resume(context: typer.Context) -> None:
@@ -193,8 +211,8 @@ def _refuse_beside_resume(context: typer.Context) -> None:
         source = context.get_parameter_source(name)
         set_here = source is not None and source.name == "COMMANDLINE"
         if set_here and name not in ("resume", "steps", "device"):
-            written = {"file": "FILE", "settings": "--set", "fit_method": "--fit-method"}
-            option = written.get(name, f"--{name}")
+            written = {"file": "FILE", "settings": "--set"}
+            option = written.get(name, f"--{name.replace('_', '-')}")
             raise InputError(
                 f"{option} does not go with --resume, which keeps the settings of the run: "
                 "give --steps only"

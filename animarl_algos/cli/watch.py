@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -36,19 +35,8 @@ HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
 
 
-class Rule(StrEnum):
-    """What ``--by`` takes."""
-
-    demonstration = "demonstration"
-    script = "script"
-
-
-class ConditionChoice(StrEnum):
-    """What ``--condition`` takes."""
-
-    zero = "0"
-    one = "1"
-    demo = "demo"
+Rule = Literal["demonstration", "script"]
+"""What ``--by`` takes."""
 
 
 def watch_command(
@@ -90,8 +78,8 @@ def watch_command(
         ),
     ] = None,
     condition: Annotated[
-        ConditionChoice, typer.Option(help="0, 1, or that of the demonstration.")
-    ] = ConditionChoice.demo,
+        Literal["0", "1", "demo"], typer.Option(help="0, 1, or that of the demonstration.")
+    ] = "demo",
     demos: Annotated[
         str, typer.Option(help="Demonstrations: packaged, none, or a file.")
     ] = "packaged",
@@ -126,7 +114,7 @@ def watch_command(
     options = {
         "demos": None if demos == "none" else demos,
         "split": named_split(split),
-        "condition": "demo" if condition is ConditionChoice.demo else int(condition.value),
+        "condition": "demo" if condition == "demo" else int(condition),
     }
     world, actor = prepare(
         env or trained_environment(str(model)),
@@ -173,7 +161,7 @@ def prepare(
     acting: str | None = None,
     **options: Any,
 ) -> tuple[World, Actor]:
-    """The world of an environment id with one copy, and who acts in it.
+    """Return the world of an environment id with one copy, and who acts in it.
 
     Parameters
     ----------
@@ -205,29 +193,30 @@ def prepare(
     demos = options.get("demos", PACKAGED)
     if isinstance(demos, str | Path):
         demos = options["demos"] = demos if str(demos) == PACKAGED else load(str(demos))
-    policy = None
+    policy: Any = None
     if model is not None:
         name = species if isinstance(species, str) else species.name
         given = demos if isinstance(demos, Demonstrations) else None
-        trained = load_trained(model, name, seed, acting, given)
-        policy, species, learned = trained.policy, trained.species, trained.focal
+        run, shown = load_trained(model, name, seed, acting, given)
+        species, learned = run.species, run.settings.focal
+        policy = run.for_all(run.policy)
         if learned is not None and focal not in (None, learned):
             raise InputError(
                 f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
             )
         focal = focal or learned
         if demos is not None:
-            options["demos"] = trained.demos
-        options = trained.senses | options
+            options["demos"] = shown
+        options = run.world_options | options
     plain = make_scenario(species, **options)
     names = plain.names
     if focal is not None and focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
     driven = set() if policy is None else {focal} if focal is not None else set(names)
-    rule = by or (Rule.demonstration if plain.paired else Rule.script)
-    programmed = rule is Rule.script and plain.species.script == PROGRAMMED
-    driver = {Rule.demonstration: "replay", Rule.script: "action" if programmed else "scripted"}
-    drivers = {name: "action" if name in driven else driver[rule] for name in names}
+    rule = by or ("demonstration" if plain.paired else "script")
+    programmed = rule == "script" and plain.species.script == PROGRAMMED
+    other = {"demonstration": "replay", "script": "action" if programmed else "scripted"}[rule]
+    drivers = {name: "action" if name in driven else other for name in names}
     world = make_world(make_scenario(species, drivers=drivers, **options), 1)
     if policy is not None:
         return world, trained_actor(policy)

@@ -58,7 +58,7 @@ def whatif_command(
     """
     from rich.console import Console
 
-    from animarl_algos.runs.loading import load_run
+    from animarl_algos.runs.pretrained import load_run
     from animarl_algos.whatif.answer import ask
 
     console = Console()

@@ -19,7 +19,7 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.evaluation.verdict import Verdict, verdict
 
 if TYPE_CHECKING:
-    from animarl_algos.runs.asking import ask_runs, counterfactual_runs
+    from animarl_algos.runs.counterfactual import ask_runs, counterfactual_runs
     from animarl_algos.runs.evaluating import compare_runs, evaluate_runs
     from animarl_algos.runs.inspecting import inspect_episode, inspect_run
 
@@ -31,9 +31,9 @@ __all__ = [
 ]  # fmt: skip
 
 _OF_RUNS = {
-    "ask_runs": "asking",
+    "ask_runs": "counterfactual",
     "compare_runs": "evaluating",
-    "counterfactual_runs": "asking",
+    "counterfactual_runs": "counterfactual",
     "evaluate_runs": "evaluating",
     "inspect_episode": "inspecting",
     "inspect_run": "inspecting",

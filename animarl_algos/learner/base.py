@@ -20,16 +20,17 @@ from animarl_algos.learner import checks, saving
 from animarl_algos.learner.callbacks import BoundaryCallback
 from animarl_algos.learner.checkpoint import TrainingState
 from animarl_algos.learner.collecting import Memory
-from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.presets import constructor_settings
 from animarl_algos.learner.pretraining import DemonstrationData, OfflineProgress
 from animarl_algos.learner.sb3_compat import translated
 from animarl_algos.learner.settings import (
     POLICIES,
     LearnerSettings,
+    OfflineSettings,
     as_frequency,
     declared_limit,
     longest_episode,
+    settings_prose,
 )
 from animarl_algos.learner.updates import UpdateSchedule
 from animarl_algos.losses.terms import OfflineLoss, Phase, Recipe
@@ -204,7 +205,7 @@ class BaseLearner(OffPolicyAlgorithm):
 
     def _setup_model(self) -> None:
         self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
-        vars(self).update(checks.checked_settings(vars(self), self.policy_class))
+        checks.check_arguments(vars(self), self.policy_class)
         self.offline_settings = OfflineSettings.of(self.offline_kwargs)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
@@ -496,6 +497,9 @@ def _parameters(documented: type) -> str:
     return text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
 
 
-PARAMETERS = "\n".join(
-    ["Parameters", "----------", _parameters(BaseLearner), _parameters(LearnerSettings)]
+_PROSE = (
+    f"{name}\n    {text}"
+    for name, text in settings_prose().items()
+    if name not in ("policy", "learning_rate")
 )
+PARAMETERS = "\n".join(["Parameters", "----------", _parameters(BaseLearner), *_PROSE])

@@ -1,4 +1,4 @@
-"""Which settings a learner takes: their ranges, and which of them go together."""
+"""Which settings of a learner go together, and which arguments its parts take."""
 
 from __future__ import annotations
 
@@ -8,44 +8,14 @@ from typing import Any
 
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
-from animarl_algos.learner.exploration import Exploration, LinearDecay
+from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.settings import as_frequency
-from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase, Recipe
+from animarl_algos.losses.terms import WEIGHTS, Phase, Recipe
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.ranges import (
-    COUNT,
-    COUNT_OR_NONE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SEED,
-    SHARE,
-    WHOLE,
-    Range,
-    refuse_unknown,
-)
+from animarl_algos.ranges import SEED, refuse_unknown
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, StateMode
 from animarl_envs.errors import InputError
 
-LEARNER = {
-    "buffer_size": COUNT,
-    "batch_size": COUNT,
-    "offline_batch_size": COUNT,
-    "learning_starts": WHOLE,
-    "gradient_steps": Range(least=-1, whole=True),
-    "updates_per_episode": NOT_NEGATIVE,
-    "tau": SHARE,
-    "n_steps": COUNT,
-    "offline_learning_rate": POSITIVE,
-    "exploration_fraction": replace(SHARE, optional=True),
-    "sequence_length": COUNT_OR_NONE,
-    "burn_in": WHOLE,
-    "max_episode_steps": COUNT_OR_NONE,
-    "offline_epochs": WHOLE,
-    "offline_patience": COUNT_OR_NONE,
-    "_stats_window_size": COUNT,
-    "seed": replace(SEED, optional=True),
-}
-"""Settings of :class:`.algorithm.SequenceQLearning`, beside those of its phases."""
 SET_BY_LEARNER = {
     "observation_space", "action_space", "lr_schedule", "individuals", "condition_flag",
     "treatment_head", "buffer_size", "observation_dim", "num_individuals", "num_actions",
@@ -56,7 +26,7 @@ SET_BY_LEARNER = {
 
 
 def phase_of(settings: Mapping[str, Any], name: str) -> Phase:
-    """Return the numbers of the ``"online"`` or ``"offline"`` phase, checked."""
+    """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
     prefix = "" if name == "online" else "offline_"
     own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
     scaled = name == "offline" and settings["offline_scaled_penalties"]
@@ -70,34 +40,22 @@ def phase_of(settings: Mapping[str, Any], name: str) -> Phase:
     )
 
 
-def checked_settings(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> dict[str, Any]:
-    """Return the settings that have a range, whole numbers as ints.
+def check_arguments(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> None:
+    """Refuse what the model of the settings does not know: the seed, arguments of the parts.
 
     Raises
     ------
     InputError
-        If a setting is out of its range.
+        If one is out of its range, or unknown.
     """
-    checked = {n: r.check(n.lstrip("_"), settings[n]) for n, r in LEARNER.items()}
-    rate = settings["learning_rate"]
-    if callable(rate):
-        NOT_NEGATIVE.check("learning_rate at the start", rate(1.0))
-    else:
-        POSITIVE.check("learning_rate", rate)
-    for name, choices in (("exploration", Exploration), ("offline_loss", OfflineLoss)):
-        if settings[name] not in list(choices):
-            raise InputError(f"{name} is {settings[name]!r}: choose {' or '.join(choices)}")
-    LinearDecay(*(settings[f"exploration_{n}"] for n in ("initial_eps", "final_eps", "steps")))
-    for phase in ("online", "offline"):
-        phase_of(settings, phase)
+    replace(SEED, optional=True).check("seed", settings["seed"])
     for name, taker in (
         ("policy_kwargs", policy_class),
         ("replay_buffer_kwargs", SequenceReplayBuffer),
     ):
         refuse_unknown(name, settings[name], taker, SET_BY_LEARNER)
-    if checked["gradient_steps"] == 0:
+    if settings["gradient_steps"] == 0:
         raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
-    return checked
 
 
 def check_setting_combinations(

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from animarl_algos.ranges import PROBABILITY, WHOLE
 from animarl_envs.errors import InputError
 
 LOG_TEMPERATURE_SD = 0.5
@@ -33,11 +32,6 @@ class LinearDecay:
     initial: float
     final: float
     steps: int
-
-    def __post_init__(self) -> None:
-        PROBABILITY.check("exploration_initial_eps", self.initial)
-        PROBABILITY.check("exploration_final_eps", self.final)
-        WHOLE.check("exploration_steps", self.steps)
 
     def __call__(self, num_timesteps: int) -> float:
         passed = min(num_timesteps / self.steps, 1.0) if self.steps else 1.0

@@ -1,39 +1,46 @@
-"""The settings of the learners: what ``zoo_configs`` says, for the command line and for Python.
+"""Settings of the learners in files of ``zoo_configs``, for the command line and for Python.
 
-A learner's own file (:mod:`animarl_algos.learner.zoo_files`) holds its presets ``paper`` and
-``default``; what it leaves open stands in ``zoo_configs/learner.yml``. A learner made in Python
-takes from preset ``default`` what it is not told, for the species of its environment where that
-says one.
+A file holds a section per environment id and in it the presets ``paper`` and ``default``. The
+section ``common`` goes under every section of its file, and the files named by ``base`` under
+both, so that a number stands in one place. What goes over another setting replaces it, but tables
+(``env_kwargs``, ``policy_kwargs``, ``replay_buffer_kwargs``) are merged key by key. Files are plain
+data, never evaluated; what they leave open has the default of
+:class:`animarl_algos.learner.settings.LearnerSettings`. A learner made in Python takes from preset
+``default`` what it is not told, for the species of its environment where that says one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.learner.settings import linear_schedule
-from animarl_algos.learner.zoo_files import (
-    CONFIGS,
-    checked_setting,
-    merged,
-    parsed,
-    read_preset,
+from animarl_algos.checked import Checked
+from animarl_algos.learner.settings import (
+    RUN_KEYS,
+    LearnerFile,
+    default_settings,
+    linear_schedule,
 )
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.importing.plain_yaml import parse_yaml
 from animarl_envs.scenario import Scenario
 
-BENEATH = CONFIGS / "learner.yml"
-SURROUNDINGS: dict[str, Any] = {"n_timesteps": 1, "n_envs": 1, "env_kwargs": None}
-"""What a section says beside the algorithm's arguments; 1 where a whole number is asked for."""
-OF_NO_SPECIES = ""
+CONFIGS = resources.files("zoo_configs")
+PRESETS = ("paper", "default")
+COMMON_SECTION = ""
 """The section of an environment that has none of its own: what is common to all."""
 TABLES = ("offline_kwargs", "policy_kwargs", "replay_buffer_kwargs")
+Sections = dict[str, dict[str, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -86,47 +93,31 @@ def learner_preset(
     InputError
         If there is no such preset, a key is unknown, or a value is of the wrong kind.
     """
-    known = known_settings()
-    found, listed = read_preset(algo if config is None else Path(config), env_id, preset, known)
+    found, listed = read_preset(algo if config is None else Path(config), env_id, preset)
     if preset == "paper" and not listed:
         ids = [environment_id(name) for name in SPECIES]
-        if not any(read_preset(algo, each, preset, known)[1] for each in ids):
+        if not any(read_preset(algo, each, preset)[1] for each in ids):
             raise InputError(f"{algo} is not of the paper: choose preset 'default'")
         raise InputError(
             f"preset 'paper' has no numbers for {env_id}: choose 'default', or one of "
             f"{', '.join(ids)}"
         )
-    given = (overrides or {}).items()
-    found = merged(
-        found, {k: checked_setting(k, v, known, f"{algo}: setting {k!r}") for k, v in given}
-    )
+    given = LearnerFile.read(dict(overrides or {}), f"{algo}: setting ")
+    found = merged(found, given)
     missing = [key for key in ("n_timesteps", "n_envs", "policy") if key not in found]
     if missing:
         raise InputError(f"{config or algo}: it does not say {missing[0]} for {env_id}: add it")
-    arguments = {key: found[key] for key in sorted(found) if key not in SURROUNDINGS}
+    arguments = {key: found[key] for key in sorted(found) if key not in RUN_KEYS}
     env_kwargs = found.get("env_kwargs") or {}
-    if not isinstance(env_kwargs, dict):
-        raise InputError(f"{config or algo}: env_kwargs is {env_kwargs!r}: give a table of options")
     return LearnerPreset(found["n_timesteps"], found["n_envs"], env_kwargs, arguments)
 
 
-def known_settings() -> dict[str, Any]:
-    """Keys that a file may hold, each with a value of its kind."""
-    return beneath() | SURROUNDINGS
-
-
-def beneath() -> dict[str, Any]:
-    """All settings of a learner, each as it is where no preset says another: plain data."""
-    settings: dict[str, Any] = parsed(BENEATH.read_text(encoding="utf-8"), str(BENEATH))
-    return settings
-
-
 def constructed(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings of a preset as the algorithms take them, completed by those beneath all presets.
+    """Return the settings of a preset, completed by the defaults, as the algorithms take them.
 
     Lists become tuples, a rate ``lin_1e-4`` a schedule.
     """
-    whole = beneath() | dict(arguments)
+    whole = default_settings() | dict(arguments)
     ready = {k: tuple(v) if isinstance(v, list) else v for k, v in whole.items()}
     if isinstance(rate := ready["learning_rate"], str):
         ready["learning_rate"] = linear_schedule(rate)
@@ -157,11 +148,9 @@ def constructor_settings(
     settings = constructed(learner_preset(plain, section).arguments)
     asked = given.get("policy", settings["policy"])
     if not section.startswith("AnimaRL/") and asked not in (settings["policy"], None):
-        section = OF_NO_SPECIES
+        section = COMMON_SECTION
         settings = constructed(learner_preset(plain, section).arguments)
-    for name in given:
-        if name not in settings:
-            raise InputError(f"setting {name!r} is unknown: choose among {', '.join(settings)}")
+    given = _checked(given)
     if given.get("offline_epochs") and not settings["offline_epochs"] and pretrained is not None:
         settings = constructed(learner_preset(pretrained, section).arguments)
     tables = {
@@ -196,4 +185,132 @@ def section_of(env: Any) -> str:
             scenario = env.get_wrapper_attr("scenario")
     if isinstance(scenario, Scenario):
         return environment_id(scenario.species.name)
-    return OF_NO_SPECIES if spec is None else str(spec.id)
+    return COMMON_SECTION if spec is None else str(spec.id)
+
+
+def _checked(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings given in Python; the policy, which may be a class, is checked by the learner."""
+    own = {name: value for name, value in given.items() if name != "policy"}
+    if unknown := [
+        name for name in own if name in RUN_KEYS or name not in LearnerFile.model_fields
+    ]:
+        known = ", ".join(sorted(default_settings()))
+        raise InputError(f"setting {unknown[0]!r} is unknown: choose among {known}")
+    checked: dict[str, Any] = LearnerFile.read(own, "")
+    return dict(given) | checked
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def read_preset(
+    config: str | Path,
+    env_id: str,
+    preset: str,
+    model: type[Checked] = LearnerFile,
+) -> tuple[dict[str, Any], bool]:
+    """Settings of an environment: those of the bases, then ``common``, then its own section.
+
+    With them comes whether it has a section of its own for the preset.
+
+    Raises
+    ------
+    InputError
+        If there is no such preset, a key is unknown, or a value is of the wrong kind.
+    """
+    if preset not in PRESETS:
+        raise InputError(f"preset {preset!r} is unknown: choose {' or '.join(PRESETS)}")
+    return _resolve(config, env_id, preset, model, ())
+
+
+def _resolve(
+    config: str | Path,
+    env_id: str,
+    preset: str,
+    model: type[Checked],
+    within: Collection[str],
+) -> tuple[dict[str, Any], bool]:
+    if str(config) in within:
+        raise InputError(f"{config}: it is its own base: name another file under base")
+    bases, sections = read_file(config, model)
+    settings: dict[str, Any] = {}
+    listed = preset in sections.get(env_id, {})
+    for base in bases:
+        inherited, there = _resolve(base, env_id, preset, model, (*within, str(config)))
+        settings, listed = merged(settings, inherited), listed or there
+    for section in ("common", env_id):
+        settings = merged(settings, sections.get(section, {}).get(preset, {}))
+    return settings, listed
+
+
+def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    """Both settings, the upper ones where both speak; the entries of a table one by one."""
+    tables = {
+        key: lower[key] | value
+        for key, value in upper.items()
+        if isinstance(value, dict) and isinstance(lower.get(key), dict)
+    }
+    return {**lower, **upper, **tables}
+
+
+def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[list[str], Sections]:
+    """The names of the base files, and section -> preset -> settings, every key checked.
+
+    Parameters
+    ----------
+    config
+        Name of a file of ``zoo_configs`` without its suffix, or the path of one.
+    model
+        What a section may say.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, or it is not of this form; the sentence names the place.
+    """
+    file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
+    name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"
+    try:
+        content = parsed(file.read_text(encoding="utf-8"), name)
+    except (FileNotFoundError, IsADirectoryError):
+        raise InputError(f"{name}: there is no such configuration") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: it is not valid YAML ({error}): fix it") from None
+    if not isinstance(content, dict):
+        raise InputError(f"{name}: it holds no sections: write one per environment id")
+    base = content.pop("base", [])
+    bases = [base] if isinstance(base, str) else base
+    if not isinstance(bases, list) or not all(isinstance(b, str) for b in bases):
+        raise InputError(f"{name}: base is {base!r}: name a file of zoo_configs, or a list of them")
+    return bases, {
+        str(section): _checked_section(presets, f"{name}: {section}", model)
+        for section, presets in content.items()
+    }
+
+
+def parsed(text: str, place: str) -> Any:
+    """The data in a YAML text; its caller may change it."""
+    return deepcopy(_parsed_once(text, place))
+
+
+@lru_cache
+def _parsed_once(text: str, place: str) -> Any:
+    """Every learner that is made reads the same few files, and parsing takes milliseconds each."""
+    return parse_yaml(text, place)
+
+
+def _checked_section(presets: Any, place: str, model: type[Checked]) -> dict[str, dict[str, Any]]:
+    if not isinstance(presets, dict) or set(presets) - set(PRESETS):
+        wrong = sorted(map(str, set(presets) - set(PRESETS))) if isinstance(presets, dict) else []
+        found = f"{wrong[0]!r}" if wrong else f"{presets!r}"
+        raise InputError(
+            f"{place}: it holds {found}: a section holds the presets {' and '.join(PRESETS)}, "
+            "and these the settings"
+        )
+    section = {}
+    for preset, settings in presets.items():
+        if not isinstance(settings, dict):
+            raise InputError(f"{place}: {preset} is {settings!r}: give a table of settings")
+        settings = {str(key): value for key, value in settings.items()}
+        section[preset] = model.read(settings, f"{place}: {preset}: ")
+    return section

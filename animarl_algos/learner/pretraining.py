@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
 from animarl_algos.data.dataset import OfflineDataset
-from animarl_algos.learner.offline_settings import OfflineSettings
+from animarl_algos.learner.settings import OfflineSettings
 from animarl_algos.learner.updates import add_losses, minibatch_values, update
 from animarl_algos.learner.validation import (
     Figures,

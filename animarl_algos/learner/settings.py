@@ -1,119 +1,40 @@
-"""What settings a learner has, and reading those that have more than one form."""
+"""What a learner can be told: every setting with its type, default, range, unit and prose, once.
+
+The check of YAML files and of ``--set``, the constructor's defaults, ``help`` of a learner's class
+and the tables of ``docs/learners.md`` are made from :class:`LearnerSettings`.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Annotated, Any, Literal, get_type_hints
 
 import numpy as np
+from pydantic import (
+    AfterValidator,
+    Field,
+    TypeAdapter,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+    with_config,
+)
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
+from typing_extensions import TypedDict
 
-from animarl_algos.losses.terms import PhaseSettings
+from animarl_algos.checked import Checked, prose
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy
-from animarl_algos.ranges import COUNT, POSITIVE
 from animarl_envs.errors import InputError
 
 POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
 """By their names in files and arguments."""
+LINEAR = "lin_"
 
 
-class LearnerSettings(PhaseSettings, total=False):
-    """Keyword arguments of every learner; their defaults are preset ``default``'s.
-
-    Parameters
-    ----------
-    offline_learning_rate
-        Of Adam in the offline phase.
-    buffer_size
-        Replay memory [world steps]; whole episodes are evicted, oldest first.
-    batch_size, offline_batch_size
-        Sequences per individual and update.
-    gamma, alpha, lambda1, lambda2, lambda3, max_grad_norm
-        Of the online phase; see :class:`animarl_algos.losses.terms.Phase`. Those with
-        ``offline_`` in front are the same of the offline phase. ``offline_scaled_penalties``
-        measures the penalties of all actions in units of their mean instead of arena units, as in
-        the paper.
-    n_steps
-        Rewards summed before the value of what follows, as far as the sequence goes on; online.
-    tau
-        Share of the online weights that a target update takes over.
-    target_update_interval
-        ``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch.
-    train_freq, gradient_steps
-        ``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
-        finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps``
-        updates after n steps of each copy, or with -1 as many as steps were done in all copies.
-    updates_per_episode
-        May be fractional.
-    learning_starts
-        Steps acted at random before the first update.
-    exploration
-        ``"boltzmann"``: after an offline phase, actions are sampled at the temperatures under which
-        the validation actions are likeliest, so that online collection acts as the policy acts.
-        ``"epsilon"``, and without an offline phase: epsilon-greedy (the paper).
-    exploration_initial_eps, exploration_final_eps, exploration_steps
-        Epsilon, linear over this many steps, then constant; unused where actions are sampled.
-        ``exploration_fraction`` gives the steps as a share of ``total_timesteps`` instead.
-    sequence_length, burn_in, state_mode, prioritized, replay_buffer_kwargs
-        See :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`.
-    standardise_inputs
-        Whether the networks see observations centred and scaled by mean and sd of those that the
-        memory holds at the first update (of random steps, with ``learning_starts``); where the
-        offline phase has standardised them, that stays.
-    max_episode_steps
-        Longest episode; None: what the environment declares.
-    offline_loss
-        ``"recipe"``: the recipe's own offline terms. ``"cloning"``: cross-entropy of soft labels
-        instead, after which the values of states, of which cloning says nothing, begin at 0.
-    offline_epochs
-        Epochs on the demonstrations before the first step in the environment; the best by
-        validation is kept, for each individual its own. ``offline_patience`` stops after so many
-        epochs without a better one.
-    offline_kwargs
-        How its minibatches are drawn and its steps taken, see
-        :class:`animarl_algos.learner.offline_settings.OfflineSettings`.
-    policy_kwargs
-        See :class:`animarl_algos.networks.policies.GruPolicy`; stable-baselines3's ``net_arch`` and
-        ``activation_fn`` as :mod:`animarl_algos.learner.sb3_compat` translates them. This table,
-        ``offline_kwargs`` and ``replay_buffer_kwargs`` go over the preset's key by key; None
-        empties them.
-    stats_window_size
-        Episodes in the means of the log.
-    """
-
-    buffer_size: int
-    batch_size: int
-    tau: float
-    target_update_interval: int | tuple[int, str]
-    train_freq: int | tuple[int, str]
-    gradient_steps: int
-    updates_per_episode: float
-    learning_starts: int
-    exploration: str
-    exploration_initial_eps: float
-    exploration_final_eps: float
-    exploration_steps: int
-    exploration_fraction: float | None
-    sequence_length: int | None
-    burn_in: int
-    state_mode: str
-    prioritized: bool
-    standardise_inputs: bool
-    replay_buffer_kwargs: dict[str, Any] | None
-    max_episode_steps: int | None
-    offline_loss: str
-    offline_epochs: int | None
-    offline_learning_rate: float
-    offline_batch_size: int
-    offline_patience: int | None
-    offline_kwargs: dict[str, Any] | None
-    policy_kwargs: dict[str, Any] | None
-    stats_window_size: int
-
-
-def as_frequency(value: Any, name: str) -> TrainFreq:
-    """``(n, "step")``, ``(n, "episode")``, or ``n`` for steps.
+def as_frequency(value: Any, name: str = "") -> TrainFreq:
+    """Return ``(n, "step")``, ``(n, "episode")``, or ``n`` for steps, as stable-baselines3 has it.
 
     Raises
     ------
@@ -125,12 +46,285 @@ def as_frequency(value: Any, name: str) -> TrainFreq:
     number, unit = value, "step"
     if isinstance(value, tuple | list) and len(value) == 2:
         number, unit = value
-    if unit not in ("step", "episode") or not isinstance(number, int | float | np.number):
+    whole = isinstance(number, int | float | np.number) and not isinstance(number, bool)
+    if unit not in ("step", "episode") or not whole or number < 1 or number != int(number):
+        said = f"{name} is {value!r}: " if name else ""
         raise InputError(
-            f'{name} is {value!r}: give (n, "step"), (n, "episode") or a number of steps'
+            f'{said}give (n, "step"), (n, "episode") or a number n of steps, n at least 1'
         )
-    COUNT.check(name, number)
     return TrainFreq(int(number), TrainFrequencyUnit(unit))
+
+
+def _check_frequency(value: Any) -> Any:
+    as_frequency(value)
+    return value
+
+
+def _check_rate(value: Any) -> Any:
+    """A number, ``lin_<number>``, or a schedule of the remaining progress."""
+    if isinstance(value, str) and value.startswith(LINEAR):
+        linear_start(value)
+        return value
+    rate = value(1.0) if callable(value) else value
+    number = isinstance(rate, int | float | np.number) and not isinstance(rate, bool)
+    if not number or not math.isfinite(rate) or rate < 0 or (rate == 0 and not callable(value)):
+        raise InputError("give a number above 0")
+    return value if callable(value) else float(value)
+
+
+def linear_start(value: str) -> float:
+    """Return the first value of ``lin_<number>``."""
+    try:
+        start = float(value.removeprefix(LINEAR))
+    except ValueError:
+        raise InputError("write lin_ and a number") from None
+    if not 0 < start < math.inf:
+        raise InputError("write lin_ and a number above 0")
+    return start
+
+
+def linear_schedule(rate: str) -> LinearSchedule:
+    """Return ``lin_<number>`` as stable-baselines3 takes it: falling to zero over the run."""
+    return LinearSchedule(linear_start(rate), 0.0, 1.0)
+
+
+Rate = Annotated[Any, AfterValidator(_check_rate), WithJsonSchema({"type": "number"})]
+Frequency = Annotated[Any, AfterValidator(_check_frequency), WithJsonSchema({"type": "array"})]
+Table = dict[str, Any] | None
+Share = Annotated[float, Field(gt=0, le=1)]
+
+
+@with_config(use_attribute_docstrings=True)
+class LearnerSettings(TypedDict, total=False):
+    """Keyword arguments of every learner; their defaults are preset ``default``'s."""
+
+    buffer_size: Annotated[int, Field(500_000, ge=1)]
+    """Replay memory [world steps]; whole episodes are evicted, oldest first."""
+    batch_size: Annotated[int, Field(32, ge=1)]
+    """Sequences per individual and update, online."""
+    gamma: Annotated[float, Field(0.9, ge=0, le=1)]
+    """Discount per step."""
+    n_steps: Annotated[int, Field(1, ge=1)]
+    """Rewards summed before the value of what follows, as far as the sequence goes on; online."""
+    tau: Annotated[float, Field(1.0, gt=0, le=1)]
+    """Share of the online weights that a target update takes over."""
+    target_update_interval: Annotated[Frequency, Field((2000, "episode"))]
+    """``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch."""
+    train_freq: Annotated[Frequency, Field((1, "episode"))]
+    """``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
+    finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps`` updates
+    after n steps of each copy, or with -1 as many as steps were done in all copies."""
+    gradient_steps: Annotated[int, Field(1, ge=-1)]
+    """Updates after ``train_freq`` steps; -1: as many as steps."""
+    updates_per_episode: Annotated[float, Field(1.0, ge=0)]
+    """Updates for each finished episode; may be fractional."""
+    learning_starts: Annotated[int, Field(0, ge=0)]
+    """Steps acted at random before the first update."""
+    exploration: Annotated[Literal["epsilon", "boltzmann"], Field("epsilon")]
+    """``"boltzmann"``: after an offline phase, actions are sampled at the temperatures under which
+    the validation actions are likeliest, so that online collection acts as the policy acts.
+    ``"epsilon"``, and without an offline phase: epsilon-greedy (the paper)."""
+    exploration_initial_eps: Annotated[float, Field(0.5, ge=0, le=1)]
+    """Epsilon at the start; unused where actions are sampled."""
+    exploration_final_eps: Annotated[float, Field(0.3, ge=0, le=1)]
+    """Epsilon at the end, which it reaches linearly and then keeps."""
+    exploration_steps: Annotated[int, Field(50_000, ge=0)]
+    """Steps over which epsilon falls."""
+    exploration_fraction: Annotated[Share | None, Field(None)]
+    """The same steps as a share of ``total_timesteps`` instead."""
+    alpha: Annotated[float, Field(1.0, ge=0)]
+    """Weight of the distance penalty in the reward, ``R - alpha * penalty``, online."""
+    lambda1: Annotated[float, Field(1e-5, ge=0)]
+    """Weight of the squared l2 norm of the weights, in both phases."""
+    lambda2: Annotated[float, Field(1.0, ge=0)]
+    """Weight of the treatment cross-entropy, online."""
+    lambda3: Annotated[float, Field(10.0, ge=0)]
+    """Weight of the action supervision, online."""
+    max_grad_norm: Annotated[Annotated[float, Field(gt=0)] | None, Field(10.0)]
+    """Largest gradient norm of one individual, online; None does not clip."""
+    sequence_length: Annotated[Annotated[int, Field(ge=1)] | None, Field(None)]
+    """Steps of the sequences that are learned from; None: whole episodes. This and the four that
+    follow: :class:`animarl_algos.replay.sequence_buffer.SequenceReplayBuffer`."""
+    burn_in: Annotated[int, Field(0, ge=0)]
+    """First steps of a sequence, which only rebuild the memory."""
+    state_mode: Annotated[str, Field("recompute")]
+    """Where the memory at the start of a sequence comes from."""
+    prioritized: Annotated[bool, Field(True)]
+    """Whether sequences are drawn by their temporal difference errors."""
+    replay_buffer_kwargs: Annotated[Table, Field(None)]
+    """Further arguments of the replay memory."""
+    standardise_inputs: Annotated[bool, Field(False)]
+    """Whether the networks see observations centred and scaled by mean and sd of those that the
+    memory holds at the first update (of random steps, with ``learning_starts``); where the offline
+    phase has standardised them, that stays."""
+    max_episode_steps: Annotated[Annotated[int, Field(ge=1)] | None, Field(None)]
+    """Longest episode [steps]; None: what the environment declares."""
+    offline_loss: Annotated[Literal["recipe", "cloning"], Field("recipe")]
+    """``"recipe"``: the recipe's own offline terms. ``"cloning"``: cross-entropy of soft labels
+    instead, after which the values of states, of which cloning says nothing, begin at 0."""
+    offline_epochs: Annotated[int, Field(0, ge=0)]
+    """Epochs on the demonstrations before the first step in the environment; the best by validation
+    is kept, for each individual its own."""
+    offline_learning_rate: Annotated[float, Field(1e-4, gt=0)]
+    """Of Adam in the offline phase."""
+    offline_batch_size: Annotated[int, Field(16, ge=1)]
+    """Sequences per individual and update, offline."""
+    offline_gamma: Annotated[float, Field(0.99, ge=0, le=1)]
+    """Discount per step, offline."""
+    offline_alpha: Annotated[float, Field(10.0, ge=0)]
+    """Weight of the distance penalty, offline."""
+    offline_scaled_penalties: Annotated[bool, Field(False)]
+    """Whether the penalties of all actions are measured in units of their mean instead of arena
+    units (the paper), offline."""
+    offline_lambda2: Annotated[float, Field(10.0, ge=0)]
+    """Weight of the treatment cross-entropy, offline."""
+    offline_lambda3: Annotated[float, Field(50.0, ge=0)]
+    """Weight of the action supervision, offline."""
+    offline_max_grad_norm: Annotated[Annotated[float, Field(gt=0)] | None, Field(20.0)]
+    """Largest gradient norm of one individual, offline; None does not clip."""
+    offline_patience: Annotated[Annotated[int, Field(ge=1)] | None, Field(None)]
+    """Epochs without a better one after which the offline phase stops."""
+    offline_kwargs: Annotated[Table, Field(None)]
+    """How the offline phase draws its minibatches and takes its steps, see
+    :class:`OfflineSettings`."""
+    policy_kwargs: Annotated[Table, Field(None)]
+    """See :class:`animarl_algos.networks.policies.GruPolicy`; stable-baselines3's ``net_arch`` and
+    ``activation_fn`` are translated. This table, ``offline_kwargs`` and ``replay_buffer_kwargs`` go
+    over the preset's key by key; None empties them."""
+    stats_window_size: Annotated[int, Field(100, ge=1)]
+    """Episodes in the means of the log."""
+
+
+class OfflineSettings(Checked):
+    """Settings of the offline phase beside its length, rate and loss; the defaults are the paper's.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range, or one makes another useless.
+    """
+
+    sequence_length: Annotated[int, Field(ge=1)] | None = None
+    """None: minibatches of whole episodes, each once an epoch. A number: of windows of so many
+    steps, drawn independently with replacement; 1 for networks without a memory."""
+    burn_in: int = Field(0, ge=0)
+    """Steps before each window that only rebuild the memory."""
+    updates_per_epoch: Annotated[int, Field(ge=1)] | None = None
+    """Updates between two looks at the validation split; None: one pass over the steps. The
+    offline phase is ``offline_epochs`` times as long."""
+    passes_per_epoch: Annotated[float, Field(gt=0)] | None = None
+    """With ``updates_per_epoch``: no more of them than are so many passes over the steps. Few
+    demonstrations are known by heart before many updates are over."""
+    warm_up: int = Field(0, ge=0)
+    """Updates over which the learning rate rises linearly to ``offline_learning_rate``."""
+    anneal: bool = False
+    """Whether it then falls to 0 over the whole phase, as half a cosine (Loshchilov & Hutter
+    2017)."""
+    weight_decay: float = Field(0.0, ge=0)
+    """Share of each weight that an update takes away, per unit of the learning rate (decoupled, as
+    in AdamW: Loshchilov & Hutter 2019)."""
+    average: float = Field(0.0, ge=0, le=1 - 1e-9)
+    """Largest decay d of the moving average of the weights, ``min(d, (1 + t) / (10 + t))`` after t
+    updates, which then is what is validated, kept and used; 0: the weights themselves."""
+    standardise: bool = False
+    """Whether observations are standardised by the mean and sd of the training split within the
+    network."""
+
+    @model_validator(mode="after")
+    def _check_combinations(self) -> OfflineSettings:
+        if self.sequence_length is None and (self.burn_in or self.updates_per_epoch):
+            raise InputError(
+                "burn_in and updates_per_epoch are for windows: give sequence_length, or leave "
+                "them out for whole episodes"
+            )
+        if self.passes_per_epoch is not None and self.updates_per_epoch is None:
+            raise InputError("passes_per_epoch limits updates_per_epoch: give both, or neither")
+        return self
+
+    @classmethod
+    def of(cls, given: dict[str, Any]) -> OfflineSettings:
+        """Return those of a learner's ``offline_kwargs``."""
+        try:
+            return cls(**given)
+        except InputError as error:
+            raise InputError(f"offline_kwargs: {error}") from None
+
+    def updates(self, steps: int, batch_size: int) -> int:
+        """Return the updates of an epoch with minibatches of windows of so many steps."""
+        assert self.sequence_length is not None
+        whole_pass = steps / (batch_size * self.sequence_length)
+        asked = whole_pass if self.updates_per_epoch is None else self.updates_per_epoch
+        if self.passes_per_epoch is not None:
+            asked = min(asked, self.passes_per_epoch * whole_pass)
+        return max(1, round(asked))
+
+    def rate_factor(self, update: int, updates: int) -> float:
+        """Return the factor of the learning rate at an update (the first is 0) of so many."""
+        factor = min(1.0, (update + 1) / self.warm_up) if self.warm_up else 1.0
+        if self.anneal:
+            factor *= 0.5 * (1.0 + math.cos(math.pi * update / updates))
+        return factor
+
+    def average_decay(self, updates: int) -> float:
+        """Return the decay of the moving average after so many updates."""
+        return min(self.average, (1 + updates) / (10 + updates))
+
+
+_RATE = "Of Adam, online: a number, lin_<number> (linear to 0), or a schedule of what remains."
+
+
+class LearnerFile(
+    create_model(  # type: ignore[misc]
+        "Arguments",
+        __base__=Checked,
+        policy=Annotated[
+            Literal["GruPolicy", "MlpPolicy"],
+            Field("GruPolicy", description="With a memory, or without."),
+        ],
+        learning_rate=Annotated[Rate, Field(1e-4, description=_RATE)],
+        **get_type_hints(LearnerSettings, include_extras=True),
+    )
+):
+    """What a section of a file of ``zoo_configs`` may say.
+
+    Numbers may be written ``1e-4``, which YAML takes for text.
+    """
+
+    n_timesteps: int = Field(1, ge=1)
+    """Steps of the world."""
+    n_envs: int = Field(1, ge=1)
+    """Copies of the world."""
+    env_kwargs: dict[str, Any] | None = None
+    """Options of the training environment."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _text_as_numbers(cls, given: dict[str, Any]) -> dict[str, Any]:
+        return {name: _number(value) for name, value in given.items()}
+
+
+def _number(value: Any) -> Any:
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+RUN_KEYS = ("n_timesteps", "n_envs", "env_kwargs")
+"""What a file says beside the learner's arguments."""
+
+
+def default_settings() -> dict[str, Any]:
+    """Return all settings of a learner, each as it is where no preset says another."""
+    whole = LearnerFile()
+    return {name: getattr(whole, name) for name in LearnerFile.model_fields if name not in RUN_KEYS}
+
+
+def settings_prose() -> dict[str, str]:
+    """Return what each setting of a learner means and what it may be, by name."""
+    shown = LearnerFile.model_json_schema()["properties"]
+    shown |= TypeAdapter(LearnerSettings).json_schema()["properties"]
+    return {name: prose(shown[name]) for name in default_settings()}
 
 
 def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
@@ -167,60 +361,3 @@ def declared_limit(env: VecEnv) -> int | None:
     if specs and all(spec.max_episode_steps for spec in specs):
         return max(int(spec.max_episode_steps) for spec in specs)
     return None
-
-
-def checked_value(key: str, value: Any, like: Any, place: str) -> Any:
-    """A setting as plain data, of the kind of ``like``, the default of its parameter.
-
-    Numbers may be written ``1e-4``, which YAML itself takes for text. A learning rate may be
-    ``lin_1e-4``: linear to zero over the run, as in rl_zoo3.
-
-    Raises
-    ------
-    InputError
-        If the kind is another; the sentence starts with ``place``.
-    """
-    if isinstance(value, str):
-        if key == "learning_rate" and value.startswith(LINEAR):
-            linear_start(value, place)
-            return value
-        try:
-            value = value if isinstance(like, str) else float(value)
-        except ValueError:
-            raise InputError(f"{place} is {value!r}: give a number, not text") from None
-    if isinstance(like, bool):
-        if not isinstance(value, bool):
-            raise InputError(f"{place} is {value!r}: give true or false")
-        return value
-    if isinstance(like, int | float):
-        if isinstance(value, bool) or not isinstance(value, int | float | None):
-            raise InputError(f"{place} is {value!r}: give a number")
-        if isinstance(like, int) and isinstance(value, float):
-            if not value.is_integer():
-                raise InputError(f"{place} is {value!r}: give a whole number")
-            return int(value)
-        if value is not None:
-            return int(value) if isinstance(like, int) else float(value)
-    if isinstance(like, str) and not isinstance(value, str):
-        raise InputError(f"{place} is {value!r}: give a name")
-    if key.endswith("kwargs") and not isinstance(value, dict | None):
-        raise InputError(f"{place} is {value!r}: give a table")
-    return value
-
-
-LINEAR = "lin_"
-
-
-def linear_start(value: str, place: str) -> float:
-    """The first value of ``lin_<number>``."""
-    try:
-        start = float(value.removeprefix(LINEAR))
-    except ValueError:
-        raise InputError(f"{place} is {value!r}: write lin_ and a number") from None
-    POSITIVE.check(f"{place}, the number after lin_,", start)
-    return start
-
-
-def linear_schedule(rate: str) -> LinearSchedule:
-    """A rate ``lin_<number>`` as stable-baselines3 takes it: falling to zero over the run."""
-    return LinearSchedule(linear_start(rate, "learning_rate"), 0.0, 1.0)

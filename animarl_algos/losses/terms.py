@@ -4,7 +4,7 @@ A term (paper, "Offline and online policy learning") looks at :class:`MinibatchV
 networks' view of a minibatch of sequences, and gives one number per individual, averaged over its
 valid steps. A recipe's loss is the sum of its terms, each with its weight of the phase (offline or
 online). A new weight is named in :class:`Phase` and among the settings of learners, and has its
-value in ``zoo_configs/learner.yml``.
+value in ``animarl_algos/learner/settings.py``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import ClassVar, Protocol, TypedDict
+from typing import ClassVar, Protocol
 
 import torch
 from torch.nn import functional
@@ -25,7 +25,6 @@ from animarl_algos.losses.losses import (
     treatment_cross_entropy,
 )
 from animarl_algos.losses.values import ValueDistribution, n_step_target
-from animarl_algos.ranges import NOT_NEGATIVE, POSITIVE_OR_NONE, PROBABILITY
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
@@ -64,39 +63,12 @@ class Phase:
     scaled_penalties: bool = False
     n_steps: int = 1
 
-    def __post_init__(self) -> None:
-        prefix = "" if self.name == "online" else f"{self.name}_"
-        PROBABILITY.check(prefix + "gamma", self.gamma)
-        for key in WEIGHTS:
-            NOT_NEGATIVE.check(prefix + key, getattr(self, key))
-        POSITIVE_OR_NONE.check(prefix + "max_grad_norm", self.max_grad_norm)
-
 
 WEIGHTS = tuple(
     each.name
     for each in fields(Phase)
     if each.name not in ("name", "gamma", "max_grad_norm", "scaled_penalties", "n_steps")
 )
-
-
-class PhaseSettings(TypedDict, total=False):
-    """The numbers of both phases as settings of a learner; ``lambda1`` holds in both."""
-
-    lambda1: float
-
-    gamma: float
-    alpha: float
-    lambda2: float
-    lambda3: float
-    max_grad_norm: float | None
-    n_steps: int
-
-    offline_gamma: float
-    offline_alpha: float
-    offline_lambda2: float
-    offline_lambda3: float
-    offline_max_grad_norm: float | None
-    offline_scaled_penalties: bool
 
 
 class ActionValues(Protocol):

@@ -20,16 +20,14 @@ from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import render_report
 from animarl_algos.report.sections import build_sections
-from animarl_algos.runs.acting import acting_of
 from animarl_algos.runs.rolling_out import (
     DECISIONS,
     UNTRAINED,
     lacking,
-    method_name,
     perturbed,
     stored_rollouts,
 )
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_algos.runs.run_warnings import run_warnings
@@ -199,15 +197,15 @@ def _absent(runs: RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
         )
 
 
-def _acting(runs: Sequence[RunFolder]) -> dict[str, str]:
+def _acting(runs: Sequence[Run]) -> dict[str, str]:
     return {
-        f"seed {run.settings.seed}": str(acting_of(run, run.settings.algo))
+        f"seed {run.settings.seed}": str(run.acting(run.settings.algo))
         for run in runs
         if run.has_policy(run.settings.algo)
     }
 
 
-def _refuse_stale(run: RunFolder, rollouts: Rollouts, runs: RunSet) -> None:
+def _refuse_stale(run: Run, rollouts: Rollouts, runs: RunSet) -> None:
     tests = int((runs.demos.split == "test").sum())
     if rollouts.individuals != runs.demos.individuals or int(rollouts.demo.max()) >= tests:
         raise InputError(

@@ -16,8 +16,8 @@ from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inspection_page import InspectionInputs, inspection_page
 from animarl_algos.runs.evaluating import PAGE, command, refuse_run_folder
 from animarl_algos.runs.machine import wall_times
-from animarl_algos.runs.rolling_out import method_name, stored_rollouts, trained_model
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.rolling_out import stored_rollouts
+from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -53,7 +53,10 @@ def inspect_episode(folder: str | Path, episode: int) -> Inspected:
     InputError
         If the folder is no run, is not trained or has no rollouts, or there is no such episode.
     """
-    run = RunFolder(Path(folder))
+    return _inspect(Run(Path(folder)), episode)
+
+
+def _inspect(run: Run, episode: int) -> Inspected:
     stored = stored_rollouts(run)
     demos = run.demos
     test = demos.select(split="test")
@@ -64,10 +67,10 @@ def inspect_episode(folder: str | Path, episode: int) -> Inspected:
         )
     rollouts = {name: some.select(some.demo == episode) for name, some in stored.items()}
     recording = Rollouts.from_demonstrations(test).select(np.array([episode]))
-    model = trained_model(run, run.settings.algo)
+    model = run.policy
     decisions = decide_along(
         model.policy,
-        run.species(demos, run.fit),
+        run.species,
         test,
         condition_flag=model.layout.condition_flag,
         focal=run.settings.focal,
@@ -91,10 +94,10 @@ def inspect_run(folder: str | Path, episode: int, out: str | Path) -> Inspected:
     and PDF, and ``report.html``. The same run gives the same bytes.
     """
     refuse_run_folder(out)
-    found = inspect_episode(folder, episode)
-    run = RunFolder(Path(folder))
+    run = Run(Path(folder))
+    found = _inspect(run, episode)
     test: Demonstrations = run.demos.select(split="test")
-    species = run.species(run.demos, run.fit)
+    species = run.species
     inputs = InspectionInputs(
         learner=method_name(run.settings.algo),
         episode=episode,
@@ -106,7 +109,7 @@ def inspect_run(folder: str | Path, episode: int, out: str | Path) -> Inspected:
         metrics=found.metrics,
         world=world_in_words(species),
         environment=run.environment_options,
-        machine=run.record.get("machine", {}),
+        machine=run.record["machine"],
         wall_time=wall_times(run.path),
         versions=run.record["versions"],
         command=command("inspect", [folder], "--episode", str(episode)),

@@ -7,30 +7,15 @@ import os
 import platform
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import wraps
 from pathlib import Path
-from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import torch
 
 from animarl_envs.files import write_then_rename
 
 TIMES = "wall_time.json"
-
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-class _Run(Protocol):
-    """Whatever has a folder."""
-
-    @property
-    def path(self) -> Path: ...
-
-
-R = TypeVar("R", bound=_Run)
 
 
 def machine() -> dict[str, str]:
@@ -86,22 +71,6 @@ def timed(folder: Path, stage: str) -> Iterator[None]:
     times[stage] = times.get(stage, 0.0) + time.monotonic() - begun
     with write_then_rename(folder / TIMES) as part:
         part.write_text(json.dumps(times, indent=2) + "\n")
-
-
-def timed_stage(
-    stage: str,
-) -> Callable[[Callable[Concatenate[R, P], T]], Callable[Concatenate[R, P], T]]:
-    """The wall time of a function whose first argument is a run."""
-
-    def of(function: Callable[Concatenate[R, P], T]) -> Callable[Concatenate[R, P], T]:
-        @wraps(function)
-        def inner(run: R, /, *args: P.args, **kwargs: P.kwargs) -> T:
-            with timed(run.path, stage):
-                return function(run, *args, **kwargs)
-
-        return inner
-
-    return of
 
 
 def wall_times(folder: Path) -> dict[str, float]:

@@ -10,7 +10,6 @@ import shutil
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import torch
@@ -34,17 +33,15 @@ from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
-from animarl_algos.runs.acting import act_as_chosen, acting_file
-from animarl_algos.runs.alone import alone, holding
-from animarl_algos.runs.machine import timed, timed_stage, wall_times
+from animarl_algos.runs.machine import timed, wall_times
 from animarl_algos.runs.rolling_out import (
     DECISIONS,
-    method_name,
     perturbed,
     roll_out,
     stored_rollouts,
 )
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run, method_name
+from animarl_algos.runs.run_lock import locked, run_lock
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_algos.runs.run_warnings import run_warnings
 from animarl_algos.runs.run_world import world_in_words
@@ -53,23 +50,21 @@ from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
-from animarl_envs.fitting.result import Method
 from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import PACKAGED
-from animarl_envs.species import Species
 
 
 def open_run(
     settings: RunSettings, out: Path, command: str, demos: Demonstrations | None = None
-) -> RunFolder:
+) -> Run:
     """Start (or find again) the run folder; what does not fit together is refused before it."""
     if demos is None:
         demos = load_demonstrations(settings.file, settings.source, settings.species)
     rehearse(settings, demos)
-    run = RunFolder(out)
+    run = Run(out)
     run.path.mkdir(parents=True, exist_ok=True)
-    with alone(run.path):
+    with run_lock(run.path):
         run.start(settings, demos, command)
     return run
 
@@ -108,14 +103,14 @@ def load_demonstrations(
     return demos
 
 
-@holding
-def fit(run: RunFolder) -> LocomotionFit:
+@locked
+def fit(run: Run) -> LocomotionFit:
     """Stage 1: damping and thrust of every individual."""
     file = run.path / "locomotion.json"
     if file.exists():
         return run.fit
     settings, demos = run.settings, run.learnable_demos
-    method = cast(Method, settings.fit_method)
+    method = settings.fit_method
     if settings.thrusts != AUTO:
         thrusts = int(settings.thrusts)
     else:
@@ -125,9 +120,9 @@ def fit(run: RunFolder) -> LocomotionFit:
     return result
 
 
-@holding
+@locked
 def learn(
-    run: RunFolder, algo: str, *, clone: RunFolder | None = None, progress_bar: bool = True
+    run: Run, algo: str, *, clone: Run | None = None, progress_bar: bool = True
 ) -> SequenceQLearning:
     """Stages 2 and 3: offline on the demonstrations, then online in the fitted world.
 
@@ -135,12 +130,12 @@ def learn(
     has done the same offline phase (:func:`animarl_algos.learner.checkpoint.cloned_progress`).
     """
     torch.set_num_threads(1)
-    demos, settings = run.learnable_demos, run.settings
-    env = run.environment(run.species(demos, fit(run)), demos)
-    model = run.learner(algo, env)
+    settings = run.settings
+    fit(run)
+    model = run.learner(algo, run.environment(run.learnable_demos))
     if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
         run.load_policy(algo, model)
-        return act_as_chosen(run, algo, model, env.scenario.species)
+        return run.let_act(algo, model)
     checkpoints = run.path / "checkpoints" / algo
     resumed = latest_checkpoint(checkpoints) is not None
     if resumed:
@@ -161,12 +156,12 @@ def learn(
             reset_num_timesteps=not resumed,
             progress_bar=progress_bar,
         )
-    acting_file(run, algo).unlink(missing_ok=True)  # chosen for another policy
+    run.acting_file(algo).unlink(missing_ok=True)  # chosen for another policy
     run.save_policy(algo, model)
-    return act_as_chosen(run, algo, model, env.scenario.species)
+    return run.let_act(algo, model)
 
 
-def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
+def _unfinished(run: Run, algo: str, steps: int) -> bool:
     """Whether the last checkpoint has fewer steps than the run now asks for."""
     latest = latest_checkpoint(run.path / "checkpoints" / algo)
     if latest is None or not named_recipe(algo).algorithm.recipe.online:
@@ -174,40 +169,40 @@ def _unfinished(run: RunFolder, algo: str, steps: int) -> bool:
     return steps_done(latest) < steps
 
 
-def learn_all(run: RunFolder, *, progress_bar: bool = True) -> None:
+def learn_all(run: Run, *, progress_bar: bool = True) -> None:
     """Stages 2 and 3 of the run's learner and of those that it is compared with."""
     for algo in (run.settings.algo, *run.settings.compared):
         learn(run, algo, progress_bar=progress_bar)
 
 
-@holding
-@timed_stage("evaluation")
-def evaluate_run(run: RunFolder) -> Evaluation:
+@locked
+def evaluate_run(run: Run) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
-    rollouts = roll_out(run)
-    demos = run.demos
-    test, species = demos.select(split="test"), species_of(run)
-    evaluation = evaluate(
-        rollouts,
-        test,
-        seed=run.settings.seed,
-        planned_flip=species.planned_flip,
-        floor=track(test, species.locomotion, species.arena),
-        perturbed=perturbed(test, species, run.settings.seed),
-        learner=method_name(run.settings.algo),
-        references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
-    )
-    evaluation.save(run.path / "evaluation")
+    with timed(run.path, "evaluation"):
+        rollouts = roll_out(run)
+        demos, species = run.demos, run.species
+        test = demos.select(split="test")
+        evaluation = evaluate(
+            rollouts,
+            test,
+            seed=run.settings.seed,
+            planned_flip=species.planned_flip,
+            floor=track(test, species.locomotion, species.arena),
+            perturbed=perturbed(test, species, run.settings.seed),
+            learner=method_name(run.settings.algo),
+            references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
+        )
+        evaluation.save(run.path / "evaluation")
     return evaluation
 
 
-@holding
-def report(run: RunFolder) -> Path:
+@locked
+def report(run: Run) -> Path:
     """Stage 5: the page to show."""
     settings, demos, record = run.settings, run.demos, run.record
     decisions = run.path / DECISIONS
     rollouts = stored_rollouts(run)
-    learner, species = method_name(settings.algo), species_of(run)
+    learner, species = method_name(settings.algo), run.species
     return write_report(
         ReportInputs(
             title=f"{species.title}: {learner}",
@@ -232,14 +227,9 @@ def report(run: RunFolder) -> Path:
             episodes={split: int((demos.split == split).sum()) for split in SPLITS},
             contact_radius=species.contact_radius,
             environment=run.environment_options,
-            machine=record.get("machine", {}),
+            machine=record["machine"],
             wall_time=wall_times(run.path),
             warnings=tuple(run_warnings(run)),
         ),
         run.path / "report.html",
     )
-
-
-def species_of(run: RunFolder) -> Species:
-    """The species of a run, with the fitted locomotion."""
-    return run.species(run.learnable_demos, fit(run))

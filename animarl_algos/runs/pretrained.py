@@ -1,4 +1,4 @@
-"""Trained models to give away: exported from a run, or packaged and called by name.
+"""Runs and models loaded by folder or name; runs exported to give away.
 
 An exported model is the part of a run's folder that its policy acts by, with weights as safetensors
 and everything else as JSON, and a card. Whatever takes a run's folder takes it too; demonstrations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +21,8 @@ from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.report.provenance import flattened
 from animarl_algos.report.verdict_section import COLUMNS, verdict_lines, verdict_sentence
 from animarl_algos.report.words import Words
-from animarl_algos.runs.acting import acting_file
 from animarl_algos.runs.evaluating import refuse_run_folder
-from animarl_algos.runs.rolling_out import trained_model
-from animarl_algos.runs.run_folder import DEMONSTRATIONS, RunFolder
+from animarl_algos.runs.run import DEMONSTRATIONS, Run
 from animarl_algos.runs.weights import GIVEN, write_weights
 from animarl_envs import environment_id
 from animarl_envs.demos.packaged import load_packaged, packaged_names
@@ -59,6 +58,22 @@ def model_folder(model: str | Path) -> Path:
     )
 
 
+def load_run(folder: str | Path) -> Run:
+    """Return a run with its trained policy, its world and its demonstrations, and ``simulate``.
+
+    ``folder`` is a run's folder, that of an exported model, or the name of a packaged one
+    (``"fly"``).
+
+    Raises
+    ------
+    InputError
+        If there is neither, or no trained policy yet.
+    """
+    run = Run(model_folder(folder))
+    assert run.policy is not None  # read now, so that what is missing is said now
+    return run
+
+
 def load_pretrained(model: str | Path) -> SequenceQLearning:
     """A packaged model (``"fly"``), an exported one or a run's, in its world, acting by its rule.
 
@@ -70,12 +85,11 @@ def load_pretrained(model: str | Path) -> SequenceQLearning:
     InputError
         If there is none, or a file of it is damaged.
     """
-    run = RunFolder(model_folder(model))
-    return trained_model(run, run.settings.algo)
+    return Run(model_folder(model)).policy
 
 
 def export_run(
-    run: RunFolder,
+    run: Run,
     out: Path,
     *,
     with_demonstrations: bool = False,
@@ -99,9 +113,9 @@ def export_run(
     InputError
         If the run was not trained or not evaluated, or the folder holds something else.
     """
-    settings, record = run.settings, run.record
+    settings, record = run.settings, deepcopy(run.record)
     algo = settings.algo
-    network = trained_model(run, algo).policy.q_net
+    network = run.policy.policy.q_net
     if not (run.path / "evaluation" / "verdict.json").exists():
         raise InputError(
             f"{run.path}: a model card needs its evaluation: 'animarl evaluate {run.path}'"
@@ -121,8 +135,8 @@ def export_run(
     with all_files_or_none(out) as part:
         (part / policies).mkdir()
         write_weights(network.state_dict(), part / policies / f"{algo}{GIVEN}")
-        if acting_file(run, algo).exists():
-            shutil.copyfile(acting_file(run, algo), part / policies / f"{algo}.acting.json")
+        if run.acting_file(algo).exists():
+            shutil.copyfile(run.acting_file(algo), part / policies / f"{algo}.acting.json")
         shutil.copyfile(run.path / "locomotion.json", part / "locomotion.json")
         (part / "settings.json").write_text(json.dumps(record, indent=2) + "\n")
         (part / METRICS).write_text(json.dumps(metrics, indent=1) + "\n")
@@ -146,7 +160,7 @@ def _metrics(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _is_packaged(run: RunFolder) -> bool:
+def _is_packaged(run: Run) -> bool:
     """Whether its demonstrations, untouched, come with the package."""
     name = run.settings.species
     return name in packaged_names() and (
@@ -155,7 +169,7 @@ def _is_packaged(run: RunFolder) -> bool:
 
 
 def model_card(
-    run: RunFolder,
+    run: Run,
     evaluation: Evaluation,
     record: Mapping[str, Any],
     parameters: int,
@@ -164,7 +178,7 @@ def model_card(
     """Data, licence, settings, metrics and limits of a trained model, as Markdown."""
     settings, demos = run.settings, run.demos
     words, verdict = Words.of(demos), evaluation.verdict
-    species = run.species(demos, run.fit)
+    species = run.species
     licence = str(demos.provenance.get("licence") or "not stated")
     kind = "synthetic, recorded from no animal" if demos.synthetic else "recorded"
     counts = ", ".join(f"{(demos.split == s).sum()} {s}" for s in ("train", "val", "test"))
@@ -184,7 +198,7 @@ def model_card(
         f"fingerprint `{record['fingerprint']}`.",
         f"- **Licence**: of the data {licence}; of the weights that of the data, of the code MIT.",
         f"- **Made by** `{record['command']}`, commit "
-        f"{record.get('machine', {}).get('commit', 'not known')}.",
+        f"{record['machine']['commit']}.",
         "- **Acts by** the rule in `policies`, "
         + ("chosen on training and validation episodes." if settings.acting == "chosen"
            else f"`{settings.acting}`."),
@@ -222,7 +236,7 @@ def model_card(
     return "\n".join(lines)
 
 
-def _limits(run: RunFolder, verdict: Verdict) -> list[str]:
+def _limits(run: Run, verdict: Verdict) -> list[str]:
     """Return what its metrics do not show, the worst first."""
     demos, seed = run.demos, run.settings.seed
     limits = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 
 from animarl_algos.runs.machine import wall_times
-from animarl_algos.runs.rolling_out import method_name
-from animarl_algos.runs.run_folder import RunFolder
-from animarl_algos.runs.run_world import in_the_world
+from animarl_algos.runs.run import Run, method_name
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 
-TOLD = ("observation", "source", "title", "version_history", "mirror_symmetric", "bodies")
-"""Fields of a species that a method may have its own way: what it sees, and names."""
+METHOD_FIELDS = ("observation", "source", "title", "version_history", "mirror_symmetric", "bodies")
+"""Species fields that may differ between methods."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +28,7 @@ class RunSet:
     Made by :meth:`open`, which refuses runs that differ in what is compared.
     """
 
-    methods: Mapping[str, tuple[RunFolder, ...]]
+    methods: Mapping[str, tuple[Run, ...]]
 
     @classmethod
     def open(cls, folders: Sequence[str | Path]) -> RunSet:
@@ -44,36 +42,34 @@ class RunSet:
         """
         if not folders:
             raise InputError("there is no run to look at: name one run folder or more")
-        runs = [RunFolder(Path(folder)) for folder in folders]
-        first = _Compared(runs[0])
-        methods: dict[str, list[_Compared]] = {}
+        runs = [Run(Path(folder)) for folder in folders]
+        methods: dict[str, list[Run]] = {}
         for run in runs:
-            one = first if run is runs[0] else _Compared(run)
-            one.refuse_other_experiment(first)
+            _check_same_experiment(run, runs[0])
             before = methods.setdefault(method_name(run.settings.algo), [])
             for other in before:
-                one.refuse_other_method(other)
-            before.append(one)
-        return cls({name: tuple(one.run for one in some) for name, some in methods.items()})
+                _check_same_method(run, other)
+            before.append(run)
+        return cls({name: tuple(some) for name, some in methods.items()})
 
     @property
-    def runs(self) -> Iterator[RunFolder]:
+    def runs(self) -> Iterator[Run]:
         for some in self.methods.values():
             yield from some
 
     @cached_property
-    def first(self) -> RunFolder:
+    def first(self) -> Run:
         return next(self.runs)
 
-    @cached_property
+    @property
     def demos(self) -> Demonstrations:
         """The recordings of all, every split."""
         return self.first.demos
 
-    @cached_property
+    @property
     def species(self) -> Species:
         """The world of all; what is observed in it is that of the first run."""
-        return self.first.species(self.demos, self.first.fit)
+        return self.first.species
 
     @property
     def seeds(self) -> tuple[int, ...]:
@@ -85,7 +81,7 @@ class RunSet:
         """Commit, system, processor and accelerator; several where runs differ."""
         told: dict[str, list[str]] = {}
         for run in self.runs:
-            for what, value in run.record.get("machine", {}).items():
+            for what, value in run.record["machine"].items():
                 told.setdefault(what, []).append(str(value))
         return {what: "; ".join(dict.fromkeys(values)) for what, values in told.items()}
 
@@ -99,96 +95,72 @@ class RunSet:
         return total
 
 
-class _Compared:
-    """What must be alike in two runs, read once."""
+def _check_same_experiment(one: Run, other: Run) -> None:
+    """Refuse runs of different species, animals, recordings, splits or worlds."""
+    same_file = "train them on the same file"
+    for what, fix, of in (
+        ("species", "compare runs of one species", lambda run: run.settings.species),
+        ("individuals", "compare runs of the same animals",
+         lambda run: ", ".join(run.demos.individuals)),
+        ("recordings", same_file, _recordings),
+        ("split", same_file, _split),
+    ):  # fmt: skip
+        if of(one) != of(other):
+            raise _refused(one, other, what, of(one), of(other), fix)
+    _check_same_entries(one, other, _world, "world ({})", "train them in the same world")
 
-    def __init__(self, run: RunFolder) -> None:
-        self.run, self.settings = run, run.settings
-        self.demos = run.demos
-        self.species = run.species(self.demos, run.fit)
 
-    def refuse_other_experiment(self, other: _Compared) -> None:
-        for what, mend, here, there in (
-            ("species", "compare runs of one species", *_both(self, other, _species)),
-            ("individuals", "compare runs of the same animals", *_both(self, other, _names)),
-            ("recordings", "train them on the same file", *_both(self, other, _recordings)),
-            ("split", "train them on the same file", *_both(self, other, _split)),
-        ):
-            if here != there:
-                raise self._refused(other, what, here, there, mend)
-        mend = "train them in the same world"
-        self._refuse_differing(other, *_both(self, other, _world), "world ({})", mend)
-
-    def refuse_other_method(self, other: _Compared) -> None:
-        if self.settings.seed == other.settings.seed:
-            raise InputError(
-                f"{self.run.path} and {other.run.path} are both "
-                f"{method_name(self.settings.algo)} with seed {self.settings.seed}: name each "
-                "training once"
-            )
-        named = f"settings of {method_name(self.settings.algo)} ({{}})"
-        mend = "seeds of one method must have the same settings"
-        self._refuse_differing(other, *_both(self, other, _method), named, mend)
-
-    def _refuse_differing(
-        self,
-        other: _Compared,
-        here: Mapping[str, object],
-        there: Mapping[str, object],
-        named: str,
-        mend: str,
-    ) -> None:
-        """Refuse the first entry that is not the same here and there."""
-        for key in {**here, **there}:
-            if here.get(key) != there.get(key):
-                what = named.format(key)
-                raise self._refused(other, what, here.get(key), there.get(key), mend)
-
-    def _refused(
-        self, other: _Compared, what: str, here: object, there: object, mend: str
-    ) -> InputError:
-        return InputError(
-            f"{self.run.path} and {other.run.path} do not share their {what}: "
-            f"{_short(here)} and {_short(there)}: {mend}"
+def _check_same_method(one: Run, other: Run) -> None:
+    """Refuse runs of one method with the same seed, or with different settings."""
+    method, seed = method_name(one.settings.algo), one.settings.seed
+    if seed == other.settings.seed:
+        raise InputError(
+            f"{one.path} and {other.path} are both {method} with seed {seed}: name each training "
+            "once"
         )
+    fix = "seeds of one method must have the same settings"
+    _check_same_entries(one, other, _method, f"settings of {method} ({{}})", fix)
 
 
-def _both(one: _Compared, other: _Compared, of: Any) -> tuple[Any, Any]:
-    return of(one), of(other)
+def _check_same_entries(
+    one: Run, other: Run, of: Callable[[Run], Mapping[str, object]], named: str, fix: str
+) -> None:
+    """Refuse the first entry that is not the same here and there."""
+    here, there = of(one), of(other)
+    for key in {**here, **there}:
+        if here.get(key) != there.get(key):
+            raise _refused(one, other, named.format(key), here.get(key), there.get(key), fix)
 
 
-def _species(one: _Compared) -> str:
-    return one.settings.species
+def _refused(one: Run, other: Run, what: str, here: object, there: object, fix: str) -> InputError:
+    return InputError(
+        f"{one.path} and {other.path} do not share their {what}: "
+        f"{_short(here)} and {_short(there)}: {fix}"
+    )
 
 
-def _names(one: _Compared) -> str:
-    return ", ".join(one.demos.individuals)
-
-
-def _recordings(one: _Compared) -> str:
+def _recordings(run: Run) -> str:
     """A digest of everything but the split, with the number of episodes to show."""
-    demos = one.demos
-    plain = replace(demos, split=np.full(demos.num_episodes, SPLITS[0]))
-    return f"{demos.num_episodes} episodes, fingerprint {plain.fingerprint()}"
+    plain = replace(run.demos, split=np.full(run.demos.num_episodes, SPLITS[0]))
+    return f"{run.demos.num_episodes} episodes, fingerprint {plain.fingerprint()}"
 
 
-def _split(one: _Compared) -> str:
-    counts = ", ".join(f"{split} {int((one.demos.split == split).sum())}" for split in SPLITS)
-    return f"{counts} (fingerprint {one.demos.fingerprint()})"
+def _split(run: Run) -> str:
+    counts = ", ".join(f"{split} {int((run.demos.split == split).sum())}" for split in SPLITS)
+    return f"{counts} (fingerprint {run.demos.fingerprint()})"
 
 
-def _world(one: _Compared) -> dict[str, Any]:
-    named = {f.name for f in fields(one.species)} - set(TOLD)
-    world = {name: getattr(one.species, name) for name in sorted(named)}
-    replaying = {"who learned": one.settings.focal or "all"}
-    everything = world | in_the_world(one.run.environment_options) | replaying
+def _world(run: Run) -> dict[str, Any]:
+    named = {f.name for f in fields(run.species)} - set(METHOD_FIELDS)
+    world = {name: getattr(run.species, name) for name in sorted(named)}
+    replaying = {"who learned": run.settings.focal or "all"}
+    everything = world | run.world_options | replaying
     return {key.replace("_", " "): value for key, value in everything.items()}
 
 
-def _method(one: _Compared) -> dict[str, Any]:
-    settings = one.settings
-    own = {"steps": settings.steps, "acting": settings.acting}
-    learner: dict[str, Any] = one.run.record["learner"]
+def _method(run: Run) -> dict[str, Any]:
+    own = {"steps": run.settings.steps, "acting": run.settings.acting}
+    learner: dict[str, Any] = run.record["learner"]
     return own | learner
 
 

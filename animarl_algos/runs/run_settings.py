@@ -1,78 +1,98 @@
-"""What a run is asked for: checked, recorded in its folder, found again on resume."""
+"""What a run can be told: the options of ``animarl run`` and ``train``, recorded in its folder.
+
+The command line is made from these models, so that its help does not import what learns: checks
+that need it import it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import gymnasium as gym
-import torch
+from pydantic import Field, field_validator, model_validator
 
-from animarl_algos.learner.presets import LearnerPreset, learner_preset
-from animarl_algos.learner.zoo_files import PRESETS, read_preset
-from animarl_algos.networks.acting_rule import Acting
-from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.checked import Checked
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
-from animarl_envs.fitting.result import Method
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.scenario import refuse_other_species
+from animarl_envs.scenario import PACKAGED, refuse_other_species
 from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
 
+if TYPE_CHECKING:
+    from animarl_algos.learner.presets import LearnerPreset
+
 BEHAVIOUR_CLONING = "bc"
-FIT_METHODS = get_args(Method)  # joint, onset, noise
 CHOSEN, AUTO = "chosen", "auto"
-PIPELINE: dict[str, Any] = {"acting": CHOSEN, "fit_method": "joint", "thrusts": AUTO}
-"""Keys of ``zoo_configs/pipeline.yml``, each with a value of its kind."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunSettings:
-    """It decides the run together with the demonstrations.
+class PipelineSettings(Checked):
+    """What is done around a learner, as ``zoo_configs/pipeline.yml`` may say it."""
 
-    ``preset`` (of the file ``config``, by default that of the package) gives the learner's
-    settings, ``overrides`` go over them. Only the individual ``focal`` learns, if one is named.
-    ``acting`` is ``"chosen"`` after training, or a rule as
-    :meth:`animarl_algos.networks.acting_rule.Acting.parse` reads it. ``thrusts`` is the number of
-    thrust magnitudes, or ``"auto"``: chosen on the training split, or 1 where ``fit_method`` is not
-    ``"joint"``.
+    fit_method: Literal["joint", "onset", "noise"] = "joint"
+    """joint, onset (the paper's rule) or noise (for noisy tracks); by default the preset's."""
+    thrusts: str = AUTO
+    """Thrust magnitudes, 1 to 10, or auto: chosen on training data."""
+    acting: str = CHOSEN
+    """How trained policies act: greedy, boltzmann:TEMPERATURE, epsilon:SHARE, or chosen (by
+    rollouts, after training); by default the preset's."""
+
+
+class RunSettings(PipelineSettings):
+    """What decides a run together with the demonstrations.
+
+    Raises
+    ------
+    InputError
+        If a setting is out of its range, or does not go with another.
     """
 
-    file: str
+    file: str = PACKAGED
+    """A file of recorded episodes, or 'packaged': those that come with the species."""
     source: str | None = None
+    """Format of FILE ('animarl data sources'); by default recognised."""
     species: str
-    algo: str
-    preset: str = "default"
+    """agent, fly, newt, silkmoth or custom; by default what FILE says."""
+    algo: str = "soft-bc"
+    """soft-bc, iq-learn, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."""
+    preset: Literal["paper", "default"] = "default"
+    """Settings of zoo_configs: paper (the paper's) or default (tuned)."""
     config: str | None = None
-    steps: int
-    seed: int = 0
-    copies: int = 16
+    """YAML file to read instead of zoo_configs/ALGO.yml."""
+    steps: int = Field(ge=1)
+    """Environment steps, after the offline epochs; by default the preset's."""
+    seed: int = Field(0, ge=0, le=2**32 - 1)
+    """Root of all randomness."""
+    copies: int = Field(16, ge=1)
+    """Worlds simulated side by side; by default the preset's."""
     focal: str | None = None
+    """Only this individual learns, the others replay; default: all."""
     device: str = "cpu"
-    fit_method: str = "joint"
-    repetitions: int = 5
-    thrusts: str = AUTO
-    acting: str = CHOSEN
+    """cpu (default) or cuda."""
+    repetitions: int = Field(5, ge=1)
+    """Rollouts per test demonstration."""
     baselines: bool = True
-    checkpoint_every: int = 20_000
-    overrides: Mapping[str, Any] = field(default_factory=dict)
+    """Also train BC and evaluate an untrained network and chance."""
+    checkpoint_every: int = Field(20_000, ge=1)
+    """Steps between two checkpoints."""
+    overrides: dict[str, Any] = Field(default_factory=dict)
+    """Settings of the learner that go over the preset's."""
 
-    def __post_init__(self) -> None:
-        named_recipe(self.algo)
+    @field_validator("algo")
+    @classmethod
+    def _check_algo(cls, algo: str) -> str:
+        from animarl_algos.recipes.registry import named_recipe
+
+        named_recipe(algo)
+        return algo
+
+    @model_validator(mode="after")
+    def _check_combinations(self) -> RunSettings:
+        from animarl_algos.networks.acting_rule import Acting
+
         if self.species != CUSTOM:
             get_species(self.species)
-        if self.preset not in PRESETS:
-            raise InputError(f"preset {self.preset!r} is unknown: choose {' or '.join(PRESETS)}")
-        if self.fit_method not in FIT_METHODS:
-            raise InputError(
-                f"fit_method {self.fit_method!r} is unknown: choose joint, onset or noise"
-            )
-        for name in ("steps", "copies", "repetitions", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}: it must be at least 1")
         if self.acting != CHOSEN:
             Acting.parse(self.acting)
         if self.thrusts != AUTO and not (self.thrusts.isdecimal() and 1 <= int(self.thrusts) <= 10):
@@ -82,13 +102,14 @@ class RunSettings:
                 f"thrusts is {self.thrusts!r} but fit_method {self.fit_method} fits one thrust: "
                 "choose 1, or fit_method joint"
             )
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}: it must not be negative")
         check_device(self.device)
+        return self
 
     @property
     def compared(self) -> tuple[str, ...]:
         """Learners that are trained beside the run's own: BC, where that adapts online."""
+        from animarl_algos.recipes.registry import named_recipe
+
         adapts = bool(named_recipe(self.algo).algorithm.recipe.online)
         return (BEHAVIOUR_CLONING,) if self.baselines and adapts else ()
 
@@ -98,6 +119,8 @@ class RunSettings:
         The other one gets the run's policy, without quantiles, but none of its other ``overrides``
         or its ``config``.
         """
+        from animarl_algos.learner.presets import learner_preset
+
         own = algo is None or algo == self.algo
         shared = {k: v for k, v in self.overrides.items() if k in ("policy", "policy_kwargs")}
         if isinstance(network := shared.get("policy_kwargs"), dict):
@@ -112,12 +135,16 @@ class RunSettings:
 
 
 def pipeline_settings(env_id: str, preset: str) -> dict[str, Any]:
-    """``acting``, ``fit_method`` and ``thrusts`` of ``zoo_configs/pipeline.yml``."""
-    return read_preset("pipeline", env_id, preset, PIPELINE)[0]
+    """Return ``acting``, ``fit_method`` and ``thrusts`` of ``zoo_configs/pipeline.yml``."""
+    from animarl_algos.learner.presets import read_preset
+
+    return read_preset("pipeline", env_id, preset, PipelineSettings)[0]
 
 
 def check_device(device: str) -> None:
     """Refuse a device that PyTorch does not know or this machine does not have."""
+    import torch
+
     try:
         kind = torch.device(device).type
     except RuntimeError:
@@ -162,6 +189,8 @@ def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
         If the demonstrations are of another species or layout, or the learner needs conditions
         and there are none, or nobody has the focal one's name.
     """
+    from animarl_algos.recipes.registry import named_recipe
+
     named, algo = settings.species, settings.algo
     refuse_other_species(demos, named, "--species")
     unfitted = (Locomotion(1.0, 1.0),) * demos.num_individuals

@@ -7,14 +7,13 @@ import json
 from animarl_algos.evaluation.acting_choice import NEAR
 from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.acting import acting_file
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.fitting.doubts import doubts
 
 INFORMATION = "offline/val/cross_entropy_minus_marginal"
 
 
-def run_warnings(run: RunFolder) -> list[str]:
+def run_warnings(run: Run) -> list[str]:
     """Return what is doubtful of the fit, of the clones and of how the policy acts.
 
     The terminal says the same while a run is made.
@@ -26,7 +25,7 @@ def run_warnings(run: RunFolder) -> list[str]:
     ]
 
 
-def uninformative_clones(run: RunFolder) -> list[str]:
+def uninformative_clones(run: Run) -> list[str]:
     """Return which clones are no better than predicting action frequencies, as one sentence."""
     algo = run.settings.algo
     cloning = run.record["learner"].get("offline_loss") == OfflineLoss.CLONING
@@ -50,9 +49,9 @@ def uninformative_clones(run: RunFolder) -> list[str]:
     ]
 
 
-def far_acting_rules(run: RunFolder) -> list[str]:
+def far_acting_rules(run: Run) -> list[str]:
     """Return whether no candidate of the acting rules came near the recordings, as one sentence."""
-    file = acting_file(run, run.settings.algo)
+    file = run.acting_file(run.settings.algo)
     if not file.exists():
         return []
     least = min(one["mismatch"] for one in json.loads(file.read_text())["candidates"])

@@ -8,42 +8,52 @@ start of every test demonstration, in its condition.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
-from animarl_algos.data.options import OWN_OPTIONS, SCENARIO_OPTIONS, species_options
+from animarl_algos.data.options import OWN_OPTIONS, SCENARIO_OPTIONS
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import COUNTS, first_of_role
+from animarl_envs.errors import InputError
 from animarl_envs.species import Species
+from animarl_envs.species.options import with_options
+from animarl_envs.worlds import observation_components
+from animarl_envs.worlds.base import ObservationComponent
 
 SENSES = ("observation_noise", "observation_delay")
+CHANGES_INPUTS = (
+    "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
+)  # fmt: skip
+"""Options that say who is there and what is shown of them; others may change it, too."""
 
 
-def of_those_who_move(demos: Demonstrations, options: Mapping[str, Any]) -> Demonstrations:
-    """The demonstrations, of the first pursuers or targets alone where the world has fewer."""
+def select_individuals(demos: Demonstrations, options: Mapping[str, Any]) -> Demonstrations:
+    """Return demonstrations of the first pursuers or targets alone where the world has fewer."""
     for key in COUNTS:
         if options.get(key) is not None:
             demos = first_of_role(demos, key, options[key])
     return demos
 
 
-def of_the_species(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that change the species; of a species of :func:`of_those_who_move`."""
-    return {key: value for key, value in species_options(options).items() if key not in COUNTS}
+def species_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that change the species, after :func:`select_individuals`."""
+    others = (*SCENARIO_OPTIONS, *OWN_OPTIONS, *COUNTS)
+    return {key: value for key, value in options.items() if key not in others}
 
 
-def in_the_world(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that every world of the run has, beside those of its species."""
+def world_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that every world of the run has, beside those of its species."""
     return {key: options[key] for key in SENSES if key in options}
 
 
-def of_the_training(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the training environment beside its species, which has its own already."""
+def training_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of the training environment beside those of its species."""
     return {key: options[key] for key in (*SCENARIO_OPTIONS, *OWN_OPTIONS) if key in options}
 
 
 def world_in_words(species: Species) -> dict[str, str]:
-    """What decides how episodes go in a world, to print: name and value."""
+    """Return what decides how episodes go in a world, to print: name and value."""
     arena = species.arena
     edge = "walls" if arena.rebound else f"out of bounds beyond {arena.boundary:g}"
     field = arena.shape if arena.shape == "open" else f"{arena.shape}, {arena.size:g}, {edge}"
@@ -61,3 +71,30 @@ def world_in_words(species: Species) -> dict[str, str]:
             f"d {motion.damping:.4g}, u {motion.thrust:.4g}, thrusts {each}"
         )
     return described
+
+
+def changed_inputs(species: Species, options: Mapping[str, Any]) -> str:
+    """Return the option under which a policy of ``species`` is shown something else, if any.
+
+    Of several that do so only together all are named.
+
+    Raises
+    ------
+    InputError
+        If an option is unknown.
+    """
+    found = [key for key in CHANGES_INPUTS if key in options]
+    if found:
+        return found[0]
+    shown = _named(observation_components(species))
+    if _named(observation_components(with_options(species, **options))) == shown:
+        return ""
+    for key, value in options.items():
+        with suppress(InputError):  # one that needs another beside it
+            if _named(observation_components(with_options(species, **{key: value}))) != shown:
+                return key
+    return " with ".join(options)
+
+
+def _named(components: Iterable[ObservationComponent]) -> list[tuple[str, str, str]]:
+    return [(one.name, one.frame, one.unit) for one in components]

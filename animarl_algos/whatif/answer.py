@@ -46,7 +46,7 @@ GREEN_WORD, YELLOW_WORD, RED_WORD = "none", "some", "red"
 
 
 class TrainedRun(Protocol):
-    """A finished run, :class:`animarl_algos.runs.loading.LoadedRun`."""
+    """A finished run, :class:`animarl_algos.runs.run.Run`."""
 
     @property
     def scenario(self) -> World: ...

@@ -17,7 +17,7 @@ import rl_zoo3.train
 import torch
 import yaml
 
-from animarl_algos.learner.zoo_files import PRESETS
+from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.run_settings import check_device
 from animarl_algos.zoo.environments import species_of_id

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+import time
 from contextlib import closing, suppress
 from copy import deepcopy
 from pathlib import Path
@@ -16,16 +17,18 @@ from rl_zoo3.callbacks import TrialEvalCallback
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.hyperparams_opt import HYPERPARAMS_SAMPLER
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.callbacks import BaseCallback, EvalCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import ProgressBar
+from animarl_algos.learner.checkpoint import in_short
 from animarl_algos.learner.exploration import Exploration
-from animarl_algos.learner.presets import LearnerPreset, beneath, learner_preset
-from animarl_algos.learner.zoo_files import merged
+from animarl_algos.learner.presets import learner_preset, merged
+from animarl_algos.learner.settings import default_settings
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.ranges import COUNT, COUNT_OR_NONE
 from animarl_algos.recipes.registry import named_recipe
@@ -34,8 +37,6 @@ from animarl_algos.zoo.environments import (
     species_of_id,
     validation_environment,
 )
-from animarl_algos.zoo.episode_log import EpisodeLog
-from animarl_algos.zoo.models import check_fit, load_model, reading_model
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 
@@ -81,7 +82,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         found = learner_preset(
             self.algo, self.env_name.gym_id, self.preset, overrides, config=self.own_config
         )
-        self._refuse_numbers_below_one(found)
+        self._check_numbers()
         given = self.env_kwargs | (self._eval_env_kwargs_args or {})
         for name, instead in OF_TRAINING.items():
             if self.species is not None and name in given:
@@ -98,12 +99,10 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
         }
         print(f"Settings from {self.config}:\n{yaml.safe_dump(settings)}")
         # A trained agent brings what the preset leaves open; a new one takes it from the files.
-        open_ones = {} if self.continue_training else beneath()
+        open_ones = {} if self.continue_training else default_settings()
         return open_ones | deepcopy(settings), settings
 
-    def _refuse_numbers_below_one(self, found: LearnerPreset) -> None:
-        for name in ("n_timesteps", "n_envs"):
-            COUNT.check(f"{self.algo}: setting {name!r}", getattr(found, name))
+    def _check_numbers(self) -> None:
         if self.n_timesteps != UNSET_STEPS:
             COUNT.check("--n-timesteps", self.n_timesteps)
         COUNT.check("--eval-episodes", self.n_eval_episodes)
@@ -183,10 +182,17 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
 
     def _load_pretrained_agent(self, hyperparams: dict[str, Any], env: VecEnv) -> BaseAlgorithm:
         """rl_zoo3's; a file that is no model, or one for another environment, is refused."""
-        path = Path(self.trained_agent)
-        check_fit(load_model(self.algo, path), env, path)
-        with reading_model(self.algo, path):
+        try:
             return super()._load_pretrained_agent(hyperparams, env)
+        except InputError as error:
+            said, place = str(error), str(self.trained_agent)
+            raise InputError(said if said.startswith(place) else f"{place}: {said}") from None
+        except Exception as error:  # reading damaged pickles can raise any
+            said = in_short(error) or type(error).__name__
+            raise InputError(
+                f"{self.trained_agent}: it is no model of {self.algo} ({said}): name one that "
+                "'train' saved with this --algo and --env"
+            ) from error
 
     def learn(self, model: BaseAlgorithm) -> None:
         """Train, with learning curves as CSV and TensorBoard in the folder of the run."""
@@ -267,3 +273,34 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
 
 def _plain(value: Any) -> Any:
     return value if isinstance(value, str | int | float | bool | list | dict | None) else str(value)
+
+
+class EpisodeLog(BaseCallback):
+    """Write return, length [steps] and time [s] of each training episode to ``0.monitor.csv``.
+
+    rl_zoo3's plots read it. The return is the ``episode`` entry of the infos: of a
+    :class:`~animarl_algos.data.vec_env.SlotVecEnv`, which has no ``Monitor``, the task return, a
+    mean over the pursuers that learn.
+    """
+
+    def __init__(self, folder: Path, env_id: str) -> None:
+        super().__init__()
+        self.folder, self.env_id = folder, env_id
+        self._writer: ResultsWriter | None = None
+
+    def _on_training_start(self) -> None:
+        self._began = time.time()
+        header: dict[str, float | str] = {"t_start": self._began, "env_id": self.env_id}
+        self._writer = ResultsWriter(str(self.folder / "0.monitor.csv"), header=header)
+
+    def _on_step(self) -> bool:
+        assert self._writer is not None
+        for info in self.locals["infos"]:
+            if "episode" in info:
+                since = round(time.time() - self._began, 6)
+                self._writer.write_row(info["episode"] | {"t": since})
+        return True
+
+    def _on_training_end(self) -> None:
+        if self._writer is not None:
+            self._writer.close()

@@ -210,14 +210,14 @@ def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
 
 def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
     asked = plan(tiny(recipes=[]))
-    broken = replace(asked.worlds[0], settings=replace(asked.worlds[0].settings, algo="dqn"))
+    broken = replace(asked.worlds[0], settings=asked.worlds[0].settings.changed(algo="dqn"))
     folder = broken.folder(tmp_path)
     folder.mkdir(parents=True)
     (folder / "settings.json").write_text("{")
     assert "damaged" in attempt(broken, tmp_path).error
     assert "damaged" in recorded_error(broken, tmp_path)
     told = Told()
-    perform_all(replace(asked, worlds=(broken,)), tmp_path, 1, told)
+    perform_all(asked.changed(worlds=(broken,)), tmp_path, 1, told)
     assert "could not be fitted" in told.errors["agent/still/0"]
 
 
@@ -343,7 +343,7 @@ def test_benchmark_refuses_other_results(tmp_path: Path) -> None:
 def test_benchmark_keys_do_not_depend_on_where_things_lie() -> None:
     cell = plan(tiny()).cells[0]
     assert cell.settings is not None
-    moved = replace(cell, settings=replace(cell.settings, file="elsewhere"))
+    moved = replace(cell, settings=cell.settings.changed(file="elsewhere"))
     assert moved.key == cell.key
 
 

@@ -33,7 +33,7 @@ from animarl_algos.benchmark.references import Steering, expert_rollouts, others
 from animarl_algos.benchmark.scores import first_second, start_energies
 from animarl_algos.evaluation.collect import RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import demonstrated_actions
@@ -144,7 +144,7 @@ def test_benchmark_hands_methods_no_test_episode(tmp_path: Path) -> None:
         matrix = replace(FEW, species=("agent",), episodes={})
         world = replace(world, settings=matrix.world_settings("agent", demos))
         assert not attempt(world, tmp_path / name).error
-        settings.append(MethodSetting.of(RunFolder(world.folder(tmp_path / name)), 0))
+        settings.append(MethodSetting.of(Run(world.folder(tmp_path / name)), 0))
     first, second = settings
     assert set(first.demos.split) == {"train", "val"}
     assert first.demos.fingerprint() == second.demos.fingerprint()

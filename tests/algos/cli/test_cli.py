@@ -22,7 +22,7 @@ from commands import Done
 from animarl_algos.cli.main import main
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
@@ -181,7 +181,7 @@ def test_one_individual_learns_and_is_evaluated(
         *("--no-baselines", "--device", "cpu"),
     )
     assert done.returncode == 0, done.stderr
-    run = RunFolder(tmp_path / "runs" / "run")
+    run = Run(tmp_path / "runs" / "run")
     assert run.record["learner"]["policy"] == "MlpPolicy"
     rollouts = Rollouts.load(run.path / "rollouts" / "DQN.npz")
     demos = run.demos.select(split="test")
@@ -215,9 +215,9 @@ def test_ones_own_animals_need_no_species(
     replace(demos, species="custom", individuals=names).save(tmp_path / "cats.npz")
     done = animarl("train", "cats.npz", *TINY, "--algo", "dqdil-pt", "--out", "run")
     assert done.returncode == 0, done.stderr
-    run = RunFolder(tmp_path / "run")
+    run = Run(tmp_path / "run")
     assert run.settings.species == "custom"
-    fitted = run.species(run.demos, run.fit)
+    fitted = run.species
     assert fitted.individuals == names and fitted.dt == demos.dt
 
 
@@ -302,10 +302,10 @@ def test_bad_files_are_refused_in_one_sentence(
         (["train", "--resume", "nowhere", "--seed", "1"], "--seed does not go with --resume"),
         (["train", "--env", "AnimaRL/Fly-v0", "--species", "newt"], "contradict each other"),
         (["train", "--env", "CartPole-v1"], "none of AnimaRL's"),
-        (["train", "--preset", "fast"], "'fast' is unknown: choose paper or default"),
+        (["train", "--preset", "fast"], "'fast': choose paper or default"),
         (["train", "--env", "AnimaRL/Fly-v0", "--algo", "dqcil"], "fly has none: choose dqdil"),
         (["train", "--species", "custom"], "custom"),
-        (["train", "--fit-method", "guess"], "'guess' is unknown: choose joint, onset or noise"),
+        (["train", "--fit-method", "guess"], "'guess': choose joint, onset or noise"),
         (["train", "--focal", "wolf"], "focal is 'wolf'"),
         (["train", "--policy", "CnnPolicy"], "choose GruPolicy or MlpPolicy"),
         (["train", "--device", "abacus"], "choose cpu or cuda"),
@@ -394,7 +394,7 @@ def test_warnings_are_sentences_on_the_command_line_only(
         warnings.warn("the clone of prey\nknows nothing", stacklevel=1)
         return []
 
-    monkeypatch.setattr("animarl_algos.cli.showing.demonstrations_at_a_glance", warned)
+    monkeypatch.setattr("animarl_algos.cli.describing.demonstrations_at_a_glance", warned)
     assert animarl("data", "show", str(small)).stderr == (
         "Warning: the clone of prey knows nothing\n"
     )

@@ -22,7 +22,7 @@ from animarl_algos.cli.main import main
 from animarl_algos.evaluation import Rollouts
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.tables import TABLES
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.files import all_files_or_none
 
 METHODS = ("dqcil-pt", "dqdil-pt")
@@ -160,7 +160,7 @@ def test_runs_that_differ_are_refused_by_what_differs(
         "split": made(tmp_path / "s", demos=replace(demos, split=moved), rolled_out=False),
         "recordings": made(tmp_path / "r", demos=few(test=2), rolled_out=False),
         "contact radius": made(tmp_path / "w", env_kwargs={"contact_radius": 0.2}),
-        "seed 0: name each training once": RunFolder(runs[0]),
+        "seed 0: name each training once": Run(runs[0]),
     }
     for word, run in other.items():
         refused(animarl("evaluate", runs[0], run.path, "--out", "never"), word, str(runs[0]))

@@ -14,7 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from animarl_algos.cli.watch import Rule, play, prepare, watch_command
+from animarl_algos.cli.watch import play, prepare, watch_command
 from animarl_algos.cli.watch_actors import trained_actor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -98,7 +98,7 @@ def test_without_a_model_the_recorded_paths_are_followed(demos, split):
 
 
 def test_by_script_males_approach_the_female(demos):
-    world, actor = prepare(NEWT, by=Rule.script, demos=demos, start="uniform")
+    world, actor = prepare(NEWT, by="script", demos=demos, start="uniform")
     path = positions_of(world, actor, steps=1)
     moved, towards = path[1, :2] - path[0, :2], path[0, 2] - path[0, :2]
     cosine = (moved * towards).sum(-1) / np.linalg.norm(moved, axis=-1)
@@ -120,8 +120,7 @@ class Pusher:
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
     from animarl_algos.evaluation.acting_choice import ActingChoice
     from animarl_algos.networks.acting_rule import Acting
-    from animarl_algos.runs.acting import acting_file
-    from animarl_algos.runs.run_folder import RunFolder
+    from animarl_algos.runs.run import Run
     from animarl_algos.runs.run_settings import RunSettings
     from animarl_envs.demos.packaged import load_packaged
     from animarl_envs.fitting import fit_locomotion
@@ -131,7 +130,7 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
         [np.flatnonzero(packaged.split == s)[:5] for s in ("train", "val", "test")]
     )
     recorded = packaged.select(episodes=few)
-    run = RunFolder(tmp_path / "run")
+    run = Run(tmp_path / "run")
     run.start(
         RunSettings(file="packaged", species="agent", algo="dqn", steps=1, copies=1),
         recorded,
@@ -141,12 +140,12 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
         prepare(agent, model=run.path)
     fitted = fit_locomotion(recorded, "joint", bootstrap=2, seed=0)
     fitted.save(run.path / "locomotion.json")
-    env = run.environment(run.species(recorded, fitted), recorded)
+    env = run.environment(recorded)
     run.save_policy("dqn", run.learner("dqn", env))
     with pytest.raises(InputError, match="no acting rule was chosen yet"):
         prepare(agent, model=run.path)
     chosen = ActingChoice(Acting(), ()).to_json()
-    acting_file(run, "dqn").write_text(json.dumps(chosen))
+    run.acting_file("dqn").write_text(json.dumps(chosen))
 
     world, actor = prepare(agent, model=run.path)
     assert world.scenario.drivers == ("action",) * 3

@@ -29,8 +29,7 @@ from animarl_algos.evaluation.collect import Policy, RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.acting import acting_of
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
@@ -165,7 +164,7 @@ def test_further_rules_are_tried_where_none_of_the_first_comes_near(near: bool) 
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A clone of few episodes, hardly trained."""
     demos = load_packaged("fly")
     few = {"offline_epochs": 2, "offline_kwargs": {"updates_per_epoch": 5}}
@@ -178,20 +177,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return found
 
 
-def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: RunFolder) -> None:
-    chosen = acting_of(run, "soft-bc")
+def test_the_choice_is_saved_with_the_policy_and_used_by_all_that_act(run: Run) -> None:
+    chosen = run.acting("soft-bc")
     assert (run.path / "policies" / "soft-bc.acting.json").exists()
     again = pipeline.learn(run, "soft-bc", progress_bar=False)
     assert again.policy.acting == chosen
-    other = RunFolder(run.path, "boltzmann:0.3")
+    other = Run(run.path, "boltzmann:0.3")
     assert pipeline.learn(other, "soft-bc", progress_bar=False).policy.acting == Acting.boltzmann(
         0.3
     )
 
 
-def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(
-    run: RunFolder, tmp_path: Path
-) -> None:
+def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(run: Run, tmp_path: Path) -> None:
     import shutil
 
     copy = tmp_path / "run"
@@ -199,7 +196,7 @@ def test_a_rule_that_was_never_chosen_or_is_damaged_is_refused(
     file = copy / "policies" / "soft-bc.acting.json"
     file.write_text("{")
     with pytest.raises(InputError, match="it is damaged"):
-        acting_of(RunFolder(copy), "soft-bc")
+        Run(copy).acting("soft-bc")
     file.unlink()
     with pytest.raises(InputError, match="no acting rule was chosen yet"):
-        acting_of(RunFolder(copy), "soft-bc")
+        Run(copy).acting("soft-bc")

@@ -16,9 +16,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.presets import beneath, constructed, learner_preset, section_of
-from animarl_algos.learner.settings import LearnerSettings
-from animarl_algos.learner.zoo_files import CONFIGS
+from animarl_algos.learner.presets import CONFIGS, constructed, learner_preset, section_of
+from animarl_algos.learner.settings import LearnerSettings, default_settings
 from animarl_algos.recipes.registry import DQDIL, DQN, RECIPES
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
@@ -46,7 +45,7 @@ def in_use(model: SequenceQLearning, name: str) -> Any:
 
 def expected(algo: str, env_id: str) -> dict[str, Any]:
     """Of the files."""
-    return tables_filled(beneath() | learner_preset(algo, env_id, "default").arguments)
+    return tables_filled(default_settings() | learner_preset(algo, env_id, "default").arguments)
 
 
 def tables_filled(settings: dict[str, Any]) -> dict[str, Any]:
@@ -75,7 +74,7 @@ def test_a_learner_of_the_paper_takes_nothing_from_the_default(algo: str) -> Non
     moth = environment_id("silkmoth")  # whose defaults are the furthest from the paper's
     paper = learner_preset(algo, moth, "paper").arguments
     model = RECIPES[algo].algorithm(env=slots("silkmoth"), device="cpu", **constructed(paper))
-    settings = tables_filled(beneath() | paper)
+    settings = tables_filled(default_settings() | paper)
     assert {name: in_use(model, name) for name in settings} == settings
 
 
@@ -139,13 +138,10 @@ def test_a_misspelt_setting_is_refused() -> None:
 
 def test_the_settings_are_listed_and_explained_once() -> None:
     named = {"policy", "learning_rate"}
-    assert set(LearnerSettings.__annotations__) | named == set(beneath())
+    assert set(LearnerSettings.__annotations__) | named == set(default_settings())
     shown = pydoc.render_doc(DQDIL, renderer=pydoc.plaintext)
     entries = {name for line in shown.splitlines() for name in line.strip(" |").split(", ")}
-    within = {"offline_gamma", "offline_alpha", "offline_lambda2", "offline_lambda3"} | {
-        "offline_max_grad_norm", "offline_scaled_penalties", "offline_patience"
-    }  # fmt: skip
-    assert set(beneath()) - within - {"exploration_fraction"} <= entries
+    assert set(default_settings()) <= entries
     assert "zoo_configs" in shown and "demonstrations" in entries
 
 
@@ -157,7 +153,7 @@ def test_the_settings_of_a_recipe_can_be_looked_up() -> None:
 
 
 def test_every_file_of_a_learner_is_a_recipes() -> None:
-    others = {"learner", "pipeline", "pretraining", "cloning"}
+    others = {"pipeline", "pretraining", "cloning"}
     files = {f.name.removesuffix(".yml") for f in CONFIGS.iterdir() if f.name.endswith(".yml")}
     assert files - others == set(RECIPES)
     classes = {named.algorithm for named in RECIPES.values()}

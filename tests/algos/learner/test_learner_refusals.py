@@ -308,8 +308,8 @@ def test_demonstrations_that_do_not_fit_the_run(
     [
         ({"device": "abacus"}, "'abacus' is unknown: choose cpu or cuda"),
         ({"device": "meta"}, "'meta' is not supported"),
-        ({"preset": "fast"}, "preset 'fast' is unknown"),
-        ({"fit_method": "guess"}, "'guess' is unknown"),
+        ({"preset": "fast"}, "preset is 'fast': choose paper or default"),
+        ({"fit_method": "guess"}, "'guess': choose joint, onset or noise"),
         ({"fit_method": "noise", "thrusts": "3"}, "fit_method noise fits one thrust: choose 1"),
         ({"seed": -1}, "seed is -1"),
         ({"copies": 0}, "copies is 0"),

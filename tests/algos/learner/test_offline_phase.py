@@ -16,8 +16,8 @@ from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
-from animarl_algos.learner.offline_settings import OfflineSettings
 from animarl_algos.learner.pretraining import Pretraining, _decay
+from animarl_algos.learner.settings import OfflineSettings
 from animarl_algos.recipes.registry import SoftBC
 from animarl_envs.errors import InputError
 

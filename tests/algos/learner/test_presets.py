@@ -11,8 +11,8 @@ import yaml
 
 from animarl_algos import DQN
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.learner.presets import constructed, known_settings, learner_preset
-from animarl_algos.learner.zoo_files import CONFIGS, PRESETS
+from animarl_algos.learner.presets import CONFIGS, PRESETS, constructed, learner_preset
+from animarl_algos.learner.settings import default_settings
 from animarl_algos.networks.networks import ConditionInput
 from animarl_algos.recipes.registry import RECIPES, named_recipe
 from animarl_algos.runs.run_settings import pipeline_settings
@@ -46,7 +46,7 @@ def test_a_file_has_sections_for_every_species(algo: str) -> None:
         for preset in presets(algo):
             found = learner_preset(algo, environment_id(species), preset)
             assert found.n_timesteps >= 1
-            assert found.arguments.keys() <= known_settings().keys()
+            assert found.arguments.keys() <= default_settings().keys()
 
 
 def test_what_is_not_of_the_paper_has_no_numbers_of_it() -> None:
@@ -203,15 +203,15 @@ def test_the_pipeline_tests_with_the_papers_epsilon() -> None:
     ("overrides", "words"),
     [
         ({"learning_rat": 1.0}, "'learning_rat' is unknown: choose among"),
-        ({"learning_rate": "fast"}, "'learning_rate' is 'fast': give a number"),
+        ({"learning_rate": "fast"}, "learning_rate is 'fast': give a number"),
         ({"learning_rate": "lin_fast"}, "write lin_ and a number"),
         ({"batch_size": 1.5}, "give a whole number"),
-        ({"batch_size": [1]}, "give a number"),
+        ({"batch_size": [1]}, "give a whole number of at least 1"),
         ({"prioritized": "yes"}, "give a number, not text|give true or false"),
         ({"prioritized": 1}, "give true or false"),
-        ({"policy": 3}, "give a name"),
+        ({"policy": 3}, "choose GruPolicy or MlpPolicy"),
         ({"policy": "os.path"}, "is 'os.path': choose GruPolicy or MlpPolicy"),
-        ({"policy_kwargs": "dict(hidden=64)"}, "'policy_kwargs' is 'dict.hidden=64.'"),
+        ({"policy_kwargs": "dict(hidden=64)"}, "policy_kwargs is 'dict.hidden=64.'"),
         ({"env_kwargs": [1]}, "give a table"),
         ({"seed": 1}, "'seed' is unknown"),
     ],
@@ -307,14 +307,14 @@ def test_a_file_that_is_its_own_base_is_refused(
 ) -> None:
     (tmp_path / "dqn.yml").write_text("base: dqdil")
     (tmp_path / "dqdil.yml").write_text("base: dqn")
-    monkeypatch.setattr("animarl_algos.learner.zoo_files.CONFIGS", tmp_path)
+    monkeypatch.setattr("animarl_algos.learner.presets.CONFIGS", tmp_path)
     with pytest.raises(InputError, match="dqn: it is its own base"):
         learner_preset("dqn", AGENT)
 
 
 def test_epochs_in_a_file_are_a_number(tmp_path: Path) -> None:
     (tmp_path / "own.yml").write_text("common: {default: {offline_epochs: true}}")
-    with pytest.raises(InputError, match=r"own\.yml: common: default: 'offline_epochs' is True"):
+    with pytest.raises(InputError, match=r"own\.yml: common: default: offline_epochs is True"):
         learner_preset("bc", "AnimaRL/Agent-v0", config=tmp_path / "own.yml")
 
 

@@ -27,7 +27,7 @@ from animarl_algos.learner.checkpoint import (
 )
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN, QRDQN
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.errors import InputError
 
 STEPS = 400
@@ -166,10 +166,10 @@ FULL = """
 import resource, signal, sys
 sys.path[:0] = sys.argv[2:]
 from pathlib import Path
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from test_resume import make, InputError, load_checkpoint, save_checkpoint, weights
 folder = Path(sys.argv[1]) / "checkpoints"
-run = RunFolder(folder.parent)
+run = Run(folder.parent)
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 model = make().learn(100)
 sizes = [file.stat().st_size for file in save_checkpoint(model, folder).iterdir()]
@@ -274,7 +274,7 @@ def flip_a_bit(file: Path, model: SequenceQLearning) -> None:
 
 def test_one_flipped_bit_of_the_weights_is_seen(tmp_path: Path) -> None:
     """PyTorch would load them: it does not look at the checksums of its archives."""
-    model, other, run = make().learn(20), make(seed=9), RunFolder(tmp_path)
+    model, other, run = make().learn(20), make(seed=9), Run(tmp_path)
     before = weights(other)
     checkpoint = save_checkpoint(model, tmp_path)
     flip_a_bit(checkpoint / "model.pt", model)

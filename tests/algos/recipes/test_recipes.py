@@ -124,7 +124,7 @@ def test_inputs_that_an_offline_phase_left_as_they_were_stay_so_online() -> None
     assert torch.isinf(model.policy.q_net.input_limit).all()
 
 
-def test_steps_are_counted_in_the_world() -> None:
+def test_steps_are_counted_world_options() -> None:
     model = make_pair_learner("dqn").learn(50)
     assert model.n_envs == 4 and model.layout.num_copies == 2
     assert model.num_timesteps == 50

@@ -18,8 +18,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.recipes.registry import DQDIL, IQLearn, SoftBC
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.acting import acting_of
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
@@ -65,7 +64,7 @@ def test_an_acting_rule_that_was_never_fitted(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"no acting rule was chosen yet: .* give --acting"
     ) as said:
-        acting_of(RunFolder(tmp_path / "run"), "soft-bc")
+        Run(tmp_path / "run").acting("soft-bc")
     assert is_one_sentence(str(said.value))
 
 

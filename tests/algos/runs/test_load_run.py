@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +13,18 @@ from small_runs import few, made
 
 from animarl_algos import load_run
 from animarl_algos.runs.pretrained import model_folder
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.errors import InputError
 
 PAGE = Path(__file__).parents[3] / "docs" / "what_if.md"
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return made(tmp_path_factory.mktemp("runs"), "soft-bc", demos=few(), rolled_out=False)
 
 
-def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: RunFolder) -> None:
+def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: Run) -> None:
     loaded = load_run(run.path)
     assert loaded.demos.fingerprint() == run.demos.fingerprint()
     assert loaded.scenario.species.locomotion == run.fit.locomotion
@@ -38,11 +39,30 @@ def test_a_loaded_run_has_its_policy_world_and_demonstrations(run: RunFolder) ->
 
 def test_a_packaged_model_is_loaded_by_its_name() -> None:
     loaded = load_run("fly")
-    assert loaded.folder.path == model_folder("fly")
-    assert loaded.scenario.species.locomotion == loaded.folder.fit.locomotion
+    assert loaded.path == model_folder("fly")
+    assert loaded.scenario.species.locomotion == loaded.fit.locomotion
 
 
-def test_a_change_is_all_that_differs(run: RunFolder) -> None:
+def test_each_file_of_a_run_is_read_once(run: Run) -> None:
+    opened: list[str] = []
+    watching = True
+
+    def note(event: str, arguments: tuple[Any, ...]) -> None:
+        if watching and event == "open" and str(arguments[0]).startswith(str(run.path)):
+            opened.append(Path(arguments[0]).name)
+
+    sys.addaudithook(note)  # which cannot be taken away again
+    loaded = load_run(run.path)
+    loaded.simulate(repetitions=1, time_limit=5)
+    watching = False
+    assert len(loaded.demos) == len(run.demos)
+    assert sorted(opened) == [
+        "demonstrations.npz", "demonstrations.npz",  # what it announces, then its arrays
+        "locomotion.json", "settings.json", "soft-bc.acting.json", "soft-bc.pt",
+    ]  # fmt: skip
+
+
+def test_a_change_is_all_that_differs(run: Run) -> None:
     loaded = load_run(run.path)
     first, again = loaded.simulate(repetitions=2), loaded.simulate(repetitions=2)
     np.testing.assert_array_equal(first.positions, again.positions)
@@ -73,14 +93,14 @@ def test_a_change_is_all_that_differs(run: RunFolder) -> None:
     ],
 )
 def test_what_would_show_the_policy_something_else_is_refused_by_name(
-    options: dict[str, Any], word: str, run: RunFolder
+    options: dict[str, Any], word: str, run: Run
 ) -> None:
     with pytest.raises(InputError, match=f"^{word} what the policy is shown"):
         load_run(run.path).simulate(**options)
 
 
 def test_the_page_runs_in_ten_lines(
-    run: RunFolder,
+    run: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from animarl_algos.report.provenance import duration, flattened
-from animarl_algos.runs.machine import commit, machine, timed, timed_stage, wall_times
+from animarl_algos.runs.machine import commit, machine, timed, wall_times
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -53,15 +53,6 @@ def test_times_of_a_stage_add_up(tmp_path: Path) -> None:
     with timed(tmp_path, "training"):
         pass
     assert wall_times(tmp_path)["training"] >= once >= 0.0
-
-    @timed_stage("evaluation")
-    def evaluate(run: Run, answer: int) -> int:
-        """Of a run."""
-        return answer
-
-    assert evaluate(Run(tmp_path), 3) == 3
-    assert set(wall_times(tmp_path)) == {"training", "evaluation"}
-    assert evaluate.__doc__ == "Of a run."
 
 
 def test_what_fails_is_not_timed(tmp_path: Path) -> None:

@@ -12,9 +12,8 @@ import pytest
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.plan import plan
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.runs.acting import acting_file
 from animarl_algos.runs.pipeline import learn, open_run
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings
 from animarl_algos.runs.weights import weights_file
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -58,10 +57,10 @@ def poisoned(demos: Demonstrations, split: str = "test") -> Demonstrations:
     )
 
 
-def learned(run: RunFolder) -> tuple[bytes, ...]:
+def learned(run: Run) -> tuple[bytes, ...]:
     """All that a run learned and chose, as it is stored."""
     algo = run.settings.algo
-    files = weights_file(run.path / "policies", algo), acting_file(run, algo)
+    files = weights_file(run.path / "policies", algo), run.acting_file(algo)
     return tuple(file.read_bytes() for file in (*files, run.path / "locomotion.json"))
 
 
@@ -95,7 +94,7 @@ def test_the_test_split_is_refused() -> None:
 def test_poison_changes_neither_what_is_learned_nor_what_is_packaged(
     tmp_path: Path, algo: str, species: str, overrides: dict[str, Any]
 ) -> None:
-    def trained(demos: Demonstrations, name: str) -> RunFolder:
+    def trained(demos: Demonstrations, name: str) -> Run:
         settings = RunSettings(
             file=str(demos.save(tmp_path / f"{name}.npz")), species=species, algo=algo, steps=300,
             copies=4, seed=3, baselines=False, thrusts=AUTO if algo == "soft-bc" else "1",
@@ -122,7 +121,7 @@ def test_poison_changes_no_trained_cell_of_a_benchmark(tmp_path: Path) -> None:
         asked, out = plan(matrix), tmp_path / name
         for piece in (*asked.worlds, *asked.cells):
             piece.perform(out)
-        return learned(RunFolder(asked.cells[0].folder(out) / "run"))
+        return learned(Run(asked.cells[0].folder(out) / "run"))
 
     clean = trained(a_few(), "clean")
     assert clean == trained(poisoned(a_few()), "poisoned")

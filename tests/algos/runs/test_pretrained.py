@@ -18,8 +18,7 @@ from animarl_algos.cli.main import main
 from animarl_algos.cli.watch import prepare
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.pretrained import FOLDER, export_run, pretrained_names
-from animarl_algos.runs.rolling_out import trained_model
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.demos.packaged import packaged_names
 from animarl_envs.errors import InputError
 
@@ -27,7 +26,7 @@ LARGEST = 3_000_000  # [bytes]
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A small run of clones, evaluated."""
     trained = made(tmp_path_factory.mktemp("runs"), "soft-bc")
     pipeline.evaluate_run(trained)
@@ -41,9 +40,9 @@ def answers(model: Any) -> Any:
     return model.predict(seen.astype(np.float32))[0].tolist()
 
 
-def test_an_exported_model_acts_as_the_run(run: RunFolder, tmp_path: Path) -> None:
+def test_an_exported_model_acts_as_the_run(run: Run, tmp_path: Path) -> None:
     out = export_run(run, tmp_path / "model", with_demonstrations=True)
-    assert answers(load_pretrained(out)) == answers(trained_model(run, "soft-bc"))
+    assert answers(load_pretrained(out)) == answers(run.trained("soft-bc"))
     assert (out / "policies" / "soft-bc.safetensors").is_file()
     assert not list(out.rglob("*.pt"))
     world, actor = prepare("AnimaRL/Agent-v0", model=out)
@@ -57,16 +56,16 @@ def test_an_exported_model_acts_as_the_run(run: RunFolder, tmp_path: Path) -> No
     assert {"auc", "duration"} <= {row["measure"] for row in metrics["measures"]}
 
 
-def test_recordings_are_given_away_only_when_asked(run: RunFolder, tmp_path: Path) -> None:
+def test_recordings_are_given_away_only_when_asked(run: Run, tmp_path: Path) -> None:
     out = export_run(run, tmp_path / "model")
     assert not (out / "demonstrations.npz").exists()
     with pytest.raises(InputError, match=r"demonstrations\.npz"):
         load_pretrained(out)
     shutil.copyfile(run.path / "demonstrations.npz", out / "demonstrations.npz")
-    assert answers(load_pretrained(out)) == answers(trained_model(run, "soft-bc"))
+    assert answers(load_pretrained(out)) == answers(run.trained("soft-bc"))
 
 
-def test_damaged_weights_are_refused(run: RunFolder, tmp_path: Path) -> None:
+def test_damaged_weights_are_refused(run: Run, tmp_path: Path) -> None:
     out = export_run(run, tmp_path / "model", with_demonstrations=True)
     file = out / "policies" / "soft-bc.safetensors"
     whole = file.read_bytes()
@@ -76,15 +75,15 @@ def test_damaged_weights_are_refused(run: RunFolder, tmp_path: Path) -> None:
             load_pretrained(out)
 
 
-def test_what_cannot_be_exported_says_why(run: RunFolder, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_says_why(run: Run, tmp_path: Path) -> None:
     lacking = tmp_path / "run"
     shutil.copytree(run.path, lacking)
     shutil.rmtree(lacking / "evaluation")
     with pytest.raises(InputError, match="needs its evaluation"):
-        export_run(RunFolder(lacking), tmp_path / "model")
+        export_run(Run(lacking), tmp_path / "model")
     shutil.rmtree(lacking / "policies")
     with pytest.raises(InputError, match="no trained policy"):
-        export_run(RunFolder(lacking), tmp_path / "model")
+        export_run(Run(lacking), tmp_path / "model")
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.txt").write_text("1")
     with pytest.raises(InputError, match="no model"):
@@ -93,11 +92,11 @@ def test_what_cannot_be_exported_says_why(run: RunFolder, tmp_path: Path) -> Non
         load_pretrained("cat")
 
 
-def test_no_run_is_written_over(run: RunFolder, tmp_path: Path) -> None:
+def test_no_run_is_written_over(run: Run, tmp_path: Path) -> None:
     other = tmp_path / "run"
     shutil.copytree(run.path, other)
     before = (other / "settings.json").read_bytes()
-    for exported in (run, RunFolder(other)):
+    for exported in (run, Run(other)):
         with pytest.raises(InputError, match="it is a run folder"):
             export_run(exported, other)
     assert (other / "settings.json").read_bytes() == before
@@ -106,7 +105,7 @@ def test_no_run_is_written_over(run: RunFolder, tmp_path: Path) -> None:
 
 
 def test_a_model_without_its_recordings_is_watched_with_their_file(
-    run: RunFolder, tmp_path: Path
+    run: Run, tmp_path: Path
 ) -> None:
     out = export_run(run, tmp_path / "model")
     for given in ({}, {"demos": "agent"}, {"demos": None}):
@@ -119,7 +118,7 @@ def test_a_model_without_its_recordings_is_watched_with_their_file(
 
 @pytest.mark.parametrize("order", [[1, 0, 2], [0, 2]])
 def test_recordings_of_other_individuals_are_refused(
-    order: list[int], run: RunFolder, tmp_path: Path
+    order: list[int], run: Run, tmp_path: Path
 ) -> None:
     names = [run.demos.individuals[i] for i in order]
     other = replace(
@@ -144,7 +143,7 @@ def said_by(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) 
 
 
 def test_the_command_exports_and_refuses(
-    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     out = tmp_path / "model"
     code, said = said_by(["export", str(run.path), "--out", str(out)], monkeypatch, capsys)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,18 @@ from small_runs import few, made
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs import pipeline
+from animarl_algos.runs.pipeline import load_demonstrations
 from animarl_algos.runs.rolling_out import stored_rollouts
+from animarl_algos.runs.run import Run
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.pursuers import first_of_role
+from animarl_envs.fitting import fit_locomotion
 
 LIMIT = 20
 
 
 @pytest.fixture(scope="module")
-def limited(tmp_path_factory: pytest.TempPathFactory) -> pipeline.RunFolder:
+def limited(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run whose episodes end after 20 steps; some of its recordings are longer."""
     longest = few().select(split="test").lengths.max() - 1
     assert longest > LIMIT
@@ -27,27 +32,27 @@ def limited(tmp_path_factory: pytest.TempPathFactory) -> pipeline.RunFolder:
     return made(tmp_path_factory.mktemp("limited"), env_kwargs=options)
 
 
-def test_rollouts_end_at_the_trained_limit(limited: pipeline.RunFolder) -> None:
+def test_rollouts_end_at_the_trained_limit(limited: Run) -> None:
     rollouts = stored_rollouts(limited)["DQCIL-PT"]
     assert rollouts.lengths.max() - 1 <= LIMIT
-    scenario = limited.scenario("test")
+    scenario = limited.scenario
     assert scenario.species.time_limit == LIMIT and scenario.species.contact_radius == 0.02
     assert scenario.species.arena.size == 1.5 and scenario.observation_delay == 2
 
 
-def test_training_evaluation_and_watching_share_their_world(limited: pipeline.RunFolder) -> None:
+def test_training_evaluation_and_watching_share_their_world(limited: Run) -> None:
     """Every option once: a factor on the thrust is not applied again."""
-    species = limited.species(limited.demos, limited.fit)
+    species = limited.species
     fitted = limited.fit.locomotion[2]
     assert species.locomotion[2].thrust == pytest.approx(0.5 * fitted.thrust)
-    env = limited.environment(species, limited.demos)
+    env = limited.environment()
     world, _ = prepare("AnimaRL/Agent-v0", model=limited.path, acting="greedy")
-    assert env.scenario.species == species == limited.scenario("test").species
+    assert env.scenario.species == species == limited.scenario.species
     assert world.scenario.species == species
     assert env.scenario.observation_delay == world.scenario.observation_delay == 2
 
 
-def test_the_page_lists_the_world(limited: pipeline.RunFolder) -> None:
+def test_the_page_lists_the_world(limited: Run) -> None:
     pipeline.evaluate_run(limited)
     page = pipeline.report(limited).read_text()
     for words in (f"{LIMIT} steps (2 s)", "0.02 arena units", "environment.time_limit",
@@ -66,3 +71,22 @@ def test_fewer_pursuers_hold_everywhere(tmp_path: Path) -> None:
     world, actor = prepare("AnimaRL/Agent-v0", model=run.path, acting="greedy")
     world.reset()
     assert actor(world, True).shape == (1, 2)
+
+
+@pytest.mark.parametrize(("preset", "kind"), [("default", "full"), ("paper", "paper")])
+def test_a_run_keeps_its_world_whatever_the_defaults_become(
+    tmp_path: Path, preset: str, kind: str
+) -> None:
+    settings = RunSettings(
+        file="packaged", species="fly", algo="bc", steps=1, copies=2, preset=preset
+    )
+    run = Run(tmp_path)
+    run.start(settings, load_demonstrations("packaged", species="fly"), "made by the test")
+    recorded = json.loads((tmp_path / "settings.json").read_text())["environment"]
+    assert recorded["observation"] == kind and recorded["rebound"] == (kind == "full")
+    fit_locomotion(run.demos, "onset").save(tmp_path / "locomotion.json")
+    assert run.species.observation == kind
+    assert run.species.arena.edge == {"full": 1.0, "paper": 1.1}[kind]
+    env = run.environment()
+    assert env.scenario.species == run.species
+    assert (env.observation_space.shape == (19,)) == (kind == "paper")

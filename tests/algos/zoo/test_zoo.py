@@ -27,7 +27,8 @@ from zoo_commands import AGENT, CARTPOLE, TINY
 from zoo_commands import small as small
 from zoo_commands import zoo as zoo
 
-from animarl_algos.learner.presets import known_settings, learner_preset
+from animarl_algos.learner.presets import learner_preset
+from animarl_algos.learner.settings import LearnerFile
 from animarl_algos.recipes.registry import RECIPES, SoftBC
 from animarl_algos.zoo import manager, samplers
 from animarl_algos.zoo.__main__ import register
@@ -56,7 +57,7 @@ def test_optuna_chooses_settings_that_the_learner_knows(algo: str) -> None:
     wanted = {"dil": {"alpha"}, "cil": {"alpha", "lambda2"}, "aas": {"lambda3"}}
     kind = next((k for k in wanted if k in algo), "")
     assert weights == wanted.get(kind, set())
-    assert drawn.keys() <= known_settings().keys()
+    assert drawn.keys() <= LearnerFile.model_fields.keys()
 
 
 @pytest.mark.parametrize("species", SPECIES)

@@ -32,7 +32,7 @@ DQN = ["train", "--algo", "dqn", "--env", AGENT]
         (["train", "--algo", "dqn", "--env", AGENT, "-params", "gamma:["], "not valid YAML"),
         (["train", "--algo", "dqn", "--env", AGENT, "--env-kwargs", "wind:1"], "'wind' is unknown"),
         ([*DQN, "-params", "policy_kwargs:{hiden: 4}"], "policy_kwargs: 'hiden' is unknown"),
-        ([*DQN, "-params", "learning_rate:-1"], "learning_rate is -1.0"),
+        ([*DQN, "-params", "learning_rate:-1"], "learning_rate is -1"),
         ([*DQN, "--env-kwargs", "copies:2"], "give -params n_envs"),
         ([*DQN, "--device", "abacus"], "'abacus' is unknown"),
         ([*DQN, "-i", "no.zip"], "no.zip: there is no such zip file"),
@@ -43,8 +43,8 @@ DQN = ["train", "--algo", "dqn", "--env", AGENT]
         ([*DQN, "--n-eval-envs", "0"], "--n-eval-envs is 0"),
         ([*DQN, "-n", "0"], "--n-timesteps is 0"),
         ([*DQN, "--trial-id", "3"], "--trial-id is not supported"),
-        ([*DQN, "-params", "n_timesteps:0"], "'n_timesteps' is 0"),
-        ([*DQN, "-params", "n_envs:0"], "'n_envs' is 0"),
+        ([*DQN, "-params", "n_timesteps:0"], "n_timesteps is 0"),
+        ([*DQN, "-params", "n_envs:0"], "n_envs is 0"),
         (["train", "--algo", "dqn", "--env", "CartPole-v1", "--preset", "paper"], "'paper' has no"),
         (["train", "--algo", "dqn", "--env", "Pendulum-v1"], "does not suit"),
         (["train", "--algo", "dqdil", "--env", "CartPole-v1"], "'dtw_penalty'"),
@@ -117,7 +117,7 @@ def test_a_damaged_or_foreign_zip_is_refused(
         (tmp_path / "bad.zip").write_bytes(content)
         done = zoo("train", "-i", "bad.zip", "--algo", "dqn", "--env", AGENT)
         assert done.returncode == 2 and "bad.zip: it is no model of" in done.stderr
-    for env, word in ((AGENT, "3 that observe"), ("Three-v0", "Action spaces do not match")):
+    for env, word in ((AGENT, "spaces do not match"), ("Three-v0", "Action spaces do not match")):
         done = zoo("train", "-i", "pole.zip", "--algo", "dqn", "--env", env)
         assert done.returncode == 2 and word in done.stderr
         assert "Traceback" not in done.stderr
@@ -132,12 +132,12 @@ def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path:
     RECIPES["dqn"].algorithm("MlpPolicy", fly, offline_epochs=0, buffer_size=5000).save("fly.zip")
     alike = ("--env-kwargs", "senses_compass:False")
     for command, why in (
-        (("train", "-i", "fly.zip"), "3 individuals that observe ("),
+        (("train", "-i", "fly.zip"), "Observation spaces do not match"),
         (("train", "-i", "fly.zip", *alike), "the environment is of the species newt"),
     ):
         done = zoo(*command, "--algo=dqn", "--env=AnimaRL/Newt-v0")
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-        assert f"fly.zip: {why}" in done.stderr.replace("it was trained with ", "")
+        assert f"fly.zip: {why}" in done.stderr
     assert not (tmp_path / "logs").exists()
 
 

@@ -19,7 +19,7 @@ import yaml
 from refusals import refused
 
 from animarl_algos.learner.checkpoint import load_tensors
-from animarl_algos.learner.zoo_files import read_file
+from animarl_algos.learner.presets import read_file
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import ALLOWANCE, read_npz
@@ -200,7 +200,7 @@ EVIL_YAML = "a: !!python/object/apply:pathlib.Path.touch [!!python/object/apply:
 def test_foreign_yaml_runs_nothing(tmp_path: Path, marker: Path) -> None:
     file = tmp_path / "evil.yml"
     file.write_text(EVIL_YAML.format(yaml.safe_dump(str(marker)).splitlines()[0]))
-    for opened in (ImportRecipe.load, read_yaml, lambda path: read_file(path, {})):
+    for opened in (ImportRecipe.load, read_yaml, read_file):
         with pytest.raises(InputError, match="not valid YAML"):
             opened(file)
 

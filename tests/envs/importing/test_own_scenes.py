@@ -42,8 +42,8 @@ def test_inputs_of_networks_are_centred_and_scaled_in_any_unit(tmp_path: Path) -
     demos = imported(None)
     assert np.abs(demos.positions).max() <= 1.0 + 1e-9
     run = made(tmp_path, "soft-bc", demos=demos, species="custom", rolled_out=False)
-    species = run.species(demos, run.fit)
-    model = run.learner("soft-bc", run.environment(species, demos))
+    species = run.species
+    model = run.learner("soft-bc", run.environment(demos))
     run.load_policy("soft-bc", model)
     train = demos.select(split="train")
     raw = demonstration_observations(species, train)

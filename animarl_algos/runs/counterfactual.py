@@ -24,13 +24,13 @@ from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
 from animarl_algos.report.counterfactual_page import counterfactual_page
 from animarl_algos.report.exporting import write_figures
 from animarl_algos.runs.evaluating import PAGE, command, refuse_run_folder
-from animarl_algos.runs.rolling_out import told, trained_model, untrained_model
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
+from animarl_envs.scenario import Condition
 from animarl_envs.species import Species
 
 TEAM_SEED = 0
@@ -38,7 +38,7 @@ OTHER_DRAWS = 1
 
 
 @dataclass(frozen=True, eq=False)
-class AskedRuns:
+class CounterfactualRuns:
     """What the runs answered, and what comes of it."""
 
     runs: RunSet
@@ -53,7 +53,7 @@ def ask_runs(
     truth: Path | None = None,
     repetitions: int | None = None,
     resamples: int = RESAMPLES,
-) -> AskedRuns:
+) -> CounterfactualRuns:
     """Ask trained runs about the other condition from every test start.
 
     Parameters
@@ -86,7 +86,7 @@ def ask_runs(
     effects = cue_effects(
         asked, test, teams=teams, planned=runs.species.planned_flip, resamples=resamples
     )
-    return AskedRuns(runs, asked, teams, effects)
+    return CounterfactualRuns(runs, asked, teams, effects)
 
 
 def counterfactual_runs(
@@ -95,7 +95,7 @@ def counterfactual_runs(
     *,
     truth: Path | None = None,
     repetitions: int | None = None,
-) -> AskedRuns:
+) -> CounterfactualRuns:
     """What :func:`ask_runs` finds, written to ``out``: all of it or nothing.
 
     ``out`` gets ``counterfactual``, ``claims`` and ``episodes`` as CSV and Parquet, ``figures/``
@@ -135,7 +135,7 @@ def counterfactual_runs(
     return found
 
 
-def episode_table(found: AskedRuns, test: Demonstrations) -> pd.DataFrame:
+def episode_table(found: CounterfactualRuns, test: Demonstrations) -> pd.DataFrame:
     """Every episode with what is measured of it; ``answer`` says what was asked."""
     parts = [measure_recordings(test).assign(answer="recorded")]
 
@@ -157,7 +157,7 @@ def episode_table(found: AskedRuns, test: Demonstrations) -> pd.DataFrame:
 
 
 def _ask(
-    runs: Sequence[RunFolder], test: Demonstrations, species: Species, repetitions: int | None
+    runs: Sequence[Run], test: Demonstrations, species: Species, repetitions: int | None
 ) -> Asked:
     """One method over its seeds."""
     trained: list[Answers] = []
@@ -167,16 +167,16 @@ def _ask(
     accuracy: dict[int, float] = {}
     name = runs[0].settings.algo.upper()
     for run in runs:
-        model = trained_model(run, run.settings.algo)
+        model = run.policy
         if not model.layout.condition_flag:
             raise InputError(
                 f"{run.path}: {name} was never told the condition, so it cannot be told another: "
                 "leave it out"
             )
         trained.append(_both_cues(run, model, name, repetitions))
-        untrained.append(_both_cues(run, untrained_model(run), "untrained", repetitions))
+        untrained.append(_both_cues(run, run.untrained(), "untrained", repetitions))
         zeroed = [
-            told(run, model, "flag zeroed", 0, repetitions=repetitions, draws=draws)
+            run.roll_out(model, "flag zeroed", 0, repetitions=repetitions, draws=draws)
             for draws in (0, OTHER_DRAWS)
         ]
         blind.append(Answers(*zeroed))
@@ -196,15 +196,15 @@ def _ask(
     )
 
 
-def _both_cues(run: RunFolder, policy: Policy, name: str, repetitions: int | None) -> Answers:
+def _both_cues(run: Run, policy: Policy, name: str, repetitions: int | None) -> Answers:
     return Answers(
-        told(run, policy, name, "actual", repetitions=repetitions),
-        told(run, policy, name, "flipped", repetitions=repetitions),
+        run.roll_out(policy, name, "actual", repetitions=repetitions),
+        run.roll_out(policy, name, "flipped", repetitions=repetitions),
     )
 
 
 def _other_world(
-    run: RunFolder,
+    run: Run,
     model: SequenceQLearning,
     name: str,
     test: Demonstrations,
@@ -212,8 +212,10 @@ def _other_world(
 ) -> Rollouts:
     """From every start, in the world of the other condition, told so."""
     parts = []
-    for world in (0, 1):
-        everywhere = told(run, model, name, "actual", repetitions=repetitions, world=world)
+    worlds: tuple[Condition, ...] = (0, 1)
+    for world in worlds:
+        scenario = run.starting_from("test", world)
+        everywhere = run.roll_out(model, name, "actual", scenario=scenario, repetitions=repetitions)
         parts.append(everywhere.select(test.condition[everywhere.demo] != world))
     return Rollouts.concatenate(parts)
 

@@ -10,7 +10,7 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 from filelock import FileLock, Timeout
 
-from animarl_algos.runs.run_folder import RunFolder
+from animarl_algos.runs.run import Run
 from animarl_envs.errors import InputError
 
 P = ParamSpec("P")
@@ -18,7 +18,7 @@ R = TypeVar("R")
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[None]:
+def run_lock(folder: Path) -> Iterator[None]:
     """Hold the folder; within a process it may be held again, and a dead process holds nothing.
 
     Raises
@@ -35,16 +35,16 @@ def alone(folder: Path) -> Iterator[None]:
         ) from None
 
 
-def holding(
-    stage: Callable[Concatenate[RunFolder, P], R],
-) -> Callable[Concatenate[RunFolder, P], R]:
-    """A stage of a run that holds its folder while it works; there must be one."""
+def locked(
+    stage: Callable[Concatenate[Run, P], R],
+) -> Callable[Concatenate[Run, P], R]:
+    """Decorator: let a stage of a run hold its folder while it works."""
 
     @wraps(stage)
-    def held(run: RunFolder, *args: P.args, **kwargs: P.kwargs) -> R:
+    def stage_alone(run: Run, *args: P.args, **kwargs: P.kwargs) -> R:
         if not run.path.is_dir():
             return stage(run, *args, **kwargs)  # which says so
-        with alone(run.path):
+        with run_lock(run.path):
             return stage(run, *args, **kwargs)
 
-    return held  # type: ignore[return-value]
+    return stage_alone  # type: ignore[return-value]

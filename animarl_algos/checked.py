@@ -1,0 +1,121 @@
+"""Settings checked by pydantic, refused in one sentence: what is wrong, where, and what may be."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from animarl_envs.errors import InputError
+
+
+class Checked(BaseModel):
+    """Frozen settings; fields carry their default, range and, as a string below them, their prose.
+
+    Whole numbers may be written as floats, and any as NumPy's.
+
+    Raises
+    ------
+    InputError
+        If one is unknown, missing or out of its range.
+    """
+
+    model_config = ConfigDict(
+        frozen=True,
+        strict=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        arbitrary_types_allowed=True,
+    )
+
+    def __init__(self, /, **given: Any) -> None:
+        try:
+            super().__init__(**given)
+        except ValidationError as error:
+            raise InputError(sentence(type(self), error.errors()[0])) from None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_plain_numbers(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """Numbers as Python's; whole ones as ints where an int is wanted."""
+        plain = {}
+        for name, value in given.items():
+            one = value.item() if isinstance(value, np.generic) else value
+            field = cls.model_fields.get(name)
+            counts = field is not None and "int" in str(field.annotation)
+            whole = counts and isinstance(one, float) and one.is_integer()
+            plain[name] = int(one) if whole else one
+        return plain
+
+    @classmethod
+    def read(cls, given: dict[str, Any], place: str) -> dict[str, Any]:
+        """Return ``given`` with every value checked.
+
+        Raises
+        ------
+        InputError
+            The sentence starts with ``place``.
+        """
+        try:
+            whole = cls(**given)
+        except InputError as error:
+            raise InputError(f"{place}{error}") from None
+        return {name: getattr(whole, name) for name in given}
+
+    def changed(self, **values: Any) -> Self:
+        """Return a copy with other values, checked."""
+        return type(self)(**dict(self) | values)
+
+
+def sentence(model: type[BaseModel], error: ErrorDetails) -> str:
+    """Say what is wrong with a field of a model."""
+    name = str(error["loc"][0]) if error["loc"] else ""
+    if error["type"] == "value_error":
+        said = str(error["ctx"]["error"])
+        return f"{name} is {error['input']!r}: {said}" if name else said
+    if error["type"] == "extra_forbidden":
+        return f"{name!r} is unknown: choose among {', '.join(sorted(model.model_fields))}"
+    shown = model.model_json_schema()["properties"][name]
+    given = "missing" if error["type"] == "missing" else repr(error["input"])
+    return f"{name} is {given}: {described(shown)}"
+
+
+def prose(shown: dict[str, Any]) -> str:
+    """Say what a part of a JSON schema means, and in brackets what it may be."""
+    may_be = described(shown).removeprefix("give ").removeprefix("choose ")
+    return f"{' '.join(shown['description'].split())} ({may_be})"
+
+
+NAMES = {
+    "integer": "a whole number",
+    "number": "a number",
+    "boolean": "true or false",
+    "string": "a name",
+    "object": "a table",
+    "array": "a list",
+}
+
+
+def described(shown: dict[str, Any]) -> str:
+    """Say what a part of a JSON schema allows."""
+    options = shown.get("anyOf", [shown])
+    optional = ", or none" if any(one.get("type") == "null" for one in options) else ""
+    kinds = [one for one in options if one.get("type") != "null"]
+    if "enum" in kinds[0]:
+        *others, last = map(str, kinds[0]["enum"])
+        return f"choose {', '.join(others)} or {last}{optional}"
+    return f"give {' or '.join(_range(one) for one in kinds)}{optional}"
+
+
+def _range(one: dict[str, Any]) -> str:
+    said = NAMES.get(one.get("type", ""), "another value")
+    if "minimum" in one:
+        said += f" of at least {one['minimum']:g}"
+    if "exclusiveMinimum" in one:
+        said += f" above {one['exclusiveMinimum']:g}"
+    if "maximum" in one:
+        said += f" and at most {one['maximum']:.10g}"
+    return said

@@ -1,0 +1,583 @@
+"""A run's folder: everything needed to repeat it, to continue it, and to show it.
+
+settings.json       as resolved, with versions, machine, command and the demonstrations' fingerprint
+demonstrations.npz  with their splits and provenance
+locomotion.json     the fitted parameters
+checkpoints/        the last whole checkpoint of each learner
+policies/           final weights of each learner (tensors only), and the rule that it acts by
+logs/               learning curves: CSV and TensorBoard
+rollouts/           on the test split, by method
+evaluation/         tables, and the verdict
+wall_time.json      seconds by stage
+report.html
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import shlex
+from collections.abc import Callable, Mapping
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from animarl_algos.data.slots import FocalPolicy, focal_drivers
+from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.evaluation.acting_choice import (
+    candidate_rules,
+    choice_episodes,
+    choose_acting,
+    further_rules,
+)
+from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, serialised
+from animarl_algos.learner.presets import constructed
+from animarl_algos.networks.acting_rule import Acting
+from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.runs.machine import machine
+from animarl_algos.runs.run_curves import logged_curves
+from animarl_algos.runs.run_settings import (
+    BEHAVIOUR_CLONING,
+    CHOSEN,
+    RunSettings,
+    checked_species,
+)
+from animarl_algos.runs.run_world import (
+    changed_inputs,
+    select_individuals,
+    species_options,
+    training_options,
+    world_options,
+)
+from animarl_algos.runs.weights import read_weights, weights_file
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
+from animarl_envs.demos.splits import learnable
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting import LocomotionFit
+from animarl_envs.fitting.custom_species import species_of
+from animarl_envs.scenario import PACKAGED, Condition, Scenario, make_scenario
+from animarl_envs.species import Species
+from animarl_envs.species.options import change_world, with_options
+from animarl_envs.species.scales import Reading
+from animarl_envs.worlds import make_world
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from animarl_algos.whatif.answer import WhatIf
+
+PACKAGES = (
+    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
+    "scipy", "stable-baselines3", "torch",
+)  # fmt: skip
+DEMONSTRATIONS = "demonstrations.npz"
+
+
+class Run:
+    """A run, or an exported model: what its folder holds, each file read once.
+
+    Attributes
+    ----------
+    path
+        Its folder.
+    acting_rule
+        Goes over the rule that trained policies of the run act by.
+    """
+
+    def __init__(self, path: Path, acting_rule: str | None = None) -> None:
+        self.path, self.acting_rule = path, acting_rule
+
+    # -- what the run is --------------------------------------------------------------------------
+
+    def start(self, settings: RunSettings, demos: Demonstrations, command: str) -> None:
+        """Write what the run is, or make sure that what is there is the same run.
+
+        Raises
+        ------
+        InputError
+            If the folder holds another run.
+        """
+        own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
+        resolved = {
+            "settings": settings.model_dump(),
+            "learner": own.arguments,
+            "baseline": other.arguments,
+            "environment": _environment(settings, demos, own.env_kwargs),
+            "fingerprint": demos.fingerprint(),
+        }
+        if (self.path / "settings.json").exists():
+            for key, value in resolved.items():
+                if (there := self.record.get(key)) != (here := _plain(value)):
+                    if isinstance(there, dict) and isinstance(here, dict):
+                        keys = [k for k in here | there if here.get(k) != there.get(k)]
+                        key = f"{key}: {', '.join(keys)}"
+                    raise InputError(
+                        f"{self.path}: it holds another run (its {key} differ): "
+                        "choose another --out, or remove it"
+                    )
+            return
+        demos.save(self.path / DEMONSTRATIONS)
+        versions_and_machine = {"versions": versions(), "machine": machine()}
+        self._write_record(resolved | versions_and_machine | {"command": command})
+
+    def _write_record(self, record: Mapping[str, Any]) -> None:
+        self.record = _plain(record)
+        self.__dict__.pop("settings", None)
+        with write_then_rename(self.path / "settings.json") as part:
+            part.write_text(json.dumps(self.record, indent=2) + "\n")
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """``settings``, ``learner`` and the ``baseline`` it is compared with, ``environment``,
+        ``fingerprint``, ``versions``, ``machine`` and ``command``.
+        """
+        file = self.path / "settings.json"
+        try:
+            record: dict[str, Any] = json.loads(file.read_text())
+            if not isinstance(record, dict):
+                raise ValueError("it is no table")
+            return record
+        except (FileNotFoundError, NotADirectoryError):
+            raise InputError(
+                f"{self.path}: it is not a run folder (settings.json is missing): "
+                "make one with 'animarl run' or 'animarl train'"
+            ) from None
+        except ValueError as error:
+            raise InputError(f"{file}: it is damaged ({error}): start the run again") from None
+
+    @cached_property
+    def settings(self) -> RunSettings:
+        """As the run was asked for."""
+        try:
+            return RunSettings(**self.record["settings"])
+        except (KeyError, TypeError, InputError) as error:
+            raise InputError(
+                f"{self.path / 'settings.json'}: it is not of this version of animarl ({error}): "
+                "start the run again"
+            ) from None
+
+    def extend(self, steps: int | None = None, device: str | None = None) -> None:
+        """Raise the number of steps of a run that is to be continued; move it to a device."""
+        settings = self.settings
+        if steps is not None and steps < settings.steps:
+            raise InputError(
+                f"{self.path}: the run has {settings.steps} steps already: ask for more with "
+                "--steps"
+            )
+        online = named_recipe(settings.algo).algorithm.recipe.online
+        further = steps is not None and steps > settings.steps
+        checkpoint = latest_checkpoint(self.path / "checkpoints" / settings.algo)
+        if further and online and self.has_policy(settings.algo) and checkpoint is None:
+            raise InputError(
+                f"{self.path}: its checkpoints are gone, so it cannot go on: start a new run"
+            )
+        asked = settings.changed(steps=steps or settings.steps, device=device or settings.device)
+        self._write_record(self.record | {"settings": asked.model_dump()})
+
+    def suggested_command(self) -> str:
+        """Return the command that adds to the run what it lacks: it skips whatever is there."""
+        words = shlex.split(self.record["command"])
+        if words[:1] == ["animarl"] and words[1:2] in (["run"], ["train"]):
+            return shlex.join(["animarl", "run", *words[2:]])
+        return f"animarl run with the settings of the run and --out {self.path}"
+
+    # -- its world --------------------------------------------------------------------------------
+
+    @cached_property
+    def demos(self) -> Demonstrations:
+        """The demonstrations (packaged ones need no copy), all splits, of those who move."""
+        file = self.path / DEMONSTRATIONS
+        if file.exists() or self.settings.file != PACKAGED:
+            demos = Demonstrations.load(file)
+        else:
+            demos = load_packaged(self.settings.species)
+            if demos.fingerprint() != self.record["fingerprint"]:
+                raise InputError(
+                    f"{self.path}: it was trained on packaged demonstrations of another version: "
+                    "train it anew"
+                )
+        return select_individuals(demos, self.environment_options)
+
+    def use_demonstrations(self, given: Demonstrations | None) -> None:
+        """Let ``given`` stand in for demonstrations that an exported model came without.
+
+        Raises
+        ------
+        InputError
+            If they are not those that it learned from.
+        """
+        file = self.settings.file
+        if file == PACKAGED or (self.path / DEMONSTRATIONS).exists():
+            return
+        if given is None or given.fingerprint() != self.record["fingerprint"]:
+            other = "" if given is None else f", and {given.name} holds others"
+            raise InputError(
+                f"{self.path}: the demonstrations that it learned from ({file}) are not in it"
+                f"{other}: give their file by --demos, or export it again --with-demonstrations"
+            )
+        self.demos = select_individuals(given, self.environment_options)
+
+    @cached_property
+    def learnable_demos(self) -> Demonstrations:
+        """Those of the train and val splits: all that fitting, training and choosing are given."""
+        return learnable(self.demos)
+
+    @cached_property
+    def fit(self) -> LocomotionFit:
+        """The fitted locomotion."""
+        return LocomotionFit.load(self.path / "locomotion.json")
+
+    @property
+    def environment_options(self) -> dict[str, Any]:
+        """Options of the training environment."""
+        options: dict[str, Any] = self.record["environment"]
+        return options
+
+    @property
+    def world_options(self) -> dict[str, Any]:
+        """Options that every world of the run has, beside those of its species."""
+        return world_options(self.environment_options)
+
+    @cached_property
+    def species(self) -> Species:
+        """The species that the run trains and is evaluated in.
+
+        With the recording's arena and names, the fitted locomotion, and over these the run's own
+        options (``env_kwargs``).
+        """
+        fitted = species_of(self.demos, self.fit.locomotion, base=self.settings.species)
+        return with_options(fitted, **species_options(self.environment_options))
+
+    @cached_property
+    def scenario(self) -> Scenario:
+        """The world of the run, with the fitted locomotion, from the starts of its test split."""
+        return self.starting_from("test")
+
+    def starting_from(self, split: str, condition: Condition = "demo") -> Scenario:
+        """Return the world of the run from the starts of ``split``: to evaluate in and to watch.
+
+        Episodes start from each demonstration and in its condition, or in the one given. Those who
+        did not learn replay their demonstration.
+        """
+        return make_scenario(
+            self.species,
+            demos=self.demos,
+            split=split,
+            condition=condition,
+            drivers=focal_drivers(self.species.individuals, self.settings.focal),
+            **self.world_options,
+        )
+
+    def environment(self, demos: Demonstrations | None = None) -> SlotVecEnv:
+        """Return the training environment: episodes start from the train split.
+
+        All individuals learn, or the run's focal one.
+        """
+        return SlotVecEnv(
+            self.species,
+            self.settings.copies,
+            demos=self.demos if demos is None else demos,
+            focal=self.settings.focal,
+            condition_flag=None,
+            **training_options(self.environment_options),
+        )
+
+    # -- its policies -----------------------------------------------------------------------------
+
+    def learner(self, algo: str, env: SlotVecEnv) -> SequenceQLearning:
+        """Return a new learner with the settings that were recorded when the run began."""
+        settings = self.settings
+        plain = self.record["learner" if algo == settings.algo else "baseline"]
+        return named_recipe(algo).algorithm(
+            env=env, seed=settings.seed, device=settings.device, **constructed(plain)
+        )
+
+    @cached_property
+    def policy(self) -> SequenceQLearning:
+        """The trained learner, with stable-baselines3's ``predict``; it acts as in tests."""
+        return self.trained(self.settings.algo)
+
+    def trained(self, algo: str) -> SequenceQLearning:
+        """Return a trained learner of the run, acting by its rule.
+
+        Raises
+        ------
+        InputError
+            If it was not trained yet, or its weights are damaged.
+        """
+        if not self.has_policy(algo):
+            raise InputError(
+                f"{self.path}: there is no trained policy of {method_name(algo)} yet: train it "
+                f"with '{self.suggested_command()}'"
+            )
+        model = self.learner(algo, self.environment())
+        self.load_policy(algo, model)
+        return self.let_act(algo, model)
+
+    def untrained(self) -> SequenceQLearning:
+        """Return the network that the training of the run began with."""
+        return self.learner(self.settings.algo, self.environment())
+
+    def save_policy(self, name: str, model: SequenceQLearning) -> None:
+        """Write the final weights, tensors only."""
+        with write_then_rename(self.path / "policies" / f"{name}.pt") as part:
+            part.write_bytes(serialised(model.policy.q_net.state_dict()))
+
+    def load_policy(self, name: str, model: SequenceQLearning) -> None:
+        """Put the final weights into a learner of the same settings."""
+        file = weights_file(self.path / "policies", name)
+        try:
+            weights = read_weights(file)
+            model.policy.q_net.load_state_dict(weights)
+            model.policy.q_net_target.load_state_dict(weights)
+        except FileNotFoundError:
+            raise InputError(
+                f"{file}: there is no trained policy yet: train the run first"
+            ) from None
+        except (RuntimeError, ValueError, TypeError, LookupError) as error:
+            raise InputError(
+                f"{file}: it is not a policy of this run ({in_short(error)}): "
+                "remove it and train again"
+            ) from None
+
+    def has_policy(self, name: str) -> bool:
+        return weights_file(self.path / "policies", name).exists()
+
+    def log_folder(self, name: str) -> Path:
+        """Return a new folder for the logs of one session of one learner."""
+        base = self.path / "logs" / name
+        return base / f"{len(list(base.glob('[0-9]*'))):03d}"
+
+    def learning_curves(self) -> pd.DataFrame:
+        """Return all logged quantities: ``method, phase, seed, step, quantity, value``."""
+        return logged_curves(self.path / "logs", self.settings.seed)
+
+    # -- how they act -----------------------------------------------------------------------------
+
+    def acting_file(self, algo: str) -> Path:
+        """Return where the rule that was chosen stands, with the candidates."""
+        return self.path / "policies" / f"{algo}.acting.json"
+
+    def acting(self, algo: str) -> Acting:
+        """Return the rule that the trained ``algo`` acts by.
+
+        Raises
+        ------
+        InputError
+            If none was chosen yet, or the file is damaged.
+        """
+        asked, file = self.acting_rule or self.settings.acting, self.acting_file(algo)
+        if asked != CHOSEN:
+            return Acting.parse(asked)
+        try:
+            return Acting.from_json(json.loads(file.read_text())["acting"])
+        except FileNotFoundError:
+            raise InputError(
+                f"{file}: no acting rule was chosen yet: let 'animarl train' finish, or give "
+                "--acting"
+            ) from None
+        except (ValueError, TypeError, KeyError) as error:
+            raise InputError(
+                f"{file}: it is damaged ({error}): remove it and train again"
+            ) from None
+
+    def let_act(self, algo: str, model: SequenceQLearning) -> SequenceQLearning:
+        """Let the trained ``model`` act by its rule, which is chosen where there is none yet."""
+        asked = self.acting_rule or self.settings.acting
+        if asked == CHOSEN and not self.acting_file(algo).exists():
+            self._choose_acting(algo, model)
+        model.policy.acting = self.acting(algo)
+        return model
+
+    def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:
+        seed, focal = self.settings.seed, self.settings.focal
+        demos = choice_episodes(self.learnable_demos, seed)
+        drivers = focal_drivers(self.species.individuals, focal)
+        scenario = make_scenario(
+            self.species, demos=demos, split=None, drivers=drivers, **self.world_options
+        )
+
+        def acting_by(rule: Acting) -> Policy:
+            model.policy.acting = rule
+            model.policy.seed(seed)
+            return self.for_all(model)
+
+        fitted = model.fit_temperature(model.demonstration_data().val)
+        choice = choose_acting(
+            acting_by,
+            partial(make_world, scenario),
+            demos,
+            candidate_rules(fitted),
+            further_rules(fitted),
+            seed=seed,
+            cue="actual" if model.layout.condition_flag else None,
+        )
+        with write_then_rename(self.acting_file(algo)) as part:
+            part.write_text(json.dumps(choice.to_json(), indent=2) + "\n")
+
+    def for_all(self, policy: Policy) -> Policy:
+        """Return a policy that is asked for all individuals, also where one alone learned."""
+        focal = self.settings.focal
+        if focal is None or not isinstance(policy, SequenceQLearning):
+            return policy
+        return FocalPolicy(policy, self.species.individuals, focal)
+
+    # -- what they do -----------------------------------------------------------------------------
+
+    def roll_out(
+        self,
+        policy: Policy,
+        name: str,
+        cue: Cue | None,
+        *,
+        scenario: Scenario | None = None,
+        repetitions: int | None = None,
+        seed: int | None = None,
+        draws: int = 0,
+        wrap: Callable[[Policy], Policy] | None = None,
+    ) -> Rollouts:
+        """Return rollouts of a policy from every start of a world, told ``cue``.
+
+        Whatever it is told, a policy gets the same random numbers, and so does the world.
+
+        Parameters
+        ----------
+        scenario
+            By default the run's own from its test starts.
+        repetitions, seed
+            By default those of the run.
+        draws
+            Another number gives the policy other random numbers.
+        wrap
+            Returns what acts in the policy's place.
+        """
+
+        def reseed(seed: int) -> None:
+            if isinstance(policy, SequenceQLearning):
+                policy.policy.seed(seed + draws)
+
+        acting = self.for_all(policy)
+        return collect_rollouts(
+            partial(make_world, scenario or self.scenario),
+            acting if wrap is None else wrap(acting),
+            method=name,
+            seed=self.settings.seed if seed is None else seed,
+            repetitions=repetitions or self.settings.repetitions,
+            cue=cue,
+            reseed=reseed,
+        )
+
+    def simulate(
+        self,
+        *,
+        split: str = "test",
+        repetitions: int = 5,
+        condition: Condition = "demo",
+        told: Cue = "actual",
+        seed: int | None = None,
+        reading: Reading = "habit",
+        wrap: Callable[[Policy], Policy] | None = None,
+        **options: Any,
+    ) -> Rollouts:
+        """Let the policy drive everybody who learned, in the run's world or in another one.
+
+        Rollouts of one seed meet the same random numbers, whatever the options, so that two of them
+        differ by what was changed alone.
+
+        Parameters
+        ----------
+        split
+            Episodes start from each demonstration of it.
+        repetitions
+            Rollouts from each start.
+        condition
+            0, 1, or that of each demonstration.
+        told
+            Which condition the policy is told, where it learned with a flag.
+        seed
+            By default that of the run.
+        reading
+            What the policy perceives where the options change motion or place: ``"habit"``, the
+            same inputs as ever for the same places and velocities; ``"knows"``, its own motion in
+            units of its changed body (:data:`animarl_envs.species.scales.Reading`).
+        wrap
+            Returns what acts in the policy's place, such as a policy that counts what it sees.
+        options
+            Of the species, as :func:`~animarl_envs.species.options.with_options` takes them, such
+            as ``locomotion={"prey": 1.2}``, ``contact_radius=0.05`` or ``time_limit=300``.
+
+        Raises
+        ------
+        InputError
+            If an option is unknown, or changes what the policy is shown.
+        """
+        if changed := changed_inputs(self.species, options):
+            raise InputError(
+                f"{changed} changes what the policy is shown, who has not learned from that: "
+                "train a run with it"
+            )
+        before = self.scenario
+        scenario = make_scenario(
+            change_world(before.species, reading, **options),
+            demos=self.demos,
+            split=split,
+            condition=condition,
+            drivers=dict(zip(before.names, before.drivers, strict=True)),
+            observation_noise=before.observation_noise,
+            observation_delay=before.observation_delay,
+        )
+        cue = told if self.told_condition else None
+        return self.roll_out(
+            self.policy,
+            method_name(self.settings.algo),
+            cue,
+            scenario=scenario,
+            repetitions=repetitions,
+            seed=seed,
+            wrap=wrap,
+        )
+
+    @property
+    def told_condition(self) -> bool:
+        """Whether the policy was told the condition in training, and so can be told another."""
+        return self.policy.layout.condition_flag
+
+    def what_if(self, *changes: str, **options: Any) -> WhatIf:
+        """Ask what would happen in a changed world; see :func:`animarl_algos.whatif.answer.ask`.
+
+        ``changes`` are written as ``prey.speed=+20%``; ``options`` are those of ``ask``.
+        """
+        from animarl_algos.whatif.answer import ask
+
+        return ask([self], changes, **options)
+
+
+def method_name(algo: str) -> str:
+    """Return how a learner is called in tables and figures."""
+    return algo.upper()
+
+
+def _environment(
+    settings: RunSettings, demos: Demonstrations, options: dict[str, Any]
+) -> dict[str, Any]:
+    """The options, and those by which worlds differ in full, whatever their defaults become."""
+    moving = select_individuals(demos, options)
+    species = with_options(checked_species(settings, moving), **species_options(options))
+    return {"observation": species.observation, "rebound": species.arena.rebound} | options
+
+
+def versions() -> dict[str, str]:
+    """Return versions of Python and of the packages that decide a result."""
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | packages
+
+
+def _plain(value: Any) -> Any:
+    """As JSON would give it back."""
+    return json.loads(json.dumps(value, default=str))
