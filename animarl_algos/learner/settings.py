@@ -108,9 +108,9 @@ class LearnerSettings(TypedDict, total=False):
     """Rewards summed before the value of what follows, as far as the sequence goes on; online."""
     tau: Annotated[float, Field(1.0, gt=0, le=1)]
     """Share of the online weights that a target update takes over."""
-    target_update_interval: Annotated[Frequency, Field((2000, "episode"))]
+    target_update_interval: Annotated[Frequency, Field([2000, "episode"])]
     """``(n, "episode")``, ``(n, "step")`` or a number of steps; offline, every epoch."""
-    train_freq: Annotated[Frequency, Field((1, "episode"))]
+    train_freq: Annotated[Frequency, Field([1, "episode"])]
     """``(n, "episode")``: ``updates_per_episode`` updates for each finished episode, once n have
     finished; ``gradient_steps`` stays 1. ``(n, "step")`` or a number: ``gradient_steps`` updates
     after n steps of each copy, or with -1 as many as steps were done in all copies."""

@@ -217,7 +217,7 @@ def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
     assert "damaged" in attempt(broken, tmp_path).error
     assert "damaged" in recorded_error(broken, tmp_path)
     told = Told()
-    perform_all(asked.changed(worlds=(broken,)), tmp_path, 1, told)
+    perform_all(replace(asked, worlds=(broken,)), tmp_path, 1, told)
     assert "could not be fitted" in told.errors["agent/still/0"]
 
 
