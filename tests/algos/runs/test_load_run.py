@@ -58,7 +58,7 @@ def test_each_file_of_a_run_is_read_once(run: Run) -> None:
     assert len(loaded.demos) == len(run.demos)
     assert sorted(opened) == [
         "demonstrations.npz", "demonstrations.npz",  # what it announces, then its arrays
-        "locomotion.json", "settings.json", "soft-bc.acting.json", "soft-bc.pt",
+        "locomotion.json", "settings.json", "soft-bc.pt",
     ]  # fmt: skip
 
 
