@@ -28,6 +28,7 @@ def run_of(folder: Path, algo: str, curves: dict[str, list[float]]) -> SimpleNam
     return SimpleNamespace(
         path=folder, settings=SimpleNamespace(algo=algo), record={"learner": {}},
         learning_curves=lambda: pd.DataFrame(rows),
+        acting_file=lambda name: folder / "policies" / f"{name}.acting.json",
     )  # fmt: skip
 
 
