@@ -37,6 +37,7 @@ from animarl_algos.losses.terms import OfflineLoss, Phase, Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
+from animarl_algos.ranges import SEED
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -205,6 +206,8 @@ class BaseLearner(OffPolicyAlgorithm):
 
     def _setup_model(self) -> None:
         self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
+        if self.seed is not None:
+            self.seed = SEED.check("seed", self.seed)
         checks.check_arguments(vars(self), self.policy_class)
         self.offline_settings = OfflineSettings.of(self.offline_kwargs)
         self._setup_lr_schedule()

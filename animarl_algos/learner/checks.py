@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
@@ -12,7 +11,7 @@ from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import WEIGHTS, Phase, Recipe
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.ranges import SEED, refuse_unknown
+from animarl_algos.ranges import refuse_unknown
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, StateMode
 from animarl_envs.errors import InputError
 
@@ -41,14 +40,13 @@ def phase_of(settings: Mapping[str, Any], name: str) -> Phase:
 
 
 def check_arguments(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> None:
-    """Refuse what the model of the settings does not know: the seed, arguments of the parts.
+    """Refuse what the model of the settings does not know: arguments of the parts.
 
     Raises
     ------
     InputError
-        If one is out of its range, or unknown.
+        If one is unknown, or no update would be done.
     """
-    replace(SEED, optional=True).check("seed", settings["seed"])
     for name, taker in (
         ("policy_kwargs", policy_class),
         ("replay_buffer_kwargs", SequenceReplayBuffer),
