@@ -104,7 +104,7 @@ def judge(names: Sequence[str]) -> None:
         model = FOLDER / species
         chosen = json.loads((model / METRICS).read_text())["chosen_by_validation"]
         with TemporaryDirectory() as place:
-            run = RunFolder(Path(shutil.copytree(model, Path(place) / species)))
+            run = Run(Path(shutil.copytree(model, Path(place) / species)))
             print(species, evaluate_run(run).verdict.overall, flush=True)
             export_run(run, model, chosen=chosen)
 
