@@ -18,7 +18,6 @@ from rich.console import Console
 from rich.table import Table
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import along_travel, fit_turning, heading_misses
 from animarl_envs.species.turning import Turning
@@ -67,7 +66,7 @@ def main() -> None:
     parser.add_argument("demonstrations", nargs="+")
     for path in parser.parse_args().demonstrations:
         demos = Demonstrations.load(path)
-        if recorded_headings(demos) is None:
+        if demos.headings() is None:
             raise InputError(f"{path}: it has no headings: import it with --heading REAR,FRONT")
         table = Table(title=path)
         for column in ("individual", "steps", "rule", "one step", "90 %", "free running", "90 %"):

@@ -1,21 +1,22 @@
-"""The container for recorded episodes: immutable, validated when made, stored without pickle."""
+"""Recorded episodes, with all that is known of them; checked when made."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos import storage
+from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import (
+    HEADING,
     INTERVAL,
     PURSUER_OUT,
     SPLITS,
@@ -23,11 +24,12 @@ from animarl_envs.demos.episode import (
     TIME_OUT,
     UNFINISHED,
     Episode,
+    Episodes,
+    read_only,
 )
 from animarl_envs.demos.resolution import Resolution, find_resolution
-from animarl_envs.demos.validation import validate
 from animarl_envs.errors import InputError
-from animarl_envs.focus import focus_directions
+from animarl_envs.focus import focus_directions, lone_pursuer
 from animarl_envs.locomotion import velocities
 from animarl_envs.species.base import Species
 
@@ -37,28 +39,21 @@ __all__ = [
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Demonstrations:
+class Demonstrations(Episodes):
     """Recorded episodes of the same individuals, laid end to end.
 
     Parameters
     ----------
+    individuals, roles, dt, positions, lengths, outcome, condition
+        As in :class:`~animarl_envs.demos.episode.Episodes`; pursuers come first, an episode has two
+        frames at least.
     species
         Name of the species spec they belong to, or ``"custom"``.
-    individuals, roles
-        Names, and for each ``"pursuer"``, ``"target"`` or ``"searcher"``; pursuers first.
-    dt
-        Time between frames [s].
     arena
         The field; every position must lie within its boundary, widened by ``OUTSIDE_MARGIN``.
-    positions
-        ``(frames, individuals, 2)``, all episodes end to end, arena frame [arena unit].
-    lengths
-        ``(episodes,)``, frames per episode; an episode of T steps has T + 1 frames.
     initial_velocity
         ``(episodes, individuals, 2)``, velocity at each first frame [arena unit / s]. A reader that
         does not know it drops the first recorded frame and keeps the velocity that it makes.
-    condition, outcome
-        ``(episodes,)`` int8: 0 or 1; and the outcome codes of :mod:`animarl_envs.demos.episode`.
     split
         ``(episodes,)``, ``"train"``, ``"val"`` or ``"test"``.
     recording
@@ -66,28 +61,31 @@ class Demonstrations:
     signals
         Further channels by name, each ``(frames,)`` or ``(frames, individuals, ...)``, such as
         ``actions`` (int8; the action taken at a frame, -1 at the last one), ``odour`` or
-        ``heading`` (:mod:`animarl_envs.demos.headings`).
+        ``heading`` (:meth:`headings`).
     provenance
         JSON-like: ``source``, ``licence``, ``synthetic`` (bool) at least; further what was done.
 
     Raises
     ------
     InputError
-        If anything is missing, misshapen or out of range; the sentence names place and mend.
+        If anything is missing, misshapen or out of range; the sentence says where, and how to fix
+        it.
     """
 
+    FORMAT = "animarl-demonstrations"
+    MADE_BY = "make it again with 'animarl import', or name its --source"
+    FEWEST_FRAMES = 2
+    EACH = {
+        "lengths": np.int64, "initial_velocity": np.float64, "condition": np.int8,
+        "outcome": np.int8, "split": np.str_, "recording": np.str_,
+    }  # fmt: skip
+    META = ("species", "individuals", "roles", "dt", "arena", "provenance")
+    STORED_AS = {"lengths": np.int32}
     OUTSIDE_MARGIN = 0.5  # the last frame may lie a step beyond the boundary [arena unit]
 
     species: str
-    individuals: tuple[str, ...]
-    roles: tuple[str, ...]
-    dt: float
     arena: Arena
-    positions: NDArray[np.float64]
-    lengths: NDArray[np.int64]
     initial_velocity: NDArray[np.float64]
-    condition: NDArray[np.int8]
-    outcome: NDArray[np.int8]
     split: NDArray[np.str_]
     recording: NDArray[np.str_]
     signals: Mapping[str, NDArray[Any]] = field(default_factory=dict)
@@ -95,18 +93,18 @@ class Demonstrations:
     name: str = "demonstrations"  # for messages: the file they came from
 
     def __post_init__(self) -> None:
-        as_array = {
-            "positions": np.float64, "lengths": np.int64, "initial_velocity": np.float64,
-            "condition": np.int8, "outcome": np.int8, "split": np.str_, "recording": np.str_,
-        }  # fmt: skip
-        for key, dtype in as_array.items():
-            object.__setattr__(self, key, _frozen(getattr(self, key), dtype))
-        signals = {key: _frozen(value, None) for key, value in self.signals.items()}
+        self._check_individuals()
+        super().__post_init__()
+        signals = {key: read_only(value, None) for key, value in self.signals.items()}
         object.__setattr__(self, "signals", MappingProxyType(signals))
         object.__setattr__(self, "provenance", MappingProxyType(dict(self.provenance)))
-        object.__setattr__(self, "individuals", tuple(self.individuals))
-        object.__setattr__(self, "roles", tuple(self.roles))
-        validate(self)
+        self._check_tracks()
+        self._check_codes()
+        self._check_signals()
+
+    @property
+    def label(self) -> str:
+        return self.name
 
     @classmethod
     def of_species(
@@ -158,20 +156,8 @@ class Demonstrations:
         return len(self.lengths)
 
     @property
-    def num_individuals(self) -> int:
-        return len(self.individuals)
-
-    @property
-    def offsets(self) -> NDArray[np.int64]:
-        """First frame of each episode, and one past the last: ``(episodes + 1,)``."""
-        return np.concatenate([[0], np.cumsum(self.lengths)])
-
-    @property
     def synthetic(self) -> bool:
         return bool(self.provenance["synthetic"])
-
-    def __len__(self) -> int:
-        return self.num_episodes
 
     def __repr__(self) -> str:
         kind = "synthetic" if self.synthetic else "recorded"
@@ -223,6 +209,16 @@ class Demonstrations:
         """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
         return focus_directions(self.positions, self.roles)
 
+    def headings(self) -> NDArray[np.float64] | None:
+        """Recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].
+
+        ``None`` where the signal ``heading`` is absent or has not a column for each individual.
+        """
+        heading = self.signals.get(HEADING)
+        if heading is None or heading[:1].size != self.num_individuals:
+            return None
+        return heading.astype(np.float64).reshape(len(heading), -1)
+
     def resolution(self) -> Resolution | None:
         """The grid on which all positions lie, such as pixels; ``None`` where there is none."""
         return find_resolution(self.positions)
@@ -231,40 +227,32 @@ class Demonstrations:
 
     def select(
         self,
+        episodes: Any = None,
         *,
         split: str | None = None,
         condition: int | None = None,
-        episodes: Sequence[int] | NDArray[np.integer] | None = None,
-    ) -> Demonstrations:
-        """The episodes that fulfil all that is given, in their order or that of ``episodes``."""
-        chosen = np.arange(self.num_episodes) if episodes is None else np.asarray(episodes)
+    ) -> Self:
+        """Return the episodes that fulfil all that is given, in the order of ``episodes``."""
+        chosen = np.arange(len(self))
+        if episodes is not None:
+            chosen = chosen[np.asarray(episodes)]
         if split is not None:
             if split not in SPLITS:
                 raise InputError(f"split {split!r} is unknown: choose one of {', '.join(SPLITS)}")
             chosen = chosen[self.split[chosen] == split]
         if condition is not None:
             chosen = chosen[self.condition[chosen] == condition]
-        if len(chosen) == 0:
-            wanted = f"split {split!r}" + (
-                f", condition {condition}" if condition is not None else ""
+        if split is not None and not len(chosen):
+            wanted = f", condition {condition}" * (condition is not None)
+            self._refuse(
+                f"split {split!r}{wanted} holds no episode: split the file again or choose "
+                "another split"
             )
-            raise InputError(
-                f"{self.name}: {wanted} holds no episode: split the file again "
-                "or choose another split"
-            )
-        offsets = self.offsets
-        frames = np.concatenate([np.arange(offsets[i], offsets[i + 1]) for i in chosen])
-        return replace(
-            self,
-            positions=self.positions[frames],
-            lengths=self.lengths[chosen],
-            initial_velocity=self.initial_velocity[chosen],
-            condition=self.condition[chosen],
-            outcome=self.outcome[chosen],
-            split=self.split[chosen],
-            recording=self.recording[chosen],
-            signals={key: value[frames] for key, value in self.signals.items()},
-        )
+        return super().select(chosen)
+
+    def _frames(self, frames: NDArray[np.int64]) -> dict[str, Any]:
+        signals = {key: value[frames] for key, value in self.signals.items()}
+        return super()._frames(frames) | {"signals": signals}
 
     def fingerprint(self) -> str:
         """SHA-256 of the content (not of the provenance), 16 hexadecimal digits."""
@@ -280,20 +268,123 @@ class Demonstrations:
 
     # -- storage ----------------------------------------------------------------------------------
 
-    def save(self, path: str | Path, *, dtype: type[np.floating] = np.float64) -> Path:
-        """Write an ``.npz`` without pickle; see :func:`animarl_envs.demos.storage.save`."""
-        return storage.save(vars(self), path, dtype=dtype)
+    def _more_arrays(self) -> dict[str, NDArray[Any]]:
+        return {f"signal_{key}": value for key, value in self.signals.items()}
 
     @classmethod
-    def load(cls, path: str | Path) -> Demonstrations:
-        """Read a file written by :meth:`save`; see :func:`animarl_envs.demos.storage.load`."""
-        with storage.refusing_damage(path):
-            return cls(**storage.load(path))
+    def _from_stored(
+        cls, path: Path, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
+    ) -> dict[str, Any]:
+        arena = dict(meta["arena"])
+        known = {name: arrays[name] for name in ("positions", *cls.EACH)}
+        return {
+            **{name: meta[name] for name in cls.META},
+            **known,
+            "dt": float(meta["dt"]),
+            "arena": Arena(**arena | {"boundary": float(arena["boundary"])}),
+            "signals": {k[7:]: v for k, v in arrays.items() if k.startswith("signal_")},
+            "name": str(path),
+        }
 
+    # -- checks -----------------------------------------------------------------------------------
 
-def _frozen(value: Any, dtype: Any) -> NDArray[Any]:
-    array = np.array(value, dtype=dtype)
-    if array.dtype == object:
-        raise InputError("an array holds Python objects: give plain numbers or strings")
-    array.setflags(write=False)
-    return array
+    def _check_individuals(self) -> None:
+        names, num = self.individuals, self.num_individuals
+        if num == 0:
+            self._refuse("it has no individuals: name at least one")
+        if len(set(names)) != num:
+            twice = next(n for n in names if names.count(n) > 1)
+            self._refuse(f"individual {twice!r} appears twice: give each individual its own name")
+        if len(self.roles) != num or set(self.roles) - {"pursuer", "target", "searcher"}:
+            self._refuse(f"roles {self.roles} do not fit: give pursuer, target or searcher to each")
+        check_names(self.name, "an individual", names)
+        check_names(self.name, "a species", [self.species])
+        check_names(self.name, "a recording", map(str, np.unique(self.recording)))
+        check_names(self.name, "a signal", self.signals)
+        targets = self.roles.count("target")
+        one_target = targets == 1 and self.roles[-1] == "target"
+        if targets and not one_target and not lone_pursuer(self.roles):
+            self._refuse(
+                f"roles are {self.roles}: there is one target at most and it comes last, or one "
+                "pursuer of several targets and it comes last",
+            )
+
+    def _check_tracks(self) -> None:
+        initial, num = self.initial_velocity, self.num_individuals
+        if not 0 < self.dt < float("inf"):
+            self._refuse(f"dt is {self.dt} s: it must be positive; give the frame rate")
+        if initial.shape != (len(self), num, 2):
+            self._refuse(
+                f"initial_velocity has shape {initial.shape}, not ({len(self)}, {num}, 2)"
+                ": give x and y of each individual and episode",
+            )
+        names = self.individuals
+        if not np.isfinite(self.initial_velocity).all():
+            self._refuse("initial_velocity holds NaN or infinity: use zeros for a start at rest")
+        bad = np.argwhere(~np.isfinite(self.positions).all(axis=2))
+        if len(bad):
+            self._refuse(
+                f"{self._place(*bad[0])}: the position is not a number: fill the gap or cut it out",
+            )
+        outside = ~self.arena.contains(self.positions, margin=self.OUTSIDE_MARGIN)
+        if outside.any():
+            place = np.argwhere(outside)[0]
+            x, y = self.positions[tuple(place)]
+            self._refuse(
+                f"{self._place(*place)}: position ({x:.3g}, {y:.3g}) lies outside the arena "
+                f"({self.arena.shape}, boundary {self.arena.boundary:g}): scale the tracks "
+                "or declare a larger arena",
+            )
+        for first in range(num):
+            for second in range(first + 1, num):
+                if np.array_equal(self.positions[:, first], self.positions[:, second]):
+                    self._refuse(
+                        f"individuals {names[first]!r} and {names[second]!r} have the same track: "
+                        "drop the duplicate",
+                    )
+
+    def _check_codes(self) -> None:
+        num = self.num_individuals
+        if set(np.unique(self.condition)) - {0, 1}:
+            self._refuse(f"condition {sorted(set(self.condition.tolist()))}: it must be 0 or 1")
+        if (self.outcome > num).any() or (self.outcome < UNFINISHED).any():
+            self._refuse(
+                f"outcome {self.outcome.min()} to {self.outcome.max()} is out of range: use "
+                f"{UNFINISHED} to {num}",
+            )
+        unknown = sorted(set(self.split.tolist()) - set(SPLITS))
+        if unknown:
+            self._refuse(f"split {unknown[0]!r} is unknown: choose one of {', '.join(SPLITS)}")
+        for key in ("source", "licence", "synthetic"):
+            if key not in self.provenance:
+                self._refuse(f"the provenance lacks {key!r}: say where the data comes from")
+
+    def _check_signals(self) -> None:
+        num = self.num_individuals
+        for key, value in self.signals.items():
+            if len(value) != len(self.positions):
+                self._refuse(
+                    f"signal {key!r} has {len(value)} frames, positions have "
+                    f"{len(self.positions)}: give one value per frame",
+                )
+        heading = self.signals.get(HEADING)
+        if heading is not None and heading.shape == (len(self.positions), num):
+            numbers = heading.dtype.kind in "iuf"
+            bad = np.argwhere(~np.isfinite(heading)) if numbers else np.zeros((1, 2), dtype=int)
+            if len(bad):
+                self._refuse(
+                    f"{self._place(*bad[0])}: signal {HEADING!r} is not a number: fill the gap or "
+                    "cut it out",
+                )
+        interval = self.signals.get(INTERVAL)
+        if interval is not None and not (
+            interval.shape == self.positions.shape[:1]
+            and interval.dtype.kind == "f"
+            and ((interval > 0) & (interval < self.dt * 1.001)).all()
+        ):
+            self._refuse(f"signal {INTERVAL!r}: give a time per frame, more than 0 s, at most dt")
+
+    def _place(self, frame: int, individual: int) -> str:
+        episode = int(np.searchsorted(self.offsets, frame, side="right") - 1)
+        within = frame - self.offsets[episode]
+        return f"episode {episode}, frame {within}, {self.individuals[individual]}"

@@ -1,13 +1,25 @@
-"""One recorded episode, the splits it may belong to and the codes of how it ended."""
+"""Episodes: the codes of how they end, one of them, and many laid end to end in one container.
+
+Recorded episodes (:class:`animarl_envs.demos.demonstrations.Demonstrations`) and simulated ones
+(``animarl_algos.evaluation.rollouts.Rollouts``) are checked, selected, joined and stored alike, as
+plain arrays and one JSON text, never as a pickle.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from animarl_envs.arena import Arena
+from animarl_envs.errors import InputError
+from animarl_envs.files import read_npz, write_then_rename
 
 SPLITS = ("train", "val", "test")
 
@@ -26,6 +38,8 @@ TIME_OUT = 0
 TARGET_OUT = -1  # the target, or one of them, left the boundary
 PURSUER_OUT = -2  # a pursuer left the boundary
 UNFINISHED = -3  # the recording was cut for another reason
+
+FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -56,3 +70,202 @@ class Episode:
     def duration(self) -> float:
         """Duration [s]."""
         return self.num_steps * self.dt
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Episodes:
+    """Episodes of the same individuals, laid end to end; arrays are read-only.
+
+    Parameters
+    ----------
+    individuals, roles
+        Names, and for each ``"pursuer"``, ``"target"`` or ``"searcher"``.
+    dt
+        Time between frames [s].
+    positions
+        ``(frames, individuals, 2)``, all episodes end to end, arena frame [arena unit].
+    lengths
+        ``(episodes,)``, frames per episode; an episode of T steps has T + 1 frames.
+    outcome, condition
+        ``(episodes,)`` int8: outcome codes, see above; 0 or 1.
+    """
+
+    FORMAT: ClassVar[str]
+    MADE_BY: ClassVar[str]  # how to come by a file, for messages
+    FEWEST_FRAMES: ClassVar[int] = 1
+    EACH: ClassVar[dict[str, Any]]  # arrays with an entry per episode, and their kinds
+    TUPLES: ClassVar[tuple[str, ...]] = ("individuals", "roles")
+    META: ClassVar[tuple[str, ...]]  # fields that are stored in the JSON text
+    STORED_AS: ClassVar[dict[str, Any]] = {}  # kinds on disk, where they are others
+
+    individuals: tuple[str, ...]
+    roles: tuple[str, ...]
+    dt: float
+    positions: NDArray[np.float64]
+    lengths: NDArray[np.int64]
+    outcome: NDArray[np.int8]
+    condition: NDArray[np.int8]
+
+    def __post_init__(self) -> None:
+        for key, dtype in {"positions": np.float64, **self.EACH}.items():
+            object.__setattr__(self, key, read_only(getattr(self, key), dtype))
+        for key in self.TUPLES:
+            object.__setattr__(self, key, tuple(getattr(self, key)))
+        num, count = self.num_individuals, len(self.lengths)
+        if self.positions.ndim != 3 or self.positions.shape[1:] != (num, 2):
+            self._refuse(
+                f"positions have shape {self.positions.shape}, not (frames, {num}, 2): "
+                f"give x and y of {num} individuals per frame"
+            )
+        if self.lengths.ndim != 1 or count == 0:
+            self._refuse("it holds no episode: check the cut, the split or the selection")
+        for i in np.flatnonzero(self.lengths < self.FEWEST_FRAMES)[:1].tolist():
+            length = int(self.lengths[i])
+            self._refuse(
+                f"episode {i} has {length} frame{'s' * (length != 1)}: leave it out, an episode "
+                f"needs at least {self.FEWEST_FRAMES}"
+            )
+        if self.lengths.sum() != len(self.positions):
+            self._refuse(
+                f"episode lengths add up to {self.lengths.sum()} frames but there are "
+                f"{len(self.positions)} positions: cut the episodes again"
+            )
+        for key, dtype in self.EACH.items():
+            array = getattr(self, key)
+            if array.shape[:1] != (count,) or (array.ndim > 1 and dtype is not np.float64):
+                self._refuse(
+                    f"{key} has {array.size} entries for {count} episodes: give one for each"
+                )
+
+    @property
+    def label(self) -> str:
+        """What messages call these episodes."""
+        raise NotImplementedError
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise InputError(f"{self.label}: {what}")
+
+    # -- shape ------------------------------------------------------------------------------------
+
+    @property
+    def num_individuals(self) -> int:
+        return len(self.individuals)
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """First frame of each episode, and one past the last: ``(episodes + 1,)``."""
+        return np.concatenate([[0], np.cumsum(self.lengths)])
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def path(self, index: int) -> NDArray[np.float64]:
+        """Positions of one episode, ``(frames, individuals, 2)``."""
+        start = int(self.offsets[index])
+        return self.positions[start : start + int(self.lengths[index])]
+
+    # -- selection --------------------------------------------------------------------------------
+
+    def select(self, episodes: Any) -> Self:
+        """Return the episodes of a boolean mask or of indices, in that order."""
+        chosen = np.asarray(episodes)
+        if chosen.size == 0 or (chosen.dtype == bool and not chosen.any()):
+            self._refuse("the selection is empty: widen it")
+        index = np.arange(len(self))[chosen]
+        first, lengths = self.offsets[:-1][index], self.lengths[index]
+        frames = np.arange(lengths.sum()) + np.repeat(first + lengths - lengths.cumsum(), lengths)
+        each = {key: getattr(self, key)[index] for key in self.EACH}
+        return replace(self, **self._frames(frames), **each)
+
+    def _frames(self, frames: NDArray[np.int64]) -> dict[str, Any]:
+        """Everything that has an entry per frame, at these frames."""
+        return {"positions": self.positions[frames]}
+
+    @classmethod
+    def joined_arrays(cls, parts: Sequence[Self]) -> dict[str, Any]:
+        """Return positions and all arrays per episode, those of one part after the other's."""
+        return {
+            key: np.concatenate([getattr(part, key) for part in parts])
+            for key in ("positions", *cls.EACH)
+        }
+
+    # -- storage ----------------------------------------------------------------------------------
+
+    def save(self, path: str | Path, *, dtype: type[np.floating] = np.float64) -> Path:
+        """Write an ``.npz`` without pickle: to a temporary file first, then renamed.
+
+        ``dtype=np.float32`` halves the size; positions are then rounded to about 6e-8.
+        """
+        path = Path(path)
+        meta = {"format": self.FORMAT, "version": FORMAT_VERSION}
+        meta |= {name: getattr(self, name) for name in self.META}
+        arrays = {key: getattr(self, key) for key in ("positions", *self.EACH)}
+        arrays = {
+            key: value.astype(
+                self.STORED_AS.get(key, dtype if value.dtype == np.float64 else value.dtype)
+            )
+            for key, value in arrays.items()
+        }
+        arrays |= {"meta": np.array(json.dumps(meta, default=_plain)), **self._more_arrays()}
+        with write_then_rename(path) as part, part.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        return path
+
+    def _more_arrays(self) -> dict[str, NDArray[Any]]:
+        return {}
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a file written by :meth:`save`.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, truncated, of another format, or holds a pickle.
+        """
+        path = Path(path)
+        arrays = read_npz(path)
+        with refusing_damage(path, cls.MADE_BY):
+            meta = json.loads(str(arrays.pop("meta", "{}")))
+            if meta.pop("format", None) != cls.FORMAT:
+                what = cls.FORMAT.removeprefix("animarl-")
+                raise InputError(f"{path}: it holds no {what} of this project: {cls.MADE_BY}")
+            if meta.pop("version") > FORMAT_VERSION:
+                raise InputError(f"{path}: it was written by a newer animarl: upgrade this one")
+            return cls(**cls._from_stored(path, meta, arrays))
+
+    @classmethod
+    def _from_stored(
+        cls, path: Path, meta: dict[str, Any], arrays: dict[str, NDArray[Any]]
+    ) -> dict[str, Any]:
+        return meta | arrays
+
+
+def read_only(value: Any, dtype: Any) -> NDArray[Any]:
+    """Return a copy of ``value`` as a read-only array of plain numbers or strings."""
+    array = np.array(value, dtype=dtype)
+    if array.dtype == object:
+        raise InputError("an array holds Python objects: give plain numbers or strings")
+    array.setflags(write=False)
+    return array
+
+
+@contextmanager
+def refusing_damage(
+    path: str | Path, mend: str = "make it again with 'animarl import'"
+) -> Iterator[None]:
+    """Turn what the content of a damaged file raises into one sentence."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as e:
+        raise InputError(f"{path}: its content is damaged ({type(e).__name__}: {e}): {mend}") from e
+
+
+def _plain(value: Any) -> Any:
+    """Return an arena or a mapping as JSON can hold it."""
+    if isinstance(value, Arena):
+        boundary = value.boundary if np.isfinite(value.boundary) else "inf"
+        return vars(value) | {"boundary": boundary}
+    return dict(value)

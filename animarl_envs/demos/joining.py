@@ -15,7 +15,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 
 ALIKE = ("species", "individuals", "roles", "dt", "arena")
-PER_EPISODE = ("lengths", "initial_velocity", "condition", "outcome", "split")
 BY_RECORDING = ("scales", "cleaning")  # entries of the provenance
 
 
@@ -43,9 +42,7 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
         if twin != part.name or Counter(one.name for one in parts)[part.name] > 1:
             raise InputError(f"{part.name} and {twin} hold the same episodes: give each file once")
     names = _recording_names(parts)
-    episodes: dict[str, Any] = {
-        key: np.concatenate([getattr(part, key) for part in parts]) for key in PER_EPISODE
-    }
+    renamed = [_renamed(part.recording, new) for part, new in zip(parts, names, strict=True)]
     provenance: dict[str, Any] = {
         **first.provenance, "joined": [dict(part.provenance) for part in parts]
     }  # fmt: skip
@@ -57,17 +54,9 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
         ]
         if known:
             provenance[key] = dict(known)
-    return replace(
-        first,
-        positions=np.concatenate([part.positions for part in parts]),
-        signals={k: np.concatenate([part.signals[k] for part in parts]) for k in first.signals},
-        recording=np.concatenate(
-            [_renamed(part.recording, new) for part, new in zip(parts, names, strict=True)]
-        ),
-        provenance=provenance,
-        name=name,
-        **episodes,
-    )
+    changes = Demonstrations.joined_arrays(parts) | {"recording": np.concatenate(renamed)}
+    signals = {k: np.concatenate([part.signals[k] for part in parts]) for k in first.signals}
+    return replace(first, signals=signals, provenance=provenance, name=name, **changes)
 
 
 def _refuse_unlike(first: Demonstrations, part: Demonstrations) -> None:

@@ -17,7 +17,6 @@ import numpy as np
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
@@ -96,7 +95,7 @@ def species_of(
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
-    elif recorded_headings(demos) is not None:
+    elif demos.headings() is not None:
         turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
         own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.errors import InputError
 from animarl_envs.species.turning import Turning
 
@@ -155,7 +154,7 @@ def _recorded(
     demos: Demonstrations, individual: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Headings ``(frames,)`` and velocities ``(frames, 2)``."""
-    heading = recorded_headings(demos)
+    heading = demos.headings()
     if heading is None:
         columns = demos.signals[HEADING][:1].size
         raise InputError(

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
-from animarl_envs.demos.storage import refusing_damage
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import refuse_special
 from animarl_envs.locomotion import NUM_ACTIONS

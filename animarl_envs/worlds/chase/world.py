@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import by_reference
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.locomotion import residual
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies
@@ -80,7 +79,7 @@ class ChaseWorld(World):
         self.towards = self._towards.transpose(2, 0, 1)
         self._senses = senses.senses_of(species, self.observers)
         self._neighbours = neighbours_of(K, B)
-        recorded = None if scenario.demos is None else recorded_headings(scenario.demos)
+        recorded = None if scenario.demos is None else scenario.demos.headings()
         self._bodies = bodies_of(species, B, recorded)
         self.heading, self.turn = self._bodies.heading.T, self._bodies.turn.T
         if species.has_headings:  # not in what was saved of a world without
@@ -229,7 +228,7 @@ def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> 
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
     velocity = demos.velocities()
     pushes = _accelerations(species, demos, velocity)
-    heading = recorded_headings(demos)
+    heading = demos.headings()
     return observe(species, demos.positions, velocity, pushes, demos.steps(), heading)[0]
 
 
@@ -239,7 +238,7 @@ def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDAr
     ``(frames, 0)`` where the species has none.
     """
     return recorded_bodies(
-        species, demos.positions, demos.velocities(), demos.steps(), recorded_headings(demos)
+        species, demos.positions, demos.velocities(), demos.steps(), demos.headings()
     ).heading.T
 
 

@@ -247,10 +247,10 @@ def test_misshapen_rollouts_are_refused(made: Rollouts) -> None:
     good |= {"method": "x", "individuals": made.individuals, "roles": made.roles, "dt": 0.1}
     assert len(Rollouts(**good)) == 6
     for change, message in [
-        ({"demo": made.demo[:-1]}, "demo has shape"),
-        ({"positions": made.positions[:-1]}, "one row per frame"),
+        ({"demo": made.demo[:-1]}, "demo has 5 entries"),
+        ({"positions": made.positions[:-1]}, "add up"),
         ({"positions": np.where(made.positions > 0, np.nan, 0.0)}, "not a finite number"),
-        ({"lengths": np.zeros(0), **{k: np.zeros(0) for k in keys[2:]}}, "there is none"),
+        ({"lengths": np.zeros(0), **{k: np.zeros(0) for k in keys[2:]}}, "holds no episode"),
     ]:
         with pytest.raises(InputError, match=message):
             Rollouts(**(good | change))

@@ -18,7 +18,6 @@ from turned_bodies import SIDEWAYS, SLOW, recorded, species, turned, wanderers
 from animarl_algos import load_run
 from animarl_algos.evaluation.decisions import decide_along
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.pursuers import first_of_role
 from animarl_envs.errors import InputError
@@ -102,16 +101,16 @@ def test_headings_stay_with_their_individuals_episodes_and_files(tmp_path: Path)
     demos = recorded()
     heading = demos.signals["heading"]
     again = Demonstrations.load(demos.save(tmp_path / "d.npz"))
-    assert np.array_equal(recorded_headings(again), heading)  # type: ignore[arg-type]
+    assert np.array_equal(again.headings(), heading)  # type: ignore[arg-type]
     fewer = first_of_role(demos, "num_pursuers", 1)
-    assert np.array_equal(recorded_headings(fewer), heading[:, [0, 2]])  # type: ignore[arg-type]
+    assert np.array_equal(fewer.headings(), heading[:, [0, 2]])  # type: ignore[arg-type]
     assert np.array_equal(
-        recorded_headings(demos.select(episodes=[1])),  # type: ignore[arg-type]
+        demos.select(episodes=[1]).headings(),  # type: ignore[arg-type]
         heading[demos.offsets[1] : demos.offsets[2]],
     )
     held_out = replace(demos.select(split="test"), name="more.npz")
     both = join([demos.select(split="train"), held_out])
-    assert len(recorded_headings(both)) == len(both.positions)  # type: ignore[arg-type]
+    assert len(both.headings()) == len(both.positions)  # type: ignore[arg-type]
     other = replace(demos, name="flat", signals={"heading": heading[:, 0]})
     with pytest.raises(InputError, match=r"flat and .* in dogs.npz: give both as many columns"):
         join([demos, other])

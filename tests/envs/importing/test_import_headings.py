@@ -13,7 +13,6 @@ from commands import animarl
 from numpy.typing import NDArray
 
 from animarl_envs.demos import Demonstrations
-from animarl_envs.demos.headings import recorded_headings
 from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import Cleaning, clean
@@ -65,21 +64,21 @@ def test_headings_count_counter_clockwise_and_follow_their_individuals(
     demos = demonstrations_from_tracks([pair(angle, y_down=y_down)], recipe(target=target))
     order = [1, 0] if target == "male" else [0, 1]
     wanted = (-angle if y_down else angle)[1:, order]
-    assert same(recorded_headings(demos), wanted)
+    assert same(demos.headings(), wanted)
     assert demos.provenance["cleaning"]["r"]["heading"] == ["thorax", "head"]
 
 
 def test_scale_and_centre_of_the_arena_turn_nothing() -> None:
     scaling = Scaling(width=900.0, centre=(250.0, 310.0), px_per_cm=3.0)
     demos = demonstrations_from_tracks([pair(spinning())], recipe(scaling=scaling))
-    assert same(recorded_headings(demos), spinning()[1:])
+    assert same(demos.headings(), spinning()[1:])
 
 
 @pytest.mark.parametrize("rate", [10.0, 8.0])
 def test_thinning_goes_the_shorter_way_round(rate: float) -> None:
     demos = demonstrations_from_tracks([pair(spinning())], recipe(decision_rate=rate))
     times = np.arange(1, len(demos.positions) + 1) * RATE / rate
-    assert same(recorded_headings(demos), times[:, None] * [0.13, -0.21] + [0.4, 3.0])
+    assert same(demos.headings(), times[:, None] * [0.13, -0.21] + [0.4, 3.0])
     past = np.array([[3.1], [-3.1]])
     half = resample_headings(past, 1.0, 2.0)[:, 0]
     assert same(half, [3.1, np.pi, -3.1])
@@ -93,7 +92,7 @@ def test_short_gaps_are_turned_through_and_longer_ones_cut_the_recording() -> No
     gappy = replace(tracks, positions=positions)
     demos = demonstrations_from_tracks([gappy], recipe(clean={"max_gap": 0.3}))
     assert demos.lengths.tolist() == [119, 59]
-    assert same(recorded_headings(demos), np.delete(spinning(), [0, *range(120, 141)], axis=0))
+    assert same(demos.headings(), np.delete(spinning(), [0, *range(120, 141)], axis=0))
     assert demos.provenance["cleaning"]["r"]["heading_unknown"] == 20
     over = np.array([[3.0], [np.nan], [np.nan], [-3.0]])
     assert same(fill_headings(over, 2)[:, 0], np.linspace(3.0, 2 * np.pi - 3.0, 4))
@@ -143,7 +142,7 @@ def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: 
     demos = Demonstrations.load(out)
     ahead = POSE[0, 0, 0] - POSE[0, 0, 1]
     wanted = -math.atan2(ahead[1], ahead[0])  # images have y downwards
-    assert same(recorded_headings(demos), np.full(demos.positions.shape[:2], wanted), within=1e-5)
+    assert same(demos.headings(), np.full(demos.positions.shape[:2], wanted), within=1e-5)
     again = tmp_path / "again.npz"
     animarl("import", write(tmp_path), "--recipe", tmp_path / "demos.recipe.yaml", "--out", again)
     assert Demonstrations.load(again).fingerprint() == demos.fingerprint()
@@ -158,7 +157,7 @@ def test_headings_from_keypoints_of_a_file_and_its_recipe(write: Any, tmp_path: 
 
 def test_without_asking_there_are_no_headings(tmp_path: Path) -> None:
     demos = follow(ImportRecipe(source="sleap", frame_rate=25.0), [write_slp(tmp_path)])
-    assert "heading" not in demos.signals and recorded_headings(demos) is None
+    assert "heading" not in demos.signals and demos.headings() is None
 
 
 @pytest.mark.parametrize(
@@ -199,7 +198,7 @@ def test_a_table_s_column_of_headings_is_named_and_its_unit_read(tmp_path: Path)
     animarl("import", path, "--fps", 20, "--target", "female", "--option", "heading=theta_deg",
             "--max-gap", 0.2, "--piece", "inf", "--out", out)  # fmt: skip
     demos = Demonstrations.load(out)
-    assert same(recorded_headings(demos), spinning(60)[1:], within=1e-6)
+    assert same(demos.headings(), spinning(60)[1:], within=1e-6)
     bare = write_table(tmp_path, "theta")
     (stated,) = read_tracks(bare, fps=20.0, heading="theta", angle_unit="deg")
     assert np.array_equal(stated.signals["heading"], tracks.signals["heading"], equal_nan=True)
