@@ -20,9 +20,8 @@ from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
-from animarl_envs.fitting.doubts import doubts
 from animarl_envs.fitting.noise import fit_with_noise
-from animarl_envs.fitting.result import Method
+from animarl_envs.fitting.result import Method, doubts
 from animarl_envs.species import get_species
 
 QUICK_STEPS = 800  # of a noise estimate, per individual

@@ -93,7 +93,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run_warnings import far_acting_rules
-    from animarl_envs.fitting.doubts import doubts
+    from animarl_envs.fitting.result import doubts
 
     console = _console()
     run = _open(given)

@@ -19,7 +19,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit, track
 from animarl_envs.fitting.custom_species import arena_of
-from animarl_envs.fitting.magnitudes import FAST
+from animarl_envs.fitting.joint import FAST
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
 

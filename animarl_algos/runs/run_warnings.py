@@ -8,7 +8,7 @@ from animarl_algos.evaluation.acting_choice import NEAR
 from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run import Run
-from animarl_envs.fitting.doubts import doubts
+from animarl_envs.fitting.result import doubts
 
 INFORMATION = "offline/val/cross_entropy_minus_marginal"
 

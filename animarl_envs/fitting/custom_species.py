@@ -127,7 +127,7 @@ def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomoti
     check_thrusts(thrusts)
     key = demos.fingerprint(), thrusts
     if key not in _FITS:
-        from animarl_envs.fitting.magnitudes import joint_locomotion
+        from animarl_envs.fitting.joint import joint_locomotion
 
         _FITS[key] = joint_locomotion(_training(demos), thrusts)
     return _FITS[key]

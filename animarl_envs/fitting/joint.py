@@ -12,6 +12,13 @@ Three moves alternate: every step takes its nearest action (as in k-means), far 
 aside, and with these fixed the optimum (d, thrusts) solves linear equations. Where that would leave
 the terminal speed below a given one, the optimum on the line of just that terminal speed takes its
 place. A grid supplies the starting points.
+
+With several magnitudes, d and all thrusts are fitted together from several starting points, and
+then held against fixed multiples of the one-magnitude thrust, which did well on moths and
+flies: what follows the recordings more closely (:mod:`animarl_envs.fitting.tracking`)
+is taken, individual by individual. ``u`` stays the thrust of one magnitude, of which the magnitudes
+are multiples. The terminal speed of the largest thrust is at least the recorded 99 % quantile of
+speed: a model that cannot go as fast as the animal cannot move like it.
 """
 
 from __future__ import annotations
@@ -22,10 +29,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs import locomotion
+from animarl_envs.compiling import jit
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.nearest_actions import assign, sums
-from animarl_envs.fitting.transitions import Transitions
-from animarl_envs.locomotion import Locomotion
+from animarl_envs.fitting.tracking import track, tracking_errors
+from animarl_envs.fitting.transitions import Transitions, transitions
+from animarl_envs.kinematics import residual
+from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 
 Floats = NDArray[np.float64]
 
@@ -38,6 +49,42 @@ STARTS = 6  # best grid points, refined with all steps
 ITERATIONS = 300
 TOLERANCE = 1e-9  # relative change of d and u at which the alternation has converged
 CURVATURE_STEP = 0.05  # of the bootstrap's difference quotient; smaller ones are noisy
+FAST = 0.99  # quantile of recorded speed that the terminal speed reaches
+SEVERAL_TOLERANCE = 1e-5  # relative change at which a fit of several magnitudes has converged
+_HALF_SQRT3 = math.sqrt(3.0) / 2.0
+
+
+def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
+    """Damping, thrust and magnitudes of every individual, from all episodes of ``demos``.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes, those to fit only.
+    thrusts
+        The number of magnitudes, M.
+
+    Raises
+    ------
+    InputError
+        If ``thrusts`` is none of 1 to 10, or an individual has too few steps or never moves.
+    """
+    check_thrusts(thrusts)
+    every = [transitions(demos, i) for i in range(demos.num_individuals)]
+    ones = [
+        fit_joint(data, f"{demos.name}: {name}")
+        for data, name in zip(every, demos.individuals, strict=True)
+    ]
+    if thrusts == 1:
+        return tuple(_fast_enough(data, one) for data, one in zip(every, ones, strict=True))
+    multiples = fixed_multiples(thrusts)
+    fitted = [_fit_magnitudes(data, one, thrusts) for data, one in zip(every, ones, strict=True)]
+    fixed = [_with_multiples(data, one, multiples) for data, one in zip(every, ones, strict=True)]
+    errors = [tracking_errors(demos, track(demos, each)) for each in (fitted, fixed)]
+    return tuple(
+        own if own_error < other_error else other
+        for own, other, own_error, other_error in zip(fitted, fixed, *errors, strict=True)
+    )
 
 
 def fit_joint(
@@ -73,6 +120,12 @@ def fit_joint(
     starts = [(damping, np.array([thrust])) for damping, thrust in _starting_points(data)]
     damping, thrusts = best_of(data, starts, least_speed, far=far)
     return Locomotion(damping, float(thrusts[0]))
+
+
+def fast_speed(data: Transitions) -> float:
+    """The speed that a fit must be able to reach [arena unit / s]."""
+    speed = np.hypot(data.next_velocity[:, 0], data.next_velocity[:, 1])
+    return float(np.quantile(speed, FAST)) if len(speed) else 0.0
 
 
 def best_of(
@@ -133,7 +186,7 @@ def _starting_points(data: Transitions) -> list[tuple[float, float]]:
     error, action, level = _scratch(len(velocity))
     found = []
     for damping in GRID_DAMPING:
-        rest = next_velocity - (1 - damping) * velocity
+        rest = locomotion.residual(next_velocity, velocity, float(damping))
         length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
         for thrust in np.unique(np.quantile(length[length > 0], GRID_QUANTILES)):
             impulse = np.array([thrust * data.dt])
@@ -228,7 +281,8 @@ def _gradients(data: Transitions, point: Floats) -> Floats:
     error, action = _nearest(data, point)
     kept = error <= _limit(error)
     impulse = data.dt * action
-    miss = data.next_velocity - (1 - point[0]) * data.velocity - point[1] * impulse
+    rest = locomotion.residual(data.next_velocity, data.velocity, float(point[0]))
+    miss = rest - point[1] * impulse
     terms = np.column_stack([np.sum(miss * data.velocity, axis=1), -np.sum(miss * impulse, axis=1)])
     out = np.zeros((data.num_episodes, 2))
     for column in range(2):
@@ -264,3 +318,100 @@ def _nearest(data: Transitions, point: Floats) -> tuple[Floats, Floats]:
 def _scratch(steps: int) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """What :func:`assign` writes: squared error, vector and thrust of the nearest action."""
     return np.empty(steps), np.empty((steps, 2)), np.empty(steps, dtype=np.int64)
+
+
+def _fast_enough(data: Transitions, one: Locomotion) -> Locomotion:
+    """The joint fit, or the best one that reaches the fast speed."""
+    fast = fast_speed(data)
+    return one if one.terminal_speed(data.dt) >= fast else fit_joint(data, least_speed=fast)
+
+
+def _with_multiples(data: Transitions, one: Locomotion, multiples: Sequence[float]) -> Locomotion:
+    """The one-magnitude fit with fixed multiples, damped little enough to reach the fast speed."""
+    fast = fast_speed(data)
+    largest = one.thrust * multiples[0] * data.dt
+    damping = one.damping if one.damping * fast <= largest else largest / fast
+    return Locomotion(damping, one.thrust, tuple(multiples))
+
+
+def _fit_magnitudes(data: Transitions, one: Locomotion, thrusts: int) -> Locomotion:
+    """d and all thrusts of one individual by least squares."""
+    rest = locomotion.residual(data.next_velocity, data.velocity, one.damping)
+    length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
+    length = length[length > 0.5 * min(fixed_multiples(thrusts)) * one.thrust]
+    spread = (np.arange(thrusts) + 0.5) / thrusts
+    guesses = [one.thrust * np.array(fixed_multiples(thrusts))]
+    if len(length):
+        guesses.append(np.quantile(length, spread))
+    starts = [(one.damping, guess) for guess in guesses]
+    damping, found = best_of(data, starts, fast_speed(data), SEVERAL_TOLERANCE)
+    ordered = np.unique(found)[::-1] / one.thrust
+    if len(ordered) < thrusts:  # some coincide: exact tracks of fewer magnitudes
+        return _with_multiples(data, one, fixed_multiples(thrusts))
+    return Locomotion(damping, one.thrust, tuple(ordered.tolist()))
+
+
+# -- kernels ----------------------------------------------------------------------------------
+
+
+@jit
+def assign(  # type: ignore[no-untyped-def]
+    velocity, next_velocity, focus, damping, impulses, error, action, level
+):
+    """Nearest of the actions to each observed acceleration.
+
+    ``impulses`` ``(M,)`` are the thrusts times dt. Writes the squared error ``(steps,)`` of the
+    rebuilt velocity, the action's unit vector in the arena frame ``(steps, 2)``, zero for coasting,
+    and which thrust it has ``(steps,)``. Directions are searched in one quadrant.
+    """
+    for t in range(velocity.shape[0]):
+        rest_x = residual(next_velocity[t, 0], velocity[t, 0], damping)
+        rest_y = residual(next_velocity[t, 1], velocity[t, 1], damping)
+        ahead = rest_x * focus[t, 0] + rest_y * focus[t, 1]
+        left = rest_y * focus[t, 0] - rest_x * focus[t, 1]
+        x, y = abs(ahead), abs(left)
+        along, c, s = x, 1.0, 0.0
+        if _HALF_SQRT3 * x + 0.5 * y > along:
+            along, c, s = _HALF_SQRT3 * x + 0.5 * y, _HALF_SQRT3, 0.5
+        if 0.5 * x + _HALF_SQRT3 * y > along:
+            along, c, s = 0.5 * x + _HALF_SQRT3 * y, 0.5, _HALF_SQRT3
+        if y > along:
+            along, c, s = y, 0.0, 1.0
+        square = x * x + y * y
+        nearest, least = -1, 0.0
+        for j in range(len(impulses)):
+            gain = impulses[j] * (impulses[j] - 2.0 * along)
+            if gain < least:
+                nearest, least = j, gain
+        level[t] = nearest
+        if nearest >= 0:  # nearer to that direction than to zero
+            c = c if ahead >= 0 else -c
+            s = s if left >= 0 else -s
+            action[t, 0] = c * focus[t, 0] - s * focus[t, 1]
+            action[t, 1] = c * focus[t, 1] + s * focus[t, 0]
+            impulse = impulses[nearest]
+            error[t] = max(square - 2.0 * impulse * along + impulse * impulse, 0.0)
+        else:
+            action[t, 0] = 0.0
+            action[t, 1] = 0.0
+            error[t] = square
+
+
+@jit
+def sums(velocity, next_velocity, action, level, error, limit, dt, thrusts):  # type: ignore[no-untyped-def]
+    """Inner products over the steps with ``error <= limit``, those with actions per thrust."""
+    vv, vn = 0.0, 0.0
+    va, aa, an = np.zeros(thrusts), np.zeros(thrusts), np.zeros(thrusts)
+    for t in range(velocity.shape[0]):
+        if error[t] > limit:
+            continue
+        j = level[t]
+        for axis in range(2):
+            v, n, a = velocity[t, axis], next_velocity[t, axis], dt * action[t, axis]
+            vv += v * v
+            vn += v * n
+            if j >= 0:
+                va[j] += v * a
+                aa[j] += a * a
+                an[j] += a * n
+    return vv, vn, va, aa, an

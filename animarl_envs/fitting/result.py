@@ -1,4 +1,4 @@
-"""Fitting all individuals of a set of demonstrations, with bootstrap intervals and the RMSE."""
+"""Fitting all individuals of demonstrations: intervals, the RMSE, and what makes a fit doubtful."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.joint import bootstrap_joint
-from animarl_envs.fitting.magnitudes import fast_speed, joint_locomotion
+from animarl_envs.fitting.joint import bootstrap_joint, fast_speed, fit_joint, joint_locomotion
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.onset import bootstrap_onset, fit_onset, onset_data, top_speed
 from animarl_envs.fitting.resampling import Interval, percentiles, resampling_weights
@@ -26,6 +25,10 @@ from animarl_envs.species import SPECIES
 
 Method = Literal["joint", "onset", "noise"]
 BOOTSTRAP = 1000
+TOO_FAST = 2.0  # terminal speeds beyond so many times the top speed seen
+MATTERS = 0.1  # relative difference of d that is worth a warning, if it is beyond the interval
+ALIKE = 1e-6  # differences of d up to it are of rounding
+NEAR_ZERO = 1e-3  # an interval of d that begins below it reaches zero
 SLOW_SHARE = 0.03  # of the top speed: below it an animal of no known species counts as resting
 
 
@@ -94,8 +97,8 @@ class LocomotionFit:
                 key: None if fit[key] is None else (fit[key][0], fit[key][1])
                 for key in ("damping_interval", "thrust_interval")
             }
-            magnitudes = tuple(fit.get("magnitudes", (1.0,)))  # older files have none
-            individuals.append(IndividualFit(**{**fit, **pairs, "magnitudes": magnitudes}))
+            pairs["magnitudes"] = tuple(fit["magnitudes"])
+            individuals.append(IndividualFit(**{**fit, **pairs}))
         return cls(**{**record, "individuals": tuple(individuals)})
 
     def save(self, path: str | Path) -> Path:
@@ -138,7 +141,7 @@ def fit_locomotion(
         ``"joint"`` (see :mod:`animarl_envs.fitting.joint`), ``"onset"``, the paper's rule, or
         ``"noise"``, for noisy tracks (see :mod:`animarl_envs.fitting.noise`).
     thrusts
-        Number of thrust magnitudes (see :mod:`animarl_envs.fitting.magnitudes`).
+        Number of thrust magnitudes (see :mod:`animarl_envs.fitting.joint`).
     onset_threshold
         th_acc of the onset fit [arena unit / s^2]; by default that of the species.
     split
@@ -281,3 +284,47 @@ def braking_time(damping: float, dt: float) -> float:
     if damping == 0:
         return math.inf
     return 0.0 if damping == 1 else -dt / math.log1p(-damping)
+
+
+def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
+    """Who is to be believed with care, and why.
+
+    Parameters
+    ----------
+    fit
+        Of any method.
+    demos
+        What it was fitted to; the joint fit of one thrust is made once more without leaving any
+        step out as a tracking jump.
+    """
+    seen = demos if fit.fitted_on == "all" else demos.select(split=fit.fitted_on)
+    found = []
+    for i, one in enumerate(fit.individuals):
+        if one.terminal_speed > TOO_FAST * one.top_speed:
+            found.append(
+                f"{one.name}: with its thrust held it would reach {one.terminal_speed:.3g} arena "
+                f"units/s, {one.terminal_speed / one.top_speed:.1f} times the top speed seen "
+                f"({one.top_speed:.3g}): a policy that pushes on leaves what was recorded"
+            )
+        if one.damping_interval is not None and one.damping_interval[0] < NEAR_ZERO:
+            found.append(
+                f"{one.name}: the interval of d reaches 0, so the recordings do not say how it "
+                "slows down: record longer, or more of its turns and stops"
+            )
+        if fit.method == "joint" and len(one.magnitudes) == 1:
+            found += _trimming(one, i, seen)
+    return found
+
+
+def _trimming(one: IndividualFit, individual: int, seen: Demonstrations) -> list[str]:
+    data = transitions(seen, individual)
+    whole = fit_joint(data, one.name, fast_speed(data), far=math.inf)
+    low, high = one.damping_interval or (one.damping, one.damping)
+    change = abs(whole.damping - one.damping)
+    if low <= whole.damping <= high or change <= MATTERS * one.damping + ALIKE:
+        return []
+    return [
+        f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without the steps that are "
+        f"taken for tracking jumps, {whole.damping:.3g} and {whole.thrust:.3g} with all: look at "
+        "the jumps ('animarl data check')"
+    ]

@@ -16,7 +16,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.custom_species import arena_of
-from animarl_envs.fitting.magnitudes import joint_locomotion
+from animarl_envs.fitting.joint import joint_locomotion
 from animarl_envs.fitting.tracking import track
 from animarl_envs.locomotion import Locomotion
 

@@ -12,7 +12,7 @@ from test_fitting import simulate
 from animarl_algos.evaluation.plausibility import implausible
 from animarl_algos.evaluation.verdict import verdict
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
-from animarl_envs.fitting.doubts import doubts
+from animarl_envs.fitting.result import doubts
 
 
 def test_a_good_fit_is_not_doubted() -> None:

@@ -30,7 +30,7 @@ from animarl_envs.fitting import (
     track,
     transitions,
 )
-from animarl_envs.fitting.magnitudes import fast_speed
+from animarl_envs.fitting.joint import fast_speed
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read

@@ -171,8 +171,7 @@ def test_the_scripted_target_looks_ahead_with_the_same_transition() -> None:
 
 def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:
     """The loss of the joint fit is the squared miss of the inferred actions."""
-    from animarl_envs.fitting.joint import _scratch
-    from animarl_envs.fitting.nearest_actions import assign
+    from animarl_envs.fitting.joint import _scratch, assign
 
     demos, _ = walk(TRUTH, 2, noise=0.01)
     own = Locomotion(0.3, 1.5, MULTIPLES)
