@@ -17,7 +17,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import ending_in_words
 from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.species.bodies import PLAIN_BODY, body_of_each
+from animarl_envs.species.base import PLAIN_BODY, body_of_each
 from animarl_envs.worlds.plume.plume import PlumeField
 
 AT_REST = 1e-9  # a slower individual keeps its heading [arena unit / s]

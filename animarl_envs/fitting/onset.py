@@ -69,13 +69,12 @@ def fit_onset(demos: Demonstrations, individual: int, onset_threshold: float) ->
     name = demos.individuals[individual]
     if len(data.onset_speed) == 0:
         threshold = onset_threshold * demos.dt
-        mend = "lower" if data.speed.max(initial=0.0) < threshold else "raise"
+        fix = "lower" if data.speed.max(initial=0.0) < threshold else "raise"
         raise InputError(
             f"{demos.name}: {name} never crosses {threshold:.3g} from below, so "
-            f"the onset fit has nothing to measure: {mend} onset_threshold or use method 'joint'"
+            f"the onset fit has nothing to measure: {fix} onset_threshold or use method 'joint'"
         )
-    weights = np.ones((1, data.num_episodes))
-    damping, thrust = _resampled(data, weights)[0]
+    damping, thrust = bootstrap_onset(data, np.ones((1, data.num_episodes)))[0]
     if not 0.0 <= damping <= 1.0:
         raise InputError(
             f"{demos.name}: {name} is faster just after rest than at its top speed (d = "
@@ -100,10 +99,6 @@ def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np
 
     ``weights`` ``(resamples, episodes)`` says how often each episode was drawn.
     """
-    return _resampled(data, weights)
-
-
-def _resampled(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np.float64]:
     onset, top = np.empty(len(weights)), np.empty(len(weights))
     whole = weights.astype(np.int64)
     _weighted_medians(data.onset_speed, data.onset_episode, whole, onset)

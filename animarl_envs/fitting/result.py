@@ -16,9 +16,8 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import bootstrap_joint, fast_speed, fit_joint, joint_locomotion
-from animarl_envs.fitting.noise import fit_with_noise
+from animarl_envs.fitting.noise import CONFIDENCE, Interval, fit_with_noise
 from animarl_envs.fitting.onset import bootstrap_onset, fit_onset, onset_data, top_speed
-from animarl_envs.fitting.resampling import Interval, percentiles, resampling_weights
 from animarl_envs.fitting.transitions import transitions, velocity_rmse
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import SPECIES
@@ -208,6 +207,29 @@ def default_onset_threshold(demos: Demonstrations) -> float:
     if top == 0:
         raise InputError(f"{demos.name}: no individual ever moves: check the tracks")
     return SLOW_SHARE * top / demos.dt
+
+
+def resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.float64] | None:
+    """How often each resample draws each episode, ``(resamples, episodes)``."""
+    if resamples < 0:
+        raise InputError(f"bootstrap is {resamples}: it must be 0 or a number of resamples")
+    if resamples == 0 or episodes < 2:
+        return None
+    drawn = np.random.default_rng(seed).integers(episodes, size=(resamples, episodes))
+    flat = drawn + episodes * np.arange(resamples)[:, None]
+    counts = np.bincount(flat.ravel(), minlength=resamples * episodes)
+    return counts.reshape(resamples, episodes).astype(np.float64)
+
+
+def percentiles(
+    samples: NDArray[np.float64] | None,
+) -> tuple[Interval | None, Interval | None]:
+    """Of resampled damping and thrust, ``(resamples, 2)``."""
+    if samples is None or not len(samples):
+        return None, None
+    tail = (1 - CONFIDENCE) / 2
+    (d_low, u_low), (d_high, u_high) = np.quantile(samples, [tail, 1 - tail], axis=0).tolist()
+    return (d_low, d_high), (u_low, u_high)
 
 
 def _joint_fits(

@@ -13,10 +13,12 @@ from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species.bodies import PLAIN_BODY, checked_bodies
 from animarl_envs.species.scales import SenseScales
 
 OBSERVATIONS = ("full", "paper")
+PLAIN_BODY = "animal"
+BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
+"""What an individual may look like; :mod:`animarl_envs.drawing.bodies` draws them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,3 +187,25 @@ def _names(conditions: Any) -> tuple[str, ...]:
     if not listed or len(conditions) not in (0, 2):
         raise InputError(f"conditions are {conditions!r}: give two names, or none")
     return tuple(str(name) for name in conditions)
+
+
+def checked_bodies(given: Any) -> tuple[str, ...]:
+    """One or two names of :data:`BODIES` as a tuple.
+
+    Raises
+    ------
+    InputError
+        If they are none.
+    """
+    bodies = (given,) if isinstance(given, str) else tuple(given)
+    if not 1 <= len(bodies) <= 2 or not set(bodies) <= set(BODIES):
+        raise InputError(
+            f"bodies is {given!r}: give one of {', '.join(BODIES)} for all, or two of them, the "
+            "second for the target"
+        )
+    return bodies
+
+
+def body_of_each(bodies: tuple[str, ...], roles: tuple[str, ...]) -> tuple[str, ...]:
+    """The body of each individual: the last name is the target's, the first everybody else's."""
+    return tuple(bodies[-1] if role == "target" else bodies[0] for role in roles)

@@ -16,8 +16,8 @@ from animarl_envs.drawing.render import Renderer, round_length
 from animarl_envs.drawing.scene import PlumeField, Scene
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.species import AGENT, SPECIES
-from animarl_envs.species.bodies import BODIES as SPECIES_BODIES
-from animarl_envs.species.bodies import PLAIN_BODY, body_of_each
+from animarl_envs.species.base import BODIES as SPECIES_BODIES
+from animarl_envs.species.base import PLAIN_BODY, body_of_each
 from animarl_envs.species.options import with_options
 
 SIZE = 200
