@@ -124,15 +124,6 @@ def test_a_fit_with_magnitudes_passes_through_json(tmp_path: Path) -> None:
     assert LocomotionFit.load(fit.save(tmp_path / "fit.json")) == fit
 
 
-def test_a_file_from_before_magnitudes_has_one() -> None:
-    demos, _ = walk(TRUTH, 9)
-    fit = fit_locomotion(demos, bootstrap=0)
-    record = fit.to_dict()
-    for one in record["individuals"]:
-        del one["magnitudes"]
-    assert LocomotionFit.from_dict(record) == fit
-
-
 @pytest.mark.parametrize("thrusts", [0, MOST_THRUSTS + 1, 1.5, "2"])
 def test_impossible_numbers_of_magnitudes_are_refused(thrusts: Any) -> None:
     demos, _ = walk(TRUTH, 9, episodes=10)
