@@ -136,7 +136,10 @@ class Species:
     @property
     def scales(self) -> SenseScales:
         """The scales of observations: those given, or those of this world."""
-        return SenseScales.of(self) if self.sense_scales is None else self.sense_scales
+        own = (1.0,) * self.num_individuals
+        return self.sense_scales or SenseScales(
+            self.locomotion, self.dt, self.arena.size, self.time_limit, own
+        )
 
     @property
     def thrusts(self) -> int:

@@ -85,7 +85,9 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
     check_reading(reading)
     changed = with_options(replace(species, sense_scales=species.scales), **options)
     if reading == "knows":
-        return replace(changed, sense_scales=changed.scales.with_bodies(changed))
+        return replace(
+            changed, sense_scales=changed.scales.with_bodies(changed.locomotion, changed.dt)
+        )
     return changed
 
 

@@ -9,13 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
-
-if TYPE_CHECKING:
-    from animarl_envs.species.base import Species
 
 Reading = Literal["habit", "knows"]
 """How a trained policy perceives a changed world. ``"habit"``: in the scales it was trained with,
@@ -48,24 +45,16 @@ class SenseScales:
     time_limit: int
     own_velocity: tuple[float, ...]
 
-    @classmethod
-    def of(cls, species: Species) -> SenseScales:
-        """Return the scales of policies that are trained in the world of ``species``."""
-        return cls(
-            species.locomotion, species.dt, species.arena.size, species.time_limit,
-            (1.0,) * species.num_individuals,
-        )  # fmt: skip
-
-    def with_bodies(self, species: Species) -> SenseScales:
-        """Return the same scales for individuals that know the bodies they have in ``species``."""
+    def with_bodies(self, locomotion: tuple[Locomotion, ...], dt: float) -> SenseScales:
+        """Return the same scales for individuals that know the bodies they have."""
         return replace(
             self,
-            locomotion=species.locomotion,
-            dt=species.dt,
+            locomotion=locomotion,
+            dt=dt,
             own_velocity=tuple(
-                factor * (old.thrust * self.dt) / (new.thrust * species.dt)
+                factor * (old.thrust * self.dt) / (new.thrust * dt)
                 for factor, old, new in zip(
-                    self.own_velocity, self.locomotion, species.locomotion, strict=True
+                    self.own_velocity, self.locomotion, locomotion, strict=True
                 )
             ),
         )

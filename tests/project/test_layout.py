@@ -66,8 +66,6 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("animarl_algos.evaluation", "animarl_algos.runs.counterfactual"): LAZY,
     ("animarl_algos.evaluation", "animarl_algos.runs.evaluating"): LAZY,
     ("animarl_algos.evaluation", "animarl_algos.runs.inspecting"): LAZY,
-    ("animarl_envs.demos.validation", "animarl_envs.demos.demonstrations"): TO_DIVIDE,
-    ("animarl_envs.species.scales", "animarl_envs.species.base"): TO_DIVIDE,
     ("animarl_algos.benchmark.clones", "animarl_algos.benchmark.cells"): TO_DIVIDE,
 }
 

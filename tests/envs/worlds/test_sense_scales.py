@@ -15,7 +15,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import SPECIES, Species, get_species
 from animarl_envs.species.options import change_world, with_options
-from animarl_envs.species.scales import Reading, SenseScales
+from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import demonstration_observations, make_world, observation_components
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase.world import observe
@@ -178,7 +178,7 @@ def test_who_knows_its_body_perceives_its_motion_in_units_of_it(name: str) -> No
 def test_scales_are_checked() -> None:
     agent = get_species("agent")
     with pytest.raises(InputError, match="give SenseScales of 3 individuals"):
-        with_options(agent, sense_scales=SenseScales.of(get_species("silkmoth")))
+        with_options(agent, sense_scales=get_species("silkmoth").scales)
     with pytest.raises(InputError, match="choose 'habit' or 'knows'"):
         change_world(agent, "mixed")  # type: ignore[arg-type]
     reading: Reading = "knows"
