@@ -19,7 +19,6 @@ from stable_baselines3.common.vec_env import VecMonitor
 from torch import nn
 
 from animarl_algos import (
-    BC,
     DQDIL,
     DQN,
     QRDQN,
@@ -92,26 +91,6 @@ def test_clients_find_networks_and_memory_under_their_names() -> None:
     assert model.replay_buffer.size() == 0
     model.learn(60)
     assert model.replay_buffer.size() == model.replay_buffer.num_steps > 0
-
-
-# -- what cannot learn ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("kind", "env", "more", "words"),
-    [
-        (DQDIL, lambda: toys.Pair(2), {"offline_epochs": 1}, "was given demonstrations"),
-        (DQDIL, lambda: gym.make(CARTPOLE), {}, "'dtw_penalty'"),
-        (DQDIL, lambda: SlotVecEnv("agent", 2, dtw=None), {}, "'dtw_penalty'"),
-        (BC, lambda: SlotVecEnv("agent", 2, demos=None), {}, "was given demonstrations"),
-    ],
-)
-def test_clients_are_told_what_cannot_learn_before_it_does(
-    kind: Any, env: Any, more: dict[str, Any], words: str
-) -> None:
-    model = kind("MlpPolicy", env(), device="cpu", **more)
-    with pytest.raises(InputError, match=words):
-        model.learn(1)
 
 
 # -- zip files ------------------------------------------------------------------------------------

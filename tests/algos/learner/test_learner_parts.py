@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 import toys
 from pair_learners import SETTINGS, make_pair_learner, weights
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
-from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.collecting import Collector
 from animarl_algos.learner.updates import AS_MANY_AS_STEPS, Updater, UpdateSchedule
-from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import DQN
 
 EPISODES = TrainFreq(2, TrainFrequencyUnit.EPISODE)
@@ -64,58 +59,6 @@ def test_the_target_is_due_in_its_own_unit_and_the_rest_is_carried() -> None:
 
 
 # -- acting ---------------------------------------------------------------------------------------
-
-
-class ListBuffer:
-    """Keeps what it is given."""
-
-    def __init__(self) -> None:
-        self.given: list[Any] = []
-
-    def add(self, *given: Any, **more: Any) -> None:
-        self.given.append((given, more))
-
-
-def collector(model: SequenceQLearning) -> Collector:
-    assert model.env is not None
-    return Collector(model.policy, model.env, model.layout, model.recipe)
-
-
-def test_a_step_is_recorded_with_the_state_before_it_and_forgotten_where_it_ended() -> None:
-    model, buffer = DQN("GruPolicy", toys.Pair(2), **SETTINGS), ListBuffer()
-    model.policy.epsilon = 0.0
-    memory = model.policy.initial_state(4)
-    memory[0][:] = 0.5
-    part = collector(model)
-    first = np.array(model.env.reset())  # type: ignore[union-attr]
-    dones = np.zeros(4, dtype=bool)
-    while not dones.any():
-        step = part.step(buffer, first, memory)  # type: ignore[arg-type]
-        dones = step.dones
-        assert (step.memory[0][dones] == 0).all()
-        assert (step.memory[0][~dones] != 0).any(axis=-1).all()
-        assert (step.memory[1] == np.where(dones, 3, step.actions)).all()
-    (observation, actions, *_), more = buffer.given[-1]
-    assert (observation.reshape(4, -1) == first).all() and (more["hidden"] == 0.5).all()
-    assert (actions.reshape(-1) == step.actions).all() and step.finished
-    assert (memory[0] == 0.5).all()
-
-
-def test_acting_at_random_uses_every_action_and_leaves_the_rule_in_force() -> None:
-    model = DQN("MlpPolicy", toys.Pair(2), **SETTINGS)
-    model.policy.temperature, model.policy.epsilon = 1e-6, 0.1
-    part, chosen = collector(model), set()
-    observation = np.array(model.env.reset())  # type: ignore[union-attr]
-    for _ in range(40):
-        step = part.step(
-            ListBuffer(),  # type: ignore[arg-type]
-            observation,
-            model.policy.initial_state(4),
-            at_random=True,
-        )
-        chosen |= set(step.actions.tolist())
-    assert chosen == {0, 1, 2}
-    assert model.policy.acting == replace(Acting.boltzmann(1e-6), epsilon=0.1)
 
 
 def test_each_step_is_taken_with_the_epsilon_that_is_due_before_it(

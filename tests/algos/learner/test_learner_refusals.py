@@ -101,6 +101,9 @@ CASES = {
     "no demonstrations": Case(
         "was given demonstrations", DQDIL, lambda: toys.Pair(2), lambda: {"offline_epochs": 1}
     ),
+    "no demonstrations in a world": Case(
+        "was given demonstrations", BC, lambda: SlotVecEnv("agent", 2, demos=None)
+    ),
     "other individuals": Case(
         "2 individuals with 4", DQDIL, lambda: toys.Lock(2), offline(demonstrations)
     ),

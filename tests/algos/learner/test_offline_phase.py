@@ -113,9 +113,10 @@ class Stopped(Exception):
     pass
 
 
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
 @kinds
-def test_a_stopped_phase_goes_on_exactly(policy: str, tmp_path: Path) -> None:
-    straight = cloning(policy).learn(1)
+def test_a_stopped_phase_goes_on_exactly(policy: str, device: str, tmp_path: Path) -> None:
+    straight = cloning(policy, device=device).learn(1)
 
     class Stop(CheckpointCallback):
         def at_boundary(self) -> None:
@@ -124,8 +125,8 @@ def test_a_stopped_phase_goes_on_exactly(policy: str, tmp_path: Path) -> None:
                 raise Stopped
 
     with pytest.raises(Stopped):
-        cloning(policy).learn(1, callback=Stop(tmp_path, every=1000))
-    resumed = cloning(policy)
+        cloning(policy, device=device).learn(1, callback=Stop(tmp_path, every=1000))
+    resumed = cloning(policy, device=device)
     load_checkpoint(resumed, tmp_path)
     assert resumed.offline_progress.epoch == 4 and resumed.offline_progress.average_weights
     resumed.learn(1)

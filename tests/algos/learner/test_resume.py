@@ -67,30 +67,6 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert straight._n_updates == resumed._n_updates > 0
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
-@pytest.mark.parametrize("average", [0.0, 0.9])
-def test_the_offline_phase_resumes_too(average: float, device: str, tmp_path: Path) -> None:
-    data = demonstrations()
-    offline = {"demonstrations": data, "offline_epochs": 5, "device": device}
-    offline["offline_kwargs"] = {"average": average}
-    straight = make(**offline).learn(100)
-
-    class Stop(CheckpointCallback):
-        def at_boundary(self) -> None:
-            super().at_boundary()
-            if self.model.offline_progress.epoch == 3:  # type: ignore[attr-defined]
-                raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        make(**offline).learn(100, callback=Stop(tmp_path, every=1000))
-    resumed = make(**offline)
-    load_checkpoint(resumed, tmp_path)
-    assert resumed.offline_progress.epoch == 3
-    resumed.learn(100, reset_num_timesteps=False)
-    assert torch.equal(weights(straight), weights(resumed))
-    assert resumed.offline_progress.history == straight.offline_progress.history
-
-
 def test_a_resumed_run_samples_at_the_same_temperatures(tmp_path: Path) -> None:
     def learner() -> SequenceQLearning:
         data = demonstrations()
@@ -103,27 +79,6 @@ def test_a_resumed_run_samples_at_the_same_temperatures(tmp_path: Path) -> None:
     assert straight.policy.acting == resumed.policy.acting
     assert straight.policy.acting.kind is Kind.BOLTZMANN
     assert torch.equal(weights(straight), weights(resumed))
-
-
-FOLDERS = (str(Path(__file__).parent), str(Path(__file__).parents[2]))
-KILLED = """
-import sys, os, signal
-sys.path[:0] = sys.argv[2:]
-from test_resume import make, CheckpointCallback, STEPS
-class Kill(CheckpointCallback):
-    def _on_step(self):
-        if self.model.num_timesteps >= 300:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return True
-make().learn(STEPS, callback=Kill(sys.argv[1], every=100))
-"""
-
-
-def test_a_run_killed_by_sigkill_goes_on(tmp_path: Path) -> None:
-    run = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), *FOLDERS], check=False)
-    assert run.returncode == -signal.SIGKILL
-    resumed = go_on(make(seed=5), tmp_path)
-    assert torch.equal(weights(make().learn(STEPS)), weights(resumed))
 
 
 @pytest.mark.parametrize(
@@ -162,6 +117,7 @@ def test_an_unfinished_checkpoint_is_passed_over(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint_000001"]
 
 
+FOLDERS = (str(Path(__file__).parent), str(Path(__file__).parents[2]))
 FULL = """
 import resource, signal, sys
 sys.path[:0] = sys.argv[2:]

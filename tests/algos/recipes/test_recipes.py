@@ -72,17 +72,6 @@ def test_a_cuda_device_learns_the_same(name: str) -> None:
     assert figures[1] == pytest.approx(figures[0], rel=1e-3)
 
 
-def test_load_without_environment_predicts(tmp_path: Path) -> None:
-    model = make_pair_learner("dqn").learn(40)
-    model.save(tmp_path / "model")
-    loaded = DQN.load(tmp_path / "model", device="cpu")
-    observation = np.ones((4, 4), dtype=np.float32)
-    np.testing.assert_array_equal(
-        loaded.predict(observation, deterministic=True)[0],
-        model.predict(observation, deterministic=True)[0],
-    )
-
-
 @pytest.mark.parametrize("policy", ["GruPolicy", "MlpPolicy"])
 def test_an_ordinary_gymnasium_environment(policy: str) -> None:
     env = toys.VelocityMasked(gym.make("CartPole-v1"))
@@ -131,14 +120,6 @@ def test_steps_are_counted_world_options() -> None:
     assert model.replay_buffer is not None
     running = int(model.replay_buffer.staging.step_count.sum())
     assert model.replay_buffer.num_steps + running == 50
-
-
-def test_learn_can_be_continued_with_its_memory() -> None:
-    """Two calls are one: the same weights as learning in one go."""
-    once = make_pair_learner("dqn", prioritized=False).learn(120)
-    twice = make_pair_learner("dqn", prioritized=False).learn(60)
-    twice.learn(60, reset_num_timesteps=False)
-    assert torch.equal(weights(once), weights(twice))
 
 
 def test_progress_callbacks_and_logs(

@@ -5,81 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-import toys
-from given_values import GivenValues
-from pair_learners import SETTINGS, evaluated, make_pair_learner
+from pair_learners import evaluated, make_pair_learner
 
 from animarl_algos.learner.exploration import LinearDecay, boltzmann_nll, fit_boltzmann_temperature
-from animarl_algos.learner.updates import sequence_priorities
 from animarl_algos.learner.validation import demonstrated_rank
 from animarl_algos.losses.terms import (
-    MinibatchValues,
-    ScoredActionsTemporalDifference,
-    TemporalDifference,
     TreatmentAdversary,
 )
-from animarl_algos.recipes.registry import DQDIL
-from animarl_algos.replay.store import SequenceBatch
-
-
-def three_steps() -> SequenceBatch:
-    """One episode of three steps and two actions, for one individual; the last step terminates."""
-    column = (1, 3, 1)
-    return SequenceBatch(
-        observations=torch.zeros(1, 4, 1, 2),
-        previous_actions=torch.full((1, 4, 1), 2),
-        actions=torch.tensor([0, 1, 0]).view(column),
-        rewards=torch.tensor([1.0, 0.0, 2.0]).view(column),
-        penalties=torch.tensor([0.5, 0.0, 1.0]).view(column),
-        terminated=torch.tensor([0.0, 0.0, 1.0]).view(column),
-        mask=torch.tensor([1.0, 1.0, 1.0]).view(column),
-        weights=torch.ones(1, 1),
-        starts=torch.zeros(1, 1, dtype=torch.int64),
-        lengths=torch.full((1, 1), 3),
-        indices=np.zeros((1, 1), dtype=np.int64),
-        labels=torch.tensor([0, 1, 0]).view(column),
-        condition=torch.zeros(1, 1),
-        active=np.ones(4, dtype=np.int64),
-        action_penalties=torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, 2.0]]).view(1, 3, 1, 2),
-    )
-
-
-def three_steps_evaluated() -> MinibatchValues:
-    """Values: online (1, 2), (3, 1), (0, 4), (9, 9); the target network's ten times; gamma 0.5."""
-    model = DQDIL("MlpPolicy", toys.Recall(2), **SETTINGS, alpha=2.0, gamma=0.5)
-    minibatch = evaluated(model, three_steps())
-    online = torch.tensor([[1.0, 2.0], [3.0, 1.0], [0.0, 4.0], [9.0, 9.0]]).view(1, 4, 1, 2, 1)
-    minibatch.online, minibatch.target = GivenValues(online), GivenValues(10.0 * online)
-    return minibatch
-
-
-def test_temporal_difference_by_hand() -> None:
-    """Targets: 1 + 15 = 16, 0 + 20 = 20, 2; values of the actions taken 1, 1, 0."""
-    minibatch = three_steps_evaluated()
-    loss = TemporalDifference()(minibatch)
-    assert loss.item() == pytest.approx((15**2 + 19**2 + 2**2) / 3)
-    priority = sequence_priorities(minibatch)
-    assert priority is not None
-    assert priority.item() == pytest.approx(0.9 * 19 + 0.1 * (15 + 19 + 2) / 3)
-
-
-def test_the_distance_is_subtracted_with_its_weight() -> None:
-    """Rewards become 0, 0, 0."""
-    loss = TemporalDifference(shaped=True)(three_steps_evaluated())
-    assert loss.item() == pytest.approx((14**2 + 19**2 + 0) / 3)
-
-
-def test_all_actions_are_scored_by_hand() -> None:
-    """Targets: (16, 14), (18, 20), (2, -2)."""
-    loss = ScoredActionsTemporalDifference()(three_steps_evaluated())
-    squares = [15**2 + 12**2, 15**2 + 19**2, 2**2 + 6**2]
-    assert loss.item() == pytest.approx(sum(squares) / 6)
-
-
-def test_masked_steps_enter_no_loss() -> None:
-    minibatch = three_steps_evaluated()
-    minibatch.valid[0, 1] = False
-    assert TemporalDifference()(minibatch).item() == pytest.approx((15**2 + 2**2) / 2)
 
 
 def test_the_reversal_turns_the_encoders_gradient_alone() -> None:
