@@ -214,7 +214,7 @@ class SequenceQLearning(BaseLearner):
                 self.env,
                 callback=callback,
                 train_freq=self.train_freq,
-                replay_buffer=self._the_buffer(),
+                replay_buffer=self._require_buffer(),
                 learning_starts=self.learning_starts,
                 log_interval=log_interval,
             )
@@ -282,7 +282,7 @@ class SequenceQLearning(BaseLearner):
 
     def _train_if_due(self) -> None:
         """Make the updates that a rollout asks for, once it is whole."""
-        schedule, frequency, buffer = self.schedule, self.train_freq, self._the_buffer()
+        schedule, frequency, buffer = self.schedule, self.train_freq, self._require_buffer()
         assert isinstance(frequency, TrainFreq)
         if schedule.needs_more_steps(frequency):
             return
@@ -314,7 +314,7 @@ class SequenceQLearning(BaseLearner):
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Make ``gradient_steps`` updates on sequences from the replay memory."""
-        buffer = self._the_buffer()
+        buffer = self._require_buffer()
         self._update_learning_rate(self.policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
         demonstrated: Iterator[SequenceBatch] | None = None
@@ -331,7 +331,7 @@ class SequenceQLearning(BaseLearner):
     def dump_logs(self) -> None:
         """Log SB3's own figures, losses per individual, epsilon, memory and steps per second."""
         assert self.ep_info_buffer is not None
-        record, buffer = self.logger.record, self._the_buffer()
+        record, buffer = self.logger.record, self._require_buffer()
         record("train/n_updates", self._n_updates, exclude="tensorboard")
         for name, means in self.updater.means().items():
             for individual, mean in zip(self.layout.individuals, means):

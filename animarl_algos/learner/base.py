@@ -22,7 +22,7 @@ from animarl_algos.learner.checkpoint import TrainingState
 from animarl_algos.learner.collecting import Memory
 from animarl_algos.learner.presets import constructor_settings
 from animarl_algos.learner.pretraining import DemonstrationData, OfflineProgress
-from animarl_algos.learner.sb3_compat import translated
+from animarl_algos.learner.sb3_compat import translate_policy_kwargs
 from animarl_algos.learner.settings import (
     POLICIES,
     LearnerSettings,
@@ -161,7 +161,7 @@ class BaseLearner(OffPolicyAlgorithm):
         if given.get("offline_epochs", 0) is None:
             del given["offline_epochs"]
         if isinstance(own := given.get("policy_kwargs"), dict):
-            given["policy_kwargs"] = translated(own)
+            given["policy_kwargs"] = translate_policy_kwargs(own)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
         policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):
@@ -398,7 +398,7 @@ class BaseLearner(OffPolicyAlgorithm):
 
     def save_replay_buffer(self, path: saving.Place) -> None:
         """Write the replay memory as an ``npz`` archive, whatever the name of ``path``."""
-        saving.save_replay(self._the_buffer(), path)
+        saving.save_replay(self._require_buffer(), path)
 
     def load_replay_buffer(self, path: saving.Place, truncate_last_traj: bool = True) -> None:
         """Read the finished episodes of :meth:`save_replay_buffer`; training begins new ones.
@@ -408,12 +408,12 @@ class BaseLearner(OffPolicyAlgorithm):
         InputError
             If it is none, or was saved with other settings.
         """
-        buffer = self._the_buffer()
+        buffer = self._require_buffer()
         saving.load_replay(buffer, path)
         buffer.allocate_staging(self.layout.num_copies)
         self._last_obs = None
 
-    def _the_buffer(self) -> SequenceReplayBuffer:
+    def _require_buffer(self) -> SequenceReplayBuffer:
         if self.replay_buffer is None:
             raise InputError("there is no replay memory: give env=, or call set_env first")
         return self.replay_buffer

@@ -24,7 +24,7 @@ AS_IT_IS = {
 """Names of stable-baselines3 that may say what the networks do anyway, and why nothing else."""
 
 
-def translated(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+def translate_policy_kwargs(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """A table ``policy_kwargs`` without the names that only stable-baselines3 has.
 
     ``net_arch=[64, 64]`` becomes ``hidden=64, depth=2``: the layers that encode an observation, as
