@@ -1,1 +1,1 @@
-"""What learners learn from: worlds as a VecEnv of slots, demonstrations as datasets."""
+"""Data for learners: worlds as a VecEnv of slots, demonstrations as datasets."""

@@ -38,7 +38,7 @@ def checked_array(
     return array if array.flags.writeable else array.copy()
 
 
-def refuse_missing_actions(
+def check_actions(
     source: str,
     names: Sequence[str],
     actions: NDArray[np.int16],
@@ -108,7 +108,7 @@ class Reflection:
 
     @classmethod
     def of(cls, mirror: Mirror, *, flag: bool = False) -> Reflection:
-        """From a world's mirror; ``flag`` adds the condition flag, which is the same in it."""
+        """Return a world's mirror as a reflection; ``flag`` adds the condition, which stays."""
         order, sign = np.asarray(mirror.order), np.asarray(mirror.sign)
         if flag:
             order, sign = np.append(order, len(order)), np.append(sign, 1.0)
@@ -119,7 +119,7 @@ class Reflection:
         mirrored: NDArray[np.floating] = seen[..., self.order] * self.sign
         return mirrored
 
-    def some_of(self, batch: SequenceBatch, chosen: torch.Tensor) -> SequenceBatch:
+    def mirror_columns(self, batch: SequenceBatch, chosen: torch.Tensor) -> SequenceBatch:
         """The batch with the ``chosen`` (K, B) columns mirrored; padding stays padding."""
         per_step = chosen.unsqueeze(1)
         order, actions = torch.from_numpy(self.order), torch.from_numpy(self.actions)
@@ -237,7 +237,7 @@ class OfflineDataset:
         first = np.cumsum(size) - size
         checked = partial(checked_array, source)
         labels = checked("actions", actions, np.int16, (frames, k))
-        refuse_missing_actions(source, self.names, labels, first, size, num_actions)
+        check_actions(source, self.names, labels, first, size, num_actions)
         each, flat = (len(size),), (frames, k)
         scored = checked(
             "action_penalties",
@@ -399,7 +399,7 @@ class OfflineDataset:
             )
             if self.reflection is not None:
                 coins = np.stack([g.random(batch_size) < 0.5 for g in own])
-                batch = self.reflection.some_of(batch, torch.from_numpy(coins))
+                batch = self.reflection.mirror_columns(batch, torch.from_numpy(coins))
             yield batch.to(self.device)
 
     def _draw_windows(

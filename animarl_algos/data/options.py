@@ -1,4 +1,4 @@
-"""Which options of a :class:`~animarl_algos.data.vec_env.SlotVecEnv` are whose."""
+"""Options of :class:`~animarl_algos.data.vec_env.SlotVecEnv`: its own, scenario's, species'."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ OWN_OPTIONS = (
 
 
 def species_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of them that change the species."""
+    """Return the options that change the species."""
     return {k: v for k, v in options.items() if k not in (*SCENARIO_OPTIONS, *OWN_OPTIONS)}

@@ -1,4 +1,4 @@
-"""What a VecEnv tells a learner: who sits in which slot, and what came with each step."""
+"""Slots of a VecEnv: which individual each holds, and the feedback that comes with a step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animarl_envs.worlds.base import World
 
 
 def refuse_other_actions(learned: int, here: int) -> None:
-    """A learner of so many actions has no values for those of another world.
+    """Refuse a world with another number of actions than the learner has values for.
 
     Raises
     ------
@@ -30,13 +30,13 @@ def refuse_other_actions(learned: int, here: int) -> None:
         )
 
 
-def observed_in(world: World) -> tuple[str, ...]:
-    """What slots of ``world`` observe: its species, then the names of the components in order."""
+def observed_components(world: World) -> tuple[str, ...]:
+    """Return the species of ``world``, then the names of the observed components in order."""
     return (world.scenario.species.name, *(one.name for one in world.observation_components))
 
 
 def refuse_other_observation(learned: tuple[str, ...], here: tuple[str, ...]) -> None:
-    """A learner of one :func:`observed_in` knows nothing of another, of the same size or not.
+    """Refuse an observation other than the one that was learned from, of the same size or not.
 
     Where one of the two is not known, as of environments of other packages, nothing is compared.
 
@@ -74,7 +74,7 @@ class SlotLayout:
     condition_flag
         Whether the last observation component is the experimental condition.
     observed
-        As :func:`observed_in` names it, nothing where the environment does not say.
+        As :func:`observed_components` names it, nothing where the environment does not say.
     """
 
     num_copies: int
@@ -131,7 +131,7 @@ def _described(layout: SlotLayout) -> str:
 
 
 def provided(env: VecEnv) -> tuple[str, ...]:
-    """What comes with each step beside the reward, as the environment declares in ``feedback``.
+    """Return what comes with each step beside the reward, as the environment's ``feedback`` says.
 
     ``dtw_penalty`` is the distance to a demonstration, ``aligned_action`` the demonstrated action
     aligned with each state.
@@ -202,9 +202,9 @@ class MixedMeansWarning(UserWarning):
 
 
 def warn_of_mixed_means(individuals: Sequence[str]) -> None:
-    """Say that stable-baselines3 is about to average over them.
+    """Warn that stable-baselines3 is about to average over the individuals.
 
-    Those who do ask a VecEnv first whether it is wrapped in a ``Monitor``; nobody else does.
+    Its evaluation is the only caller that asks a VecEnv whether it is wrapped in a ``Monitor``.
     """
     warnings.warn(
         f"evaluate_policy, EvalCallback and VecMonitor average over {', '.join(individuals)}: use "
@@ -215,7 +215,7 @@ def warn_of_mixed_means(individuals: Sequence[str]) -> None:
 
 
 def focal_drivers(names: tuple[str, ...], focal: str | None) -> dict[str, str]:
-    """Who replays its demonstration when only ``focal`` learned: everybody else, or nobody."""
+    """Return drivers by which all but ``focal`` replay their demonstration; none without focal."""
     return {name: "replay" for name in names if focal not in (None, name)}
 
 

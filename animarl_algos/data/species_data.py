@@ -219,7 +219,7 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
 def _of_a_lone_pursuer(
     species: Species, demos: Demonstrations, last: NDArray[np.int64], rewards: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """The same where the last individual pursues all others: a target lasts until it is touched."""
+    """Fill ``rewards`` where the last individual pursues all others, each until it is touched."""
     field = replace(species.arena, rebound=False)
     rewards[:, :-1] = demos.dt
     rewards[demos.offsets[1:] - 1] = 0.0

@@ -16,7 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.options import SCENARIO_OPTIONS
-from animarl_algos.data.slots import observed_in, warn_of_mixed_means
+from animarl_algos.data.slots import observed_components, warn_of_mixed_means
 from animarl_algos.data.species_data import Labels, SpeciesDemonstrations, check_labels
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
@@ -112,7 +112,7 @@ class SlotVecEnv(VecEnv):
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
         self.world = make_world(self.scenario, num_copies)
-        self.num_copies, self.observed = num_copies, observed_in(self.world)
+        self.num_copies, self.observed = num_copies, observed_components(self.world)
         self.condition_flag, self.cue = condition_flag, cue
         self.max_episode_steps = full.species.time_limit
         space = observation_space(self.world)
@@ -186,7 +186,7 @@ class SlotVecEnv(VecEnv):
         return self._observation(), extras["task_reward"].copy(), np.repeat(ended, K), infos
 
     def _finish(self, ended: NDArray[np.bool_], infos: list[dict[str, Any]]) -> None:
-        """What SB3 wants to know of ended episodes, slot by slot."""
+        """Fill the infos that SB3 expects of ended episodes, slot by slot."""
         world, K = self.world, len(self.individuals)
         last = self._observation().reshape(self.num_copies, K, -1)
         for b in np.flatnonzero(ended):
@@ -222,7 +222,7 @@ class SlotVecEnv(VecEnv):
 
     @property
     def feedback(self) -> tuple[str, ...]:
-        """What comes with a step beside the reward; see :func:`.slots.provided`."""
+        """Names of what comes with a step beside the reward; see :func:`.slots.provided`."""
         if self._tracker is None:
             return ("task_reward",)
         return ("task_reward", "dtw_penalty", "aligned_action")
@@ -262,7 +262,7 @@ class SlotVecEnv(VecEnv):
     # -- the rest of the interface ----------------------------------------------------------------
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         value = getattr(self, attr_name)
@@ -293,5 +293,5 @@ class SlotVecEnv(VecEnv):
 
 
 def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
-    """Whether a learner can be told the condition: the species has it, the recordings vary it."""
+    """Whether the species has conditions and the recordings hold both."""
     return bool(species.conditions) and demos is not None and len(set(demos.condition)) == 2

@@ -41,7 +41,7 @@ from animarl_algos.learner.pretraining import (
 from animarl_algos.learner.updates import Updater
 from animarl_algos.learner.validation import DemonstratedValues, demonstrated_values
 from animarl_algos.losses.terms import OfflineLoss
-from animarl_algos.networks.policies import into_logits, zero_value_stream
+from animarl_algos.networks.policies import values_to_logits, zero_value_stream
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
@@ -143,7 +143,7 @@ class SequenceQLearning(BaseLearner):
         if self.exploration == Exploration.BOLTZMANN:
             policy.temperature = self.fit_temperature(data.val)
         if self.recipe.inverse:
-            into_logits(policy)
+            values_to_logits(policy)
         return self.offline_progress
 
     def offline_phase(self) -> Pretraining:

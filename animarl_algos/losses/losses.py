@@ -122,7 +122,7 @@ def treatment_cross_entropy(
 def treatment_counts(
     logits: torch.Tensor, condition: torch.Tensor, valid: torch.Tensor
 ) -> torch.Tensor:
-    """How many valid steps each treatment has, and of how many it is told; add them up freely.
+    """Count the valid steps of each treatment and those whose treatment is predicted; sums add up.
 
     Parameters
     ----------
@@ -133,12 +133,12 @@ def treatment_counts(
     Returns
     -------
     Tensor (K, 2, 2) int64
-        Axes (individual, treatment, (told, all)).
+        Axes (individual, treatment, (predicted rightly, all)).
     """
     condition = _per_step(condition, logits) > 0
     members = torch.stack([valid & ~condition, valid & condition], dim=1)
-    told = members & ((logits > 0) == condition).unsqueeze(1)
-    return torch.stack([told.sum((2, 3)), members.sum((2, 3))], dim=-1)
+    right = members & ((logits > 0) == condition).unsqueeze(1)
+    return torch.stack([right.sum((2, 3)), members.sum((2, 3))], dim=-1)
 
 
 def mean_recall(counts: torch.Tensor) -> torch.Tensor:

@@ -72,7 +72,7 @@ WEIGHTS = tuple(
 
 
 class ActionValues(Protocol):
-    """What :class:`animarl_algos.networks.networks.QOutput` says of the T + 1 states of T steps."""
+    """Action values of the T + 1 states of T steps, as a network's output has them."""
 
     @property
     def values(self) -> torch.Tensor:
@@ -91,7 +91,7 @@ class ActionValues(Protocol):
 
 @dataclass
 class MinibatchValues:
-    """What the networks say about a batch, from its first trained step on.
+    """Outputs of the networks for a batch, from its first trained step on.
 
     Axes (individual K, time T, batch B, action A, quantile Q).
 
@@ -380,7 +380,7 @@ class Selection(StrEnum):
 
 
 class OfflineLoss(StrEnum):
-    """What the offline phase minimises."""
+    """Loss of the offline phase."""
 
     RECIPE = "recipe"  # the recipe's own terms (the paper)
     CLONING = "cloning"  # cross-entropy of soft labels
@@ -419,9 +419,9 @@ class Recipe:
     inverse: bool = False
 
     def cloning(self) -> Recipe:
-        """The same with an offline phase that clones, and keeps only the adversary of its own.
+        """Return this recipe with an offline phase that clones and keeps only its adversary.
 
-        Values regressed towards penalties are soft labels too, of a scale that nobody chose.
+        Values regressed towards penalties would be soft labels too, of an arbitrary scale.
         """
         kept = (term for term in self.offline if isinstance(term, TreatmentAdversary))
         return replace(

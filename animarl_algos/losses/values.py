@@ -49,7 +49,7 @@ def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
 
 
 def quantile_huber_definition(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """The same by tensor operations, term by term."""
+    """Return :func:`quantile_huber` by tensor operations, term by term."""
     quantiles = current.shape[-1]
     tau = (torch.arange(quantiles, device=current.device, dtype=current.dtype) + 0.5) / quantiles
     delta = target.unsqueeze(-2) - current.unsqueeze(-1)
@@ -114,7 +114,7 @@ def _loss_and_gradient(current, target, tau, loss, gradient):  # type: ignore[no
 
 
 class ErrorLoss(StrEnum):
-    """How a temporal-difference error is scored by :class:`ExpectedValue`."""
+    """Loss of a temporal-difference error of :class:`ExpectedValue`."""
 
     SQUARED = "squared"
     HUBER = "huber"
@@ -168,7 +168,7 @@ def n_step_target(
     gamma: float,
     n_steps: int,
 ) -> torch.Tensor:
-    """As :func:`one_step_target`, after ``n_steps`` rewards or those that are left."""
+    """Return :func:`one_step_target` after ``n_steps`` rewards, fewer at a sequence's end."""
     target = one_step_target(rewards, over, bootstrap, gamma)
     if n_steps > 1:
         steps = torch.arange(1, batch.num_steps + 1, device=over.device)

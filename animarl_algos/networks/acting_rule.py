@@ -38,9 +38,9 @@ class Acting:
         Of Boltzmann sampling, one number or one per individual; the scale of the action values.
     thrust, direction
         Of Boltzmann sampling of thrusts (see :mod:`animarl_envs.locomotion`): shares of the
-        temperature at which it is drawn how hard, and then which way; see :func:`drawn_apart`. One
-        cannot stand for both: a temperature of all actions that is lowered until the ways are sure
-        also favours the hardness whose ways are sure, which is not to push at all.
+        temperature at which first the magnitude of the thrust is drawn and then its direction; see
+        :func:`two_stage_logits`. One temperature cannot do both: lowered until the directions are
+        nearly certain, it also favours the magnitude without a direction, no thrust.
     epsilon
         Share of uniformly random actions.
 
@@ -102,22 +102,21 @@ class Acting:
             shares = [float(part) for part in more]
         except ValueError:
             raise _unreadable(text) from None
-        if name == Kind.BOLTZMANN and numbers and len(shares) == 2:
-            return cls.boltzmann(numbers, thrust=shares[0], direction=shares[1])
-        if shares:
-            raise _unreadable(text)
-        if name == Kind.GREEDY and not colon:
-            return cls()
-        if name == Kind.BOLTZMANN and numbers:
-            return cls.boltzmann(numbers)
-        if name == Kind.EPSILON and len(numbers) == 1:
-            return cls.epsilon_greedy(numbers[0])
+        match name, len(numbers), len(shares):
+            case Kind.GREEDY, 0, 0:
+                return cls()
+            case Kind.BOLTZMANN, count, 0 if count:
+                return cls.boltzmann(numbers)
+            case Kind.BOLTZMANN, count, 2 if count:
+                return cls.boltzmann(numbers, thrust=shares[0], direction=shares[1])
+            case Kind.EPSILON, 1, 0:
+                return cls.epsilon_greedy(numbers[0])
         raise _unreadable(text)
 
     def __str__(self) -> str:
-        """As :meth:`parse` reads it."""
+        """Return the text that :meth:`parse` reads."""
         if self.kind is Kind.BOLTZMANN:
-            shares = f"/{self.thrust:g}/{self.direction:g}" if self.apart else ""
+            shares = f"/{self.thrust:g}/{self.direction:g}" if self.two_stage else ""
             return f"{self.kind}:" + ",".join(f"{t:g}" for t in self.temperature) + shares
         return f"{self.kind}:{self.epsilon:g}" if self.kind is Kind.EPSILON else str(self.kind)
 
@@ -142,8 +141,8 @@ class Acting:
         return cls(**row)
 
     @property
-    def apart(self) -> bool:
-        """Whether it is drawn how hard and which way each by its own temperature."""
+    def two_stage(self) -> bool:
+        """Whether magnitude and direction are drawn each at its own temperature."""
         return (self.thrust, self.direction) != (1.0, 1.0)
 
     def checked(self, individuals: int, actions: int) -> Acting:
@@ -159,7 +158,7 @@ class Acting:
                 f"temperature has {len(self.temperature)} numbers for {individuals} individuals: "
                 "give one, or one for each"
             )
-        if self.apart and (actions < 2 or (actions - 1) % NUM_DIRECTIONS):
+        if self.two_stage and (actions < 2 or (actions - 1) % NUM_DIRECTIONS):
             raise InputError(
                 f"acting {self} needs thrusts in {NUM_DIRECTIONS} directions and none, not "
                 f"{actions} actions: leave thrust and direction out"
@@ -188,8 +187,8 @@ class Acting:
             temperature = np.broadcast_to(np.asarray(self.temperature), individuals)
             slots = np.tile(temperature, len(q_values) // individuals)
             scaled = q_values / slots[:, None]
-            if self.apart:
-                scaled = drawn_apart(scaled, self.thrust, self.direction)
+            if self.two_stage:
+                scaled = two_stage_logits(scaled, self.thrust, self.direction)
             return boltzmann(scaled, draw)
         greedy: NDArray[np.int64] = q_values.argmax(1)
         if self.kind is Kind.GREEDY or self.epsilon <= 0:
@@ -207,13 +206,13 @@ def _unreadable(text: str) -> InputError:
     )
 
 
-def drawn_apart(scaled: NDArray[Any], thrust: float, direction: float) -> NDArray[np.float64]:
-    """Log-probabilities of thrusts if it is drawn first how hard, then which way.
+def two_stage_logits(scaled: NDArray[Any], thrust: float, direction: float) -> NDArray[np.float64]:
+    """Return log-probabilities of actions if a thrust's magnitude is drawn before its direction.
 
-    How hard is one of M + 1: each magnitude with the probability of all its directions together,
-    or no thrust. With p from softmax(scaled), an action has
+    There are M + 1 magnitudes: each of M with the probability of all its directions together, and
+    no thrust. With p from softmax(scaled), an action has
 
-        p(how hard)^(1 / thrust) / Z * p(which way | how hard)^(1 / direction) / Z'
+        p(magnitude)^(1 / thrust) / Z * p(direction | magnitude)^(1 / direction) / Z'
 
     Parameters
     ----------

@@ -293,7 +293,7 @@ class DropoutMasks:
     masks: torch.Tensor
 
     def to(self, device: torch.device | str) -> DropoutMasks:
-        """The same masks on ``device``."""
+        """Return the same masks on ``device``."""
         return DropoutMasks(self.masks.to(device))
 
     def thin(self, features: torch.Tensor, layer: int, packing: Packing) -> torch.Tensor:
@@ -326,7 +326,7 @@ class DropoutDraws:
         ]
 
     def masks(self, layers: int, batch: int, units: int) -> DropoutMasks | None:
-        """For ``batch`` sequences of every individual, or None where nothing is left out."""
+        """Draw masks for ``batch`` sequences of every individual; None if the share is 0."""
         if not self.share:
             return None
         shape = (layers, batch, units)

@@ -219,9 +219,9 @@ class StackedQNetwork(nn.Module):
         Strength of the gradient reversal.
     shared
         Whether all individuals have the same weights and statistics of inputs (parameter sharing:
-        Gupta, Egorov & Kochenderfer 2017). Biases stay their own, in the first layer what telling
-        the network whom it moves would be. Who trains it averages the gradients of
-        :attr:`shared_parameters`, :func:`animarl_algos.losses.losses.share_gradients`.
+        Gupta, Egorov & Kochenderfer 2017). Biases stay their own; in the first layer they act as an
+        input that names the individual. Training averages the gradients of
+        :attr:`shared_parameters` (:func:`animarl_algos.losses.losses.share_gradients`).
     seed
         Of the initial weights.
 
@@ -410,7 +410,7 @@ class StackedQNetwork(nn.Module):
         observed = self._standardised(packing.pack(observations))
         previous = packing.pack(previous_actions)
         head: HeadUnits | HeadValues
-        if self.loops_fit and masks is None and feed_forward.usable(observed):
+        if self.fits_loops and masks is None and feed_forward.usable(observed):
             features, values = feed_forward.features_and_values(
                 observed,
                 previous,
@@ -448,8 +448,8 @@ class StackedQNetwork(nn.Module):
         return HeadValues(torch.baddbmm(bias, units, weight).unsqueeze(-1))
 
     @property
-    def loops_fit(self) -> bool:
-        """Whether the network is of the shape that the feed-forward loops are written for."""
+    def fits_loops(self) -> bool:
+        """Whether the feed-forward loops can compute a network of this shape."""
         return self.gru is None and self.depth == 2 and self.dueling.hidden is not None
 
     @property
@@ -493,17 +493,17 @@ class StackedQNetwork(nn.Module):
 
     @cached_property
     def shared_parameters(self) -> list[nn.Parameter]:
-        """Those that are the same for all individuals."""
+        """Parameters that are the same for all individuals."""
         named = self.named_parameters() if self.shared else ()
         return [parameter for name, parameter in named if "bias" not in name]
 
-    def statistics_of_inputs(self) -> tuple[NDArray[np.float32], ...]:
+    def input_statistics(self) -> tuple[NDArray[np.float32], ...]:
         """Mean (K, n), standard deviation (K, n) and limit (K, 1) of the inputs, not copied."""
         buffers = (self.input_mean, self.input_sd, self.input_limit)
         return tuple([buffer[:, 0].numpy() for buffer in buffers])
 
     def _with_flag(self, features: torch.Tensor, observations: torch.Tensor) -> torch.Tensor:
-        """What the dueling head reads: the features, the flag and, without a layer, both."""
+        """Inputs of the dueling head: features, flag and, without a hidden layer, their product."""
         if not self.flag_in_head:
             return features
         flag = observations[..., self.sensed :]

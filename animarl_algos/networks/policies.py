@@ -1,4 +1,4 @@
-"""Stable-baselines3 policies around the stacked Q-networks: who acts how, and with which memory.
+"""Stable-baselines3 policies around the stacked Q-networks: memory of slots and choice of actions.
 
 A vectorised environment with S = copies * K slots has copy ``s // K`` and individual ``s % K`` in
 slot s; each slot is routed to the network of its individual. Between calls a slot's memory is its
@@ -31,57 +31,8 @@ from animarl_envs.errors import InputError
 
 State = tuple[NDArray[np.float32], NDArray[np.int64]]
 """Hidden state (S, H) and previous action (S,)."""
-GONE = np.iinfo(np.int64).min
-"""In the place of a previous action: this slot's episode is over, nothing is worked out for it."""
-
-
-def flattened(
-    observation: NDArray[Any] | dict[str, NDArray[Any]],
-    shape: tuple[int, ...] | None,
-    individuals: tuple[str, ...],
-) -> tuple[NDArray[np.float32], bool]:
-    """Observations (S, n) of all slots, and whether there was one bare slot of that shape."""
-    observation = np.asarray(observation)
-    single = observation.shape == shape
-    slots = 1 if single else len(observation)
-    if not single and observation.shape[1:] != shape:
-        raise InputError(
-            f"observation of shape {observation.shape} does not fit the observation space: "
-            f"give {shape}, or (slots, *{shape})"
-        )
-    if slots % len(individuals):
-        raise InputError(
-            f"{slots} slots cannot be dealt to the {len(individuals)} individuals "
-            f"{individuals}: give the observations of all of them, copy by copy"
-        )
-    return np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32), single
-
-
-def remembered(
-    state: tuple[NDArray[Any], ...],
-    episode_start: NDArray[Any] | None,
-    slots: int,
-    units: int,
-    num_actions: int,
-) -> State:
-    """A copy of the memory, without that of slots whose episode begins."""
-    hidden = np.array(state[0], dtype=np.float32, order="C")
-    previous = np.array(state[1], dtype=np.int64, order="C")
-    if hidden.shape != (slots, units) or previous.shape != (slots,):
-        raise InputError(
-            f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
-            f"of {units} units: give the one that the last call returned"
-        )
-    told = previous[previous != GONE]
-    if len(told) and not 0 <= told.min() <= told.max() <= num_actions:
-        raise InputError(
-            f"previous actions run from {told.min()} to {told.max()}: they must lie in "
-            f"0 .. {num_actions - 1}, or be {num_actions} for none"
-        )
-    if episode_start is not None:
-        begins = np.asarray(episode_start, dtype=bool)
-        hidden[begins], previous[begins] = 0.0, num_actions
-    return hidden, previous
+FINISHED = np.iinfo(np.int64).min
+"""In the place of a previous action: the slot's episode is over, so nothing is computed for it."""
 
 
 def decide_on_device(
@@ -101,7 +52,7 @@ def decide_on_device(
         array: NDArray[Any] = tensor.transpose(0, 1).flatten(0, 1).cpu().numpy()
         return array
 
-    some = np.where(previous == GONE, 0, previous)
+    some = np.where(previous == FINISHED, 0, previous)
     q_values, state = network.step(stacked(observation), stacked(some), stacked(hidden))
     return slots(q_values), slots(state)
 
@@ -260,13 +211,13 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         self._optimizer: torch.optim.Optimizer | None = None
         usual = self.optimizer_class is torch.optim.Adam and self._first_rate >= 0
         if not usual or self.optimizer_kwargs.keys() - {"fused"}:
-            _ = self.optimizer  # what does not fit is refused now
+            _ = self.optimizer  # refuses arguments that do not fit, now
 
     @property
     def optimizer(self) -> torch.optim.Optimizer:  # type: ignore[override]
-        """That of ``q_net``, made when first asked for.
+        """Return the optimiser of ``q_net``, made when first asked for.
 
-        Who only acts needs none, and the first one of a process takes seconds to import.
+        Acting needs none, and the first one of a process takes seconds to import.
 
         Raises
         ------
@@ -396,11 +347,11 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         return state[0], executed.astype(np.int64)
 
     def leave_out(self, state: State, over: NDArray[np.bool_]) -> State:
-        """The ``state`` in which slots whose episode is ``over`` (S,) cost nothing.
+        """Return the ``state`` in which slots whose episode is ``over`` (S,) cost nothing.
 
-        They still get an action, any, so that the others meet the same random numbers.
+        They still draw an action, so that the other slots' random numbers do not shift.
         """
-        return state[0], np.where(over, GONE, state[1])
+        return state[0], np.where(over, FINISHED, state[1])
 
     def advance(
         self,
@@ -409,23 +360,58 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         episode_start: NDArray[Any] | None,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], bool]:
         """Q-values (S, actions), next hidden state (S, H), and whether there was one bare slot."""
-        shape, individuals = self.observation_space.shape, self.individuals
-        flat, single = flattened(observation, shape, individuals)
-        hidden, previous = self._remembered(state, episode_start, len(flat))
+        flat, single = self._flatten(observation)
+        hidden, previous = self._copy_memory(state, episode_start, len(flat))
         if self.q_net.input_mean.is_cpu:  # self.device would walk all parameters
             return self._actor.decide(flat, previous, hidden), hidden, single
         return *decide_on_device(self.q_net, flat, previous, hidden), single
 
-    def _remembered(
+    def _flatten(
+        self, observation: NDArray[Any] | dict[str, NDArray[Any]]
+    ) -> tuple[NDArray[np.float32], bool]:
+        """Observations (S, n) of all slots, and whether there was one bare slot."""
+        observation, shape = np.asarray(observation), self.observation_space.shape
+        single = observation.shape == shape
+        slots = 1 if single else len(observation)
+        if not single and observation.shape[1:] != shape:
+            raise InputError(
+                f"observation of shape {observation.shape} does not fit the observation space: "
+                f"give {shape}, or (slots, *{shape})"
+            )
+        if slots % len(self.individuals):
+            raise InputError(
+                f"{slots} slots cannot be dealt to the {len(self.individuals)} individuals "
+                f"{self.individuals}: give the observations of all of them, copy by copy"
+            )
+        return np.ascontiguousarray(observation.reshape(slots, -1), dtype=np.float32), single
+
+    def _copy_memory(
         self,
         state: tuple[NDArray[Any], ...] | None,
         episode_start: NDArray[Any] | None,
-        count: int,
+        slots: int,
     ) -> State:
-        """A copy of the memory, without that of slots whose episode begins."""
+        """Copy the memory, without that of slots whose episode begins."""
         if state is None:
-            return self.initial_state(count)
-        return remembered(state, episode_start, count, self.q_net.units, self.num_actions)
+            return self.initial_state(slots)
+        units, none = self.q_net.units, self.num_actions
+        hidden = np.array(state[0], dtype=np.float32, order="C")
+        previous = np.array(state[1], dtype=np.int64, order="C")
+        if hidden.shape != (slots, units) or previous.shape != (slots,):
+            raise InputError(
+                f"a state of shapes {hidden.shape} and {previous.shape} does not fit {slots} slots "
+                f"of {units} units: give the one that the last call returned"
+            )
+        given = previous[previous != FINISHED]
+        if len(given) and not 0 <= given.min() <= given.max() <= none:
+            raise InputError(
+                f"previous actions run from {given.min()} to {given.max()}: they must lie in "
+                f"0 .. {none - 1}, or be {none} for none"
+            )
+        if episode_start is not None:
+            begins = np.asarray(episode_start, dtype=bool)
+            hidden[begins], previous[begins] = 0.0, none
+        return hidden, previous
 
     def choose(self, q_values: NDArray[np.float32], deterministic: bool) -> NDArray[np.int64]:
         """Actions (S,) for Q-values (S, actions): greedy, or by the acting rule, one draw each."""
@@ -471,11 +457,11 @@ class MlpPolicy(GruPolicy):
 
 @torch.no_grad()
 def zero_value_stream(network: StackedQNetwork) -> None:
-    """Set V of the dueling head to 0, which leaves the policy ``softmax Q`` as it is.
+    """Set V of the dueling head to 0, which leaves the policy ``softmax Q`` unchanged.
 
-    Cloning says nothing about V, as it adds the same to all actions: -100 has been seen. Temporal
-    differences begun from there spend themselves on V and spoil the policy, so call this before the
-    first one after cloning.
+    V adds the same to all actions, so cloning leaves it arbitrary (-100 has been seen). Temporal
+    differences that start from there go into V and spoil the policy: call this between cloning and
+    the first of them.
     """
     value = network.dueling.value
     value.weight.zero_()
@@ -483,10 +469,10 @@ def zero_value_stream(network: StackedQNetwork) -> None:
 
 
 @torch.no_grad()
-def into_logits(policy: GruPolicy) -> None:
+def values_to_logits(policy: GruPolicy) -> None:
     """Divide the action values by the temperatures of ``policy``, which are 1 from then on.
 
-    It acts as before: ``softmax Q``, for learners to whom action values are the policy's logits.
+    It acts as before, by ``softmax Q``; learners that take action values as logits need this.
     Individuals that share a network are divided by the mean of their temperatures.
     """
     fitted = torch.tensor(policy.acting.temperature).view(-1, 1, 1)

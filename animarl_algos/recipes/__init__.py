@@ -1,1 +1,1 @@
-"""What each learner minimises: one file per recipe, and their names."""
+"""The learners: their recipes, made of loss terms, and their names."""

@@ -54,7 +54,7 @@ class StateMode(enum.StrEnum):
 def check_state_mode(
     mode: StateMode | str, sequence_length: int | None, burn_in: int, state_size: int
 ) -> StateMode:
-    """The mode, if it fits the other settings of a piece."""
+    """Return the mode if it fits the other settings of a piece."""
     try:
         mode = StateMode(mode)
     except ValueError:
@@ -86,7 +86,7 @@ _GIB = 2**30
 
 
 def available_memory() -> int | None:
-    """Bytes that can be allocated without swapping; ``None`` where the system does not say."""
+    """Return the bytes that can be allocated without swapping, ``None`` if unknown."""
     if _MEMINFO.is_file():
         for line in _MEMINFO.read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -97,8 +97,8 @@ def available_memory() -> int | None:
     return None
 
 
-def refuse_too_large(nbytes: int, setting: str) -> None:
-    """Raise :class:`InputError` if ``nbytes`` exceed the available memory.
+def check_memory(nbytes: int, setting: str) -> None:
+    """Refuse an allocation of more ``nbytes`` than are available.
 
     ``setting`` names what asks for so much, such as ``"buffer_size 1000000"``.
     """
@@ -246,7 +246,7 @@ class SequenceReplayBuffer:
         self.num_slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
         tree_nodes = SumTrees.num_nodes(self.num_slots) if prioritized else 0
         sequence = sequence_layout(num_individuals, self.state_size)
-        refuse_too_large(
+        check_memory(
             buffer_size * bytes_of_row(frame_layout(num_individuals, observation_dim))
             + self.num_slots * bytes_of_row(sequence)
             + 8 * num_individuals * tree_nodes,
@@ -311,7 +311,7 @@ class SequenceReplayBuffer:
 
     @property
     def nbytes(self) -> int:
-        """Bytes allocated: ring, sequences, priorities, staging area and minibatch."""
+        """Return the bytes of ring, sequences, priorities, staging area and minibatch."""
         arrays: list[NDArray[Any]] = [
             *self.ring.frames,
             *self.ring.sequences,
@@ -523,7 +523,7 @@ class SequenceReplayBuffer:
         """Make room for the running episodes of so many copies, none of them begun."""
         k, rows = self.num_individuals, copies * (self.max_episode_steps + 1)
         pieces = math.ceil(self.max_episode_steps / self.stride)
-        refuse_too_large(
+        check_memory(
             rows * bytes_of_row(frame_layout(k, self.observation_dim))
             + 4 * copies * pieces * k * self.state_size,
             f"{copies} copies of max_episode_steps {self.max_episode_steps}",

@@ -64,7 +64,7 @@ def zeros(layout: Layout, rows: int) -> dict[str, NDArray[Any]]:
 
 
 class Frames(NamedTuple):
-    """What is known per frame, one row each; an episode of T steps fills T + 1 rows in order.
+    """Data of each frame, one row each; an episode of T steps fills T + 1 rows in order.
 
     Row t holds the observation at t and the step taken from it; the last row only an observation.
     """
@@ -108,13 +108,13 @@ class Ring(NamedTuple):
 
     @property
     def used_rows(self) -> NDArray[np.int64]:
-        """From the oldest episode's first row on."""
+        """Rows in use, from the oldest episode's first on."""
         used, end = self.cursor[ROWS_USED], self.cursor[NEXT_ROW]
         return np.asarray(np.arange(end - used, end) % len(self.frames.warmup))
 
     @property
     def used_slots(self) -> NDArray[np.int64]:
-        """From the oldest sequence on."""
+        """Slots in use, from the oldest sequence on."""
         slots = np.arange(self.cursor[OLDEST], self.cursor[NEXT]) % len(self.sequences.first)
         return np.asarray(slots)
 
@@ -128,7 +128,7 @@ class Staging(NamedTuple):
 
     @property
     def used_rows(self) -> NDArray[np.int64]:
-        """Those that hold steps of running episodes."""
+        """Rows that hold steps of running episodes."""
         room = len(self.frames.warmup) // len(self.step_count)
         used = [copy * room + np.arange(steps) for copy, steps in enumerate(self.step_count)]
         return np.concatenate(used)
@@ -228,7 +228,7 @@ class SequenceBatch:
         return self.actions.shape[2]
 
     def to(self, device: torch.device | str) -> SequenceBatch:
-        """The same batch on ``device``; ``indices`` and ``active`` stay NumPy arrays."""
+        """Return the batch on ``device``; ``indices`` and ``active`` stay NumPy arrays."""
         return self._map(lambda tensor: tensor.to(device))
 
     def clone(self) -> SequenceBatch:

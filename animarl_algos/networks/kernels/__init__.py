@@ -6,5 +6,5 @@ import torch
 
 
 def runs_compiled(tensor: torch.Tensor) -> bool:
-    """Whether the loops, which know float32 on the CPU alone, can work on the tensor."""
+    """Whether compiled loops (float32 on the CPU alone) can work on the tensor."""
     return tensor.dtype == torch.float32 and tensor.device.type == "cpu"

@@ -135,7 +135,7 @@ class CompiledActor:
         arguments: list[Any] = [
             *(observations, previous_actions, hidden, q_values),
             *self._settings,
-            *self._network.statistics_of_inputs(),
+            *self._network.input_statistics(),
             weights[0:layers:2],
             weights[1:layers:2],
             *weights[layers:],

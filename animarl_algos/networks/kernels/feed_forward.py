@@ -26,7 +26,7 @@ _FASTMATH = {"contract", "nsz", "reassoc"}
 
 
 def usable(rows: torch.Tensor) -> bool:
-    """Whether these loops can work on ``rows`` (K, row, n), and should.
+    """Whether these loops can compute ``rows`` (K, row, n) and are the faster way.
 
     They give no gradient with respect to the rows themselves.
     """
@@ -43,7 +43,7 @@ class WeightViews:
         self._arrays: tuple[NDArray[np.float32], ...] = ()
 
     def arrays(self) -> tuple[NDArray[np.float32], ...]:
-        """Of the present values, without copying them."""
+        """Return the present values without copying them."""
         addresses = tuple([p.data_ptr() for p in self.parameters])
         if addresses != self._addresses:
             self._arrays = tuple(p.detach().numpy() for p in self.parameters)

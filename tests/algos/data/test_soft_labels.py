@@ -257,7 +257,7 @@ def test_half_of_the_windows_are_in_the_mirror() -> None:
     )
     chosen = (one.observations != other.observations).any(-1).any(1)
     assert 0.3 < chosen.float().mean() < 0.7
-    back = MIRROR.some_of(other, chosen)  # twice mirrored is as it was
+    back = MIRROR.mirror_columns(other, chosen)  # twice mirrored is as it was
     for name in ("observations", "actions", "previous_actions", "labels", "label_shares"):
         assert torch.equal(getattr(back, name), getattr(one, name)), name
 
@@ -265,7 +265,7 @@ def test_half_of_the_windows_are_in_the_mirror() -> None:
 def test_labels_are_mirrored_with_what_is_seen() -> None:
     data = OfflineDataset(**arrays(), label_shares=shares())
     one = next(data.windows(8, 1, np.random.default_rng(0), length=2))
-    image = MIRROR.some_of(one, torch.ones(3, 8, dtype=torch.bool))
+    image = MIRROR.mirror_columns(one, torch.ones(3, 8, dtype=torch.bool))
     assert one.label_shares is not None and image.label_shares is not None
     labelled = one.labels >= 0
     assert torch.equal(image.labels[~labelled], one.labels[~labelled])

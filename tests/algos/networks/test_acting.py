@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.networks.acting_rule import Acting, Kind, drawn_apart
+from animarl_algos.networks.acting_rule import Acting, Kind, two_stage_logits
 from animarl_envs.errors import InputError
 
 RULES = (
@@ -95,9 +95,9 @@ def odds(thrust: float, direction: float, logits: Any) -> Any:
 def test_how_hard_and_which_way_have_temperatures_of_their_own(thrusts: int) -> None:
     logits = np.random.default_rng(thrusts).normal(size=12 * thrusts + 1)
     for thrust, direction in ((1.0, 1.0), (0.5, 1.0), (1.0, 0.3), (0.6, 0.35)):
-        sampled = np.exp(drawn_apart(logits[None], thrust, direction)[0])
+        sampled = np.exp(two_stage_logits(logits[None], thrust, direction)[0])
         np.testing.assert_allclose(sampled, odds(thrust, direction, logits), rtol=1e-12)
-    assert np.isfinite(drawn_apart(1e4 * logits[None], 0.1, 0.1)).all()
+    assert np.isfinite(two_stage_logits(1e4 * logits[None], 0.1, 0.1)).all()
 
 
 def test_surer_ways_leave_how_often_it_is_pushed() -> None:

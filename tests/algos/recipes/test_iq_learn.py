@@ -21,7 +21,7 @@ from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
 from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, next_values
 from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.networks.policies import into_logits, zero_value_stream
+from animarl_algos.networks.policies import values_to_logits, zero_value_stream
 from animarl_algos.recipes.registry import IQLearn
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
@@ -190,7 +190,7 @@ def test_values_become_logits_at_the_fitted_temperatures() -> None:
     observations = torch.randn((2, 3, 6, 4), generator=torch.Generator().manual_seed(0))
     previous = torch.zeros((2, 3, 6), dtype=torch.int64)
     before = policy.q_net(observations, previous).q_values
-    into_logits(policy)
+    values_to_logits(policy)
     after = policy.q_net(observations, previous).q_values
     torch.testing.assert_close(after, before / torch.tensor([0.5, 2.0]).view(2, 1, 1, 1))
     assert policy.temperature == 1.0
