@@ -194,10 +194,6 @@ class ExpectedValue:
         """One output per action."""
         return 1
 
-    def q_values(self, values: torch.Tensor) -> torch.Tensor:
-        """Expected returns (..., actions)."""
-        return values.squeeze(-1)
-
     def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
         """Squared or Huber loss of target - Q."""
         error = (target - value).squeeze(-1)
@@ -217,10 +213,6 @@ class Quantiles:
     def __post_init__(self) -> None:
         whole = Range(least=2, whole=True).check("n_quantiles", self.num_quantiles)
         object.__setattr__(self, "num_quantiles", whole)
-
-    def q_values(self, values: torch.Tensor) -> torch.Tensor:
-        """Expected returns (..., actions): the quantiles' mean."""
-        return values.mean(-1)
 
     def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
         """Quantile Huber loss: summed over the quantiles, averaged over the target's."""

@@ -172,10 +172,8 @@ def test_quantile_huber_passes_on_what_is_not_a_number() -> None:
     assert current.grad is not None and current.grad.isnan().any(1).tolist() == [True, False]
 
 
-def test_q_values_and_the_choice_of_distribution() -> None:
+def test_the_choice_of_distribution() -> None:
     values = torch.arange(12.0).view(2, 3, 2)
-    assert value_distribution(2).q_values(values).tolist() == [[0.5, 2.5, 4.5], [6.5, 8.5, 10.5]]
-    assert value_distribution(None).q_values(values[..., :1]).tolist() == [[0, 2, 4], [6, 8, 10]]
     assert take_action(values, torch.tensor([2, 0])).tolist() == [[4, 5], [6, 7]]
     assert (value_distribution(None).num_quantiles, value_distribution(2).num_quantiles) == (1, 2)
     for wrong in (1, 2.5):
