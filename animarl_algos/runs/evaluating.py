@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate
+from animarl_algos.evaluation.tables import TABLES, Evaluation
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inputs import ReportInputs
@@ -23,8 +22,8 @@ from animarl_algos.report.sections import build_sections
 from animarl_algos.runs.rolling_out import (
     DECISIONS,
     UNTRAINED,
+    evaluate_rollouts,
     lacking,
-    perturbed,
     stored_rollouts,
 )
 from animarl_algos.runs.run import Run, method_name
@@ -35,7 +34,6 @@ from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
-from animarl_envs.fitting.tracking import track
 
 PAGE = "report.html"
 
@@ -68,18 +66,9 @@ def compare_runs(folders: Sequence[str | Path], *, resamples: int = RESAMPLES) -
     """
     runs = RunSet.open(folders)
     rollouts = joined_rollouts(runs)
-    demos, species = runs.demos, runs.species
-    test = demos.select(split="test")
-    evaluation = evaluate(
-        rollouts,
-        test,
-        seed=0,
-        planned_flip=species.planned_flip,
-        floor=track(test, species.locomotion, species.arena),
-        perturbed=perturbed(test, species, 0),
-        learner=next(iter(runs.methods)),
-        references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
-        resamples=resamples,
+    learner = next(iter(runs.methods))
+    evaluation = evaluate_rollouts(
+        runs.first, rollouts, learner=learner, seed=0, resamples=resamples
     )
     return EvaluatedRuns(runs, rollouts, evaluation, tuple(_absent(runs, rollouts)))
 
@@ -97,7 +86,14 @@ def evaluate_runs(folders: Sequence[str | Path], out: str | Path) -> EvaluatedRu
     """
     refuse_run_folder(out)
     found = compare_runs(folders)
-    inputs = report_inputs(found, folders)
+    records = {
+        f"{name} {key}": value
+        for name, some in found.runs.methods.items()
+        for key, value in (("learner", some[0].record["learner"]), ("acting", _acting(some)))
+    }
+    inputs = report_inputs(
+        found.runs, found.rollouts, found.evaluation, records, command("evaluate", folders)
+    )
     sections = build_sections(inputs)
     evaluation = found.evaluation
     tables = {name: getattr(evaluation, name) for name in TABLES}
@@ -131,23 +127,23 @@ def joined_rollouts(runs: RunSet) -> dict[str, Rollouts]:
     }
 
 
-def report_inputs(found: EvaluatedRuns, folders: Sequence[str | Path]) -> ReportInputs:
-    """What the page of several runs shows; its date is left out, so that it can be made again."""
-    runs, demos, species = found.runs, found.runs.demos, found.runs.species
-    first = runs.first
-    names = ", ".join(runs.methods)
+def report_inputs(
+    runs: RunSet,
+    rollouts: dict[str, Rollouts],
+    evaluation: Evaluation,
+    settings: Mapping[str, Any],
+    command: str,
+    created: str = "",
+) -> ReportInputs:
+    """Return what a page shows; without its date it can be made again, byte for byte."""
+    demos, species, first = runs.demos, runs.species, runs.first
     along = first.path / DECISIONS
-    records: dict[str, Any] = {
-        f"{name} {key}": value
-        for name, some in runs.methods.items()
-        for key, value in (("learner", some[0].record["learner"]), ("acting", _acting(some)))
-    }
     return ReportInputs(
-        title=f"{species.title}: {names}",
+        title=f"{species.title}: {', '.join(runs.methods)}",
         learner=next(iter(runs.methods)),
         demos=demos.select(split="test"),
-        rollouts=found.rollouts,
-        evaluation=found.evaluation,
+        rollouts=rollouts,
+        evaluation=evaluation,
         conditions=species.conditions,
         fit=first.fit,
         decisions=Decisions.load(along) if along.exists() else None,
@@ -155,11 +151,12 @@ def report_inputs(found: EvaluatedRuns, folders: Sequence[str | Path]) -> Report
         settings={
             "world": world_in_words(species),
             "environment": first.environment_options,
-            **records,
+            **settings,
         },
         seeds=runs.seeds,
         versions=first.record["versions"],
-        command=command("evaluate", folders),
+        command=command,
+        created=created,
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
         contact_radius=species.contact_radius,
         environment=first.environment_options,

@@ -11,13 +11,11 @@ from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
 import torch
 from stable_baselines3.common.logger import configure
 
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_algos.evaluation.decisions import Decisions
-from animarl_algos.evaluation.tables import Evaluation, evaluate
+from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.evaluation.thrust_choice import choose_thrusts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
@@ -31,26 +29,22 @@ from animarl_algos.learner.collecting import check_environment_supports
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import write_report
-from animarl_algos.runs.machine import timed, wall_times
+from animarl_algos.runs.evaluating import PAGE, report_inputs
+from animarl_algos.runs.machine import timed
 from animarl_algos.runs.rolling_out import (
-    DECISIONS,
-    perturbed,
+    evaluate_rollouts,
     roll_out,
     stored_rollouts,
 )
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_lock import locked, run_lock
+from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
-from animarl_algos.runs.run_warnings import run_warnings
-from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import refuse_empty_splits
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
-from animarl_envs.fitting.tracking import track
 from animarl_envs.importing.readers import read
 from animarl_envs.scenario import PACKAGED
 
@@ -179,19 +173,8 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
 def evaluate_run(run: Run) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
     with timed(run.path, "evaluation"):
-        rollouts = roll_out(run)
-        demos, species = run.demos, run.species
-        test = demos.select(split="test")
-        evaluation = evaluate(
-            rollouts,
-            test,
-            seed=run.settings.seed,
-            planned_flip=species.planned_flip,
-            floor=track(test, species.locomotion, species.arena),
-            perturbed=perturbed(test, species, run.settings.seed),
-            learner=method_name(run.settings.algo),
-            references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
-        )
+        learner, seed = method_name(run.settings.algo), run.settings.seed
+        evaluation = evaluate_rollouts(run, roll_out(run), learner=learner, seed=seed)
         evaluation.save(run.path / "evaluation")
     return evaluation
 
@@ -199,37 +182,13 @@ def evaluate_run(run: Run) -> Evaluation:
 @locked
 def report(run: Run) -> Path:
     """Stage 5: the page to show."""
-    settings, demos, record = run.settings, run.demos, run.record
-    decisions = run.path / DECISIONS
-    rollouts = stored_rollouts(run)
-    learner, species = method_name(settings.algo), run.species
-    return write_report(
-        ReportInputs(
-            title=f"{species.title}: {learner}",
-            learner=learner,
-            demos=demos.select(split="test"),
-            rollouts=rollouts,
-            evaluation=Evaluation.load(run.path / "evaluation"),
-            conditions=species.conditions,
-            fit=fit(run),
-            decisions=Decisions.load(decisions) if decisions.exists() else None,
-            learning_curves=run.learning_curves(),
-            settings={
-                "world": world_in_words(species),
-                "environment": run.environment_options,
-                "run": record["settings"],
-                "learner": record["learner"],
-            },
-            seeds=(settings.seed,),
-            versions=record["versions"],
-            command=record["command"],
-            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            episodes={split: int((demos.split == split).sum()) for split in SPLITS},
-            contact_radius=species.contact_radius,
-            environment=run.environment_options,
-            machine=record["machine"],
-            wall_time=wall_times(run.path),
-            warnings=tuple(run_warnings(run)),
-        ),
-        run.path / "report.html",
+    record = run.record
+    inputs = report_inputs(
+        RunSet({method_name(run.settings.algo): (run,)}),
+        stored_rollouts(run),
+        Evaluation.load(run.path / "evaluation"),
+        {"run": record["settings"], "learner": record["learner"]},
+        record["command"],
+        datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     )
+    return write_report(inputs, run.path / PAGE)

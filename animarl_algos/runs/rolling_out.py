@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.decisions import decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import RESAMPLES
+from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.runs.run import Run, method_name
-from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.tracking import Tracking, track
-from animarl_envs.species import Species
+from animarl_envs.fitting.tracking import track
 
 DECISIONS = Path("rollouts", "decisions.npz")
 UNTRAINED, RANDOM = "untrained", "random"
@@ -86,6 +88,30 @@ def stored_rollouts(run: Run) -> dict[str, Rollouts]:
     return {file.stem: Rollouts.load(file) for file in files}
 
 
-def perturbed(test: Demonstrations, species: Species, seed: int) -> Tracking:
-    """Recordings as the fitted locomotion follows them, with one action in ten at random."""
-    return track(test, species.locomotion, species.arena, random_share=0.1, seed=seed)
+def evaluate_rollouts(
+    run: Run,
+    rollouts: dict[str, Rollouts],
+    *,
+    learner: str,
+    seed: int,
+    resamples: int = RESAMPLES,
+) -> Evaluation:
+    """Return rollouts measured and compared with the test recordings of a run.
+
+    Beside them stand the recordings as the fitted locomotion follows them, as they are and with one
+    action in ten at random.
+    """
+    demos, species = run.demos, run.species
+    test = demos.select(split="test")
+    moving = test, species.locomotion, species.arena
+    return evaluate(
+        rollouts,
+        test,
+        seed=seed,
+        planned_flip=species.planned_flip,
+        floor=track(*moving),
+        perturbed=track(*moving, random_share=0.1, seed=seed),
+        learner=learner,
+        references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
+        resamples=resamples,
+    )
