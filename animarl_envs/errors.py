@@ -67,10 +67,12 @@ class UnknownOptionError(InputError, TypeError):
 
 
 @contextmanager
-def knowing(function: Callable[..., Any], without: Collection[str] = ()) -> Iterator[None]:
-    """Who is told of an unknown option is told the keywords of ``function`` too, as known ones.
+def also_list_options_of(
+    function: Callable[..., Any], without: Collection[str] = ()
+) -> Iterator[None]:
+    """List the keywords of ``function`` too where an unknown option is refused.
 
-    Those named in ``without`` are not.
+    Those named in ``without`` are not listed.
     """
     try:
         yield

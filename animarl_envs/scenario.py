@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.pursuers import COUNTS, first_of_role
-from animarl_envs.errors import InputError, knowing
+from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import (
     CUSTOM,
@@ -219,7 +219,7 @@ def make_scenario(
         options.setdefault("individuals", loaded.individuals)
         if lone_pursuer(loaded.roles):
             options.setdefault("lone_pursuer", True)
-    with knowing(make_scenario):
+    with also_list_options_of(make_scenario):
         spec = with_options(spec, **options)
     if start is None:
         start = "uniform" if loaded is None else "demo"

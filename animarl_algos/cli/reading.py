@@ -35,7 +35,7 @@ def load(file: str, source: str | None = None, *, takes: Collection[str] = ()) -
 
 @contextmanager
 def suggest_import_on_error(file: str | Path, takes: Collection[str] = ()) -> Iterator[None]:
-    """Of a file that is refused, say how ``animarl import`` mends it.
+    """Where a file is refused, say how ``animarl import`` reads it.
 
     Readers name options of that command; those in ``takes`` the command at hand has too.
     """

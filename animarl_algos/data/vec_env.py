@@ -21,7 +21,7 @@ from animarl_algos.data.species_data import Labels, SpeciesDemonstrations, check
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
-from animarl_envs.errors import InputError, knowing
+from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario
@@ -90,7 +90,7 @@ class SlotVecEnv(VecEnv):
         if split == "test":
             raise InputError("split is 'test': learners are never given the test split")
         check_labels(labels, label_width, label_horizon)
-        with knowing(SlotVecEnv.__init__, without=("drivers",)):
+        with also_list_options_of(SlotVecEnv.__init__, without=("drivers",)):
             full = make_scenario(species, demos=demos, split=None, **options)
         everyone = full.names
         if focal is not None and focal not in everyone:

@@ -15,7 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from animarl_envs.checks import is_whole
-from animarl_envs.errors import InputError, knowing
+from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import foremost
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import Species
@@ -41,7 +41,7 @@ def focal_scenario(
             "drivers is an option of parallel_env: say with focal who acts and with others what "
             "moves the rest"
         )
-    with knowing(view.__init__, without=("drivers",)):  # type: ignore[misc]
+    with also_list_options_of(view.__init__, without=("drivers",)):  # type: ignore[misc]
         scenario = make_scenario(species, **options)
     names = scenario.names
     focal = names[foremost(scenario.species.roles)] if focal is None else focal

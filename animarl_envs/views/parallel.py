@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from animarl_envs.drawing.picture import RENDER_MODES, Picture
-from animarl_envs.errors import InputError, knowing
+from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
@@ -68,7 +68,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         max_cycles: int | None = None,
         **options: Any,
     ) -> None:
-        with knowing(AnimalParallelEnv.__init__):
+        with also_list_options_of(AnimalParallelEnv.__init__):
             self.scenario = make_scenario(species, **options)
         self.max_cycles = checked_limit("max_cycles", max_cycles)
         self.world = make_world(self.scenario, 1)
