@@ -166,8 +166,10 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
             state.pushes, dt, field, lone,
         )  # fmt: skip
     remember(velocity, state.past)
-    acceleration[:] = velocity
-    move(actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity)
+    move(
+        actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity,
+        acceleration,
+    )  # fmt: skip
     if state.walled:
         rebound(field, position, velocity)
     if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
@@ -212,8 +214,8 @@ def drive(  # type: ignore[no-untyped-def]
 
 
 @part
-def move(actions, towards, damping, thrust, pushes, dt, position, velocity):  # type: ignore[no-untyped-def]
-    """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all individuals."""
+def move(actions, towards, damping, thrust, pushes, dt, position, velocity, before):  # type: ignore[no-untyped-def]
+    """v' = (1 - d) v + u a dt, then p' = p + v' dt, for all; ``before`` gets the old v."""
     K, _, B = position.shape
     for i in range(K):
         for b in range(B):
@@ -223,6 +225,8 @@ def move(actions, towards, damping, thrust, pushes, dt, position, velocity):  # 
             ay = ahead * towards[i, 1, b] + left * towards[i, 0, b]
             vx = next_velocity(velocity[i, 0, b], ax, damping[i], thrust[i], dt)
             vy = next_velocity(velocity[i, 1, b], ay, damping[i], thrust[i], dt)
+            before[i, 0, b] = velocity[i, 0, b]
+            before[i, 1, b] = velocity[i, 1, b]
             velocity[i, 0, b] = vx
             velocity[i, 1, b] = vy
             position[i, 0, b] += vx * dt

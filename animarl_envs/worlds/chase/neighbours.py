@@ -46,8 +46,12 @@ def neighbours_of(num_individuals: int, num_copies: int) -> Neighbours:
 @part
 def lay_out(position, velocity, observers, neighbours):  # type: ignore[no-untyped-def]
     """Before anybody looks: where there are many, each copy's state is copied to one place."""
-    if neighbours.order.shape[2] > 0 and np.any(observers):
-        _lay_out(position, velocity, neighbours.state)
+    if neighbours.order.shape[2] == 0:
+        return
+    for i in range(len(observers)):
+        if observers[i]:
+            _lay_out(position, velocity, neighbours.state)
+            return
 
 
 @jit
