@@ -126,47 +126,35 @@ def _paths(*paths: NDArray[np.floating]) -> list[NDArray[np.float64]]:
 
 
 @jit
-def _extend_rows(mask, first, position, demo, individuals, paths, start, rows, lowest, aligned):  # type: ignore[no-untyped-def]
-    """Extend the rows of all copies in ``mask``; ``position`` is (B, K, 2), ``rows`` (B, F, m)."""
-    for b in range(len(mask)):
-        if not mask[b] or demo[b] < 0:
-            continue
-        begin = start[demo[b]]
-        m = start[demo[b] + 1] - begin
-        for f in range(len(individuals)):
-            i = individuals[f]
-            path = paths[i, begin : begin + m]
-            value, j = _extend_row(
-                rows[b, f], 0, m, position[b, i, 0], position[b, i, 1], path, first
-            )
-            lowest[b, f] = value
-            aligned[b, f] = j
-
-
-@jit
-def _extend_bands(  # type: ignore[no-untyped-def]
-    mask, first, position, demo, individuals, paths, start, step_count, window, rows, lowest
+def _extend_rows(  # type: ignore[no-untyped-def]
+    mask, first, position, demo, individuals, paths, start, step_count, window, rows, lowest,
+    aligned,
 ):  # fmt: skip
-    """As :func:`_extend_rows` with frames t - window to t + window; the minimum is infinite where
-    the recording is over."""
+    """Extend the rows of all copies in ``mask``; ``position`` is (B, K, 2), ``rows`` (B, F, m).
+
+    With a ``window`` only frames t - window to t + window count, and the minimum is infinite where
+    the recording is over; without (-1) all frames count.
+    """
     for b in range(len(mask)):
         if not mask[b]:
             continue
         t = step_count[b]
         opening = start[demo[b]]
         m = start[demo[b] + 1] - opening
-        begin, end = max(0, t - window), min(m, t + window + 1)
+        begin, end = 0, m
+        if window >= 0:
+            begin, end = max(0, t - window), min(m, t + window + 1)
         for f in range(len(individuals)):
             i = individuals[f]
-            if first:
+            if first and window >= 0:
                 rows[b, f] = math.inf
-            if t < m:
-                lowest[b, f], _ = _extend_row(
+            if window >= 0 and t >= m:
+                lowest[b, f] = math.inf
+            else:
+                lowest[b, f], aligned[b, f] = _extend_row(
                     rows[b, f], begin, end, position[b, i, 0], position[b, i, 1],
                     paths[i, opening : opening + m], first,
                 )  # fmt: skip
-            else:
-                lowest[b, f] = math.inf
 
 
 class _Followed(Protocol):
@@ -242,6 +230,7 @@ class DTWTracker:
         self.row_minimum = np.zeros(shape)
         self.band_minimum = np.zeros(shape)
         self.aligned = np.zeros(shape, dtype=np.int64)
+        self._band_aligned = np.zeros(shape, dtype=np.int64)  # scratch
         self.final_minimum, self.final_aligned = self.row_minimum, self.aligned
         self._all = np.ones(num_copies, dtype=bool)
 
@@ -283,10 +272,13 @@ class DTWTracker:
             raise InputError(
                 "the DTW reward needs episodes that start from a demonstration: use start='demo'"
             )
-        told = (mask, first, world.position, world.demo, self.individuals, self._paths, self._start)
-        _extend_rows(*told, self.rows, self.row_minimum, self.aligned)
+        told = (
+            mask, first, world.position, world.demo, self.individuals, self._paths, self._start,
+            world.step_count,
+        )  # fmt: skip
+        _extend_rows(*told, -1, self.rows, self.row_minimum, self.aligned)
         if self.kind == "closeness":
-            _extend_bands(*told, world.step_count, WINDOW, self.bands, self.band_minimum)
+            _extend_rows(*told, WINDOW, self.bands, self.band_minimum, self._band_aligned)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copies of what decides the future."""

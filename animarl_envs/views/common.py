@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import copy
+import json
+import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from operator import index
 from typing import Any, TypeVar
 
@@ -15,11 +17,14 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from animarl_envs.checks import is_whole
+from animarl_envs.drawing.picture import Picture
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import foremost
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
-from animarl_envs.species import Species
+from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
+from animarl_envs.worlds.executed import ExecutedActions
 
 SpaceT = TypeVar("SpaceT", bound=spaces.Space[Any])
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
@@ -227,3 +232,108 @@ def space_of(spaces_of_all: Mapping[str, SpaceT], agent: str) -> SpaceT:
         raise InputError(
             f"there is no individual {agent!r}: choose one of {', '.join(spaces_of_all)}"
         ) from None
+
+
+class TimeLimitSpec:
+    """How Gymnasium made an environment, and the longest episode of it."""
+
+    scenario: Scenario
+    _spec: EnvSpec | None = None
+
+    @property
+    def time_limit(self) -> int:
+        """Longest episode [steps], which truncates it."""
+        return int(self.scenario.species.time_limit)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = with_limit(spec, self.time_limit)
+
+
+class OneCopy:
+    """A view of a world with one copy: its picture, its actions and what its infos share."""
+
+    def _make_world(
+        self, scenario: Scenario, render_mode: str | None, observers: Any = None
+    ) -> None:
+        self.scenario = scenario
+        self.world = make_world(scenario, 1, observers)
+        self._picture = Picture(self.world, render_mode)
+        self._description = json.dumps(scenario_as_data(scenario))  # each reset says it anew
+        self.render_mode = render_mode
+        self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
+        self._executed = ExecutedActions(self.world)
+
+    def _show(self, started: bool) -> None:
+        """Record the scene of a ``started`` episode or after a step; draw it in a window."""
+        if self.render_mode is not None:
+            (self._picture.start if started else self._picture.follow)()
+            if self.render_mode == "human":
+                self._picture.draw()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The present scene as ``(height, width, 3)`` uint8, or in a window."""
+        return self._picture.draw()
+
+    def close(self) -> None:
+        """Close the window, if any."""
+        self._picture.close()
+
+    def _shared_info(self, warming: bool) -> dict[str, Any]:
+        world = self.world
+        return {
+            "demo": world.demo.item(),
+            "condition": world.condition.item(),
+            "step": world.step_count.item(),
+            "warmup": warming,
+            "outcome": world.outcome.item(),
+        }
+
+
+def scenario_as_data(scenario: Scenario) -> dict[str, Any]:
+    """The scenario as plain data, for ``info["scenario"]`` at reset.
+
+    All numbers of the species under their names (``species`` is its name), and the options of
+    :class:`Scenario`; what is infinite or cannot be written as plain data is a text.
+    """
+    spec, demos = scenario.species, scenario.demos
+    numbers = {
+        field.name: plain(getattr(spec, field.name))
+        for field in fields(spec)
+        if field.name not in ("name", "version_history")
+    }
+    if isinstance(spec, SearchSpecies) and not isinstance(spec.plume, str):
+        numbers["plume"] = {"kind": type(spec.plume).__name__} | numbers["plume"]
+    return numbers | {
+        "species": spec.name,
+        "drivers": list(scenario.drivers),
+        "condition": scenario.condition,
+        "start": plain(scenario.start),
+        "demonstrations": None if demos is None else demos.name,
+        "episodes": 0 if demos is None else len(demos),
+        "split": scenario.split,
+        "observation_noise": scenario.observation_noise,
+        "observation_delay": scenario.observation_delay,
+    }
+
+
+def plain(value: Any) -> Any:
+    """Numbers, texts, lists and dictionaries that say the same; an array of frames by its shape."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist()) if value.ndim <= 2 else f"array of shape {value.shape}"
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value if isinstance(value, str | int | float | None) else str(value)

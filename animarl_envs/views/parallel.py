@@ -11,11 +11,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from animarl_envs.drawing.picture import RENDER_MODES, Picture
+from animarl_envs.drawing.picture import RENDER_MODES
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
+    OneCopy,
     action_space,
     checked_limit,
     chosen_demos,
@@ -25,14 +26,11 @@ from animarl_envs.views.common import (
     space_of,
     stream_seed,
 )
-from animarl_envs.views.scenario_data import scenario_as_data
-from animarl_envs.worlds import make_world
-from animarl_envs.worlds.executed import ExecutedActions
 
 Observations = dict[str, NDArray[np.float32]]
 
 
-class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
+class AnimalParallelEnv(OneCopy, ParallelEnv[str, NDArray[np.float32], int]):
     """Every individual of a species acts; all end together.
 
     Parameters
@@ -69,12 +67,9 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         **options: Any,
     ) -> None:
         with also_list_options_of(AnimalParallelEnv.__init__):
-            self.scenario = make_scenario(species, **options)
+            scenario = make_scenario(species, **options)
         self.max_cycles = checked_limit("max_cycles", max_cycles)
-        self.world = make_world(self.scenario, 1)
-        self._picture = Picture(self.world, render_mode)
-        self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
-        self.render_mode = render_mode
+        self._make_world(scenario, render_mode)
         name = f"animarl_{self.scenario.species.name}_v0"
         self.metadata = {
             **self.metadata, "name": name, "render_fps": self._picture.frame_rate
@@ -83,8 +78,6 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         self.agents: list[str] = []
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
         self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
-        self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
-        self._executed = ExecutedActions(self.world)
         self._started = False
 
     def observation_space(self, agent: str) -> spaces.Box:
@@ -107,10 +100,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         given = reset_options(options, "demo", strict=False)  # PettingZoo's own test gives others
         self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
         self.agents = list(self.possible_agents)
-        if self.render_mode is not None:
-            self._picture.start()
-            if self.render_mode == "human":
-                self.render()
+        self._show(started=True)
         infos = self._infos(warming=False)
         for info in infos.values():
             info["scenario"] = json.loads(self._description)
@@ -150,10 +140,7 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
         executed = self._executed(self._actions)[0].tolist()
         world.step(self._actions)
         cut_after(world, self.max_cycles)
-        if self.render_mode is not None:
-            self._picture.follow()
-            if self.render_mode == "human":
-                self.render()
+        self._show(started=False)
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
         agents = self.agents
@@ -172,32 +159,17 @@ class AnimalParallelEnv(ParallelEnv[str, NDArray[np.float32], int]):
             infos,
         )
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """The present scene as ``(height, width, 3)`` uint8, or in a window."""
-        return self._picture.draw()
-
     def state(self) -> NDArray[np.float32]:
         """Positions and velocities of all, flat, arena frame: ``(4 K,)``."""
         both = np.concatenate([self.world.position[0], self.world.velocity[0]], axis=1)
         return both.astype(np.float32).ravel()
-
-    def close(self) -> None:
-        """Close the window, if any."""
-        self._picture.close()
 
     def _observations(self) -> Observations:
         seen = self.world.observation
         return {agent: seen[0, i].copy() for i, agent in enumerate(self.agents)}
 
     def _infos(self, *, warming: bool) -> dict[str, dict[str, Any]]:
-        world = self.world
-        shared = {
-            "demo": world.demo.item(),
-            "condition": world.condition.item(),
-            "step": world.step_count.item(),
-            "warmup": warming,
-            "outcome": world.outcome.item(),
-        }
+        shared, world = self._shared_info(warming), self.world
         names = world.reward_components
         return {
             agent: shared | dict(zip(names, parts, strict=True))

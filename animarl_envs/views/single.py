@@ -7,25 +7,22 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
-from animarl_envs.drawing.picture import RENDER_MODES, Picture
+from animarl_envs.drawing.picture import RENDER_MODES
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
+    OneCopy,
     Others,
+    TimeLimitSpec,
     action_space,
     chosen_demos,
     focal_scenario,
     observation_space,
     reset_options,
     stream_seed,
-    with_limit,
 )
-from animarl_envs.views.scenario_data import scenario_as_data
-from animarl_envs.worlds import make_world
-from animarl_envs.worlds.executed import ExecutedActions
 
 KEYS = {
     "w": 0, "wa": 30, "q": 60, "a": 90, "z": 120, "sa": 150,
@@ -34,7 +31,7 @@ KEYS = {
 """Directions by key, counter-clockwise from the focus [deg]."""
 
 
-class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
+class AnimalEnv(TimeLimitSpec, OneCopy, gym.Env[NDArray[np.float32], np.int64]):  # type: ignore[misc]
     """A recorded animal, in the world of its species.
 
     Parameters
@@ -88,34 +85,14 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.scenario, self.focal_index, self._policies = focal_scenario(
+        scenario, self.focal_index, self._policies = focal_scenario(
             type(self), species, focal, others, options
         )
-        self._spec: EnvSpec | None = None
-        self.world = make_world(self.scenario, 1, {self.focal_index, *self._policies})
-        self._picture = Picture(self.world, render_mode)
-        self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
+        self._make_world(scenario, render_mode, {self.focal_index, *self._policies})
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
-        self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": self._picture.frame_rate}
-        self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
-        self._executed = ExecutedActions(self.world)
         self._running = False
-
-    @property
-    def time_limit(self) -> int:
-        """Longest episode [steps], which truncates it."""
-        return int(self.scenario.species.time_limit)
-
-    @property  # type: ignore[override]
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = with_limit(spec, self.time_limit)
 
     def get_keys_to_action(self) -> dict[str, int]:
         """Keys for :func:`gymnasium.utils.play.play`: w towards the focus, a left, s away, d right,
@@ -142,10 +119,7 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
             self.world.seed(self.np_random.integers(2**63, size=1))
         self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
         self._running = True
-        if self.render_mode is not None:
-            self._picture.start()
-            if self.render_mode == "human":
-                self.render()
+        self._show(started=True)
         return self._observation(), {**self._info(), "scenario": json.loads(self._description)}
 
     def step(
@@ -169,34 +143,17 @@ class AnimalEnv(gym.Env[NDArray[np.float32], np.int64]):
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
         if self.render_mode is not None:
-            self._picture.follow()
-            if self.render_mode == "human":
-                self.render()
+            self._show(started=False)
         info = self._info(warming)
         info["executed"] = done
         return self._observation(), world.reward.item(i), terminated, truncated, info
-
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """The present scene as ``(height, width, 3)`` uint8, or in a window."""
-        return self._picture.draw()
-
-    def close(self) -> None:
-        """Close the window, if any."""
-        self._picture.close()
 
     def _observation(self) -> NDArray[np.float32]:
         row: NDArray[np.float32] = self.world.observation[0, self.focal_index].copy()
         return row
 
     def _info(self, warming: bool = False) -> dict[str, Any]:
-        world = self.world
-        info: dict[str, Any] = {
-            "demo": world.demo.item(),
-            "condition": world.condition.item(),
-            "step": world.step_count.item(),
-            "warmup": warming,
-            "outcome": world.outcome.item(),
-        }
+        info, world = self._shared_info(warming), self.world
         parts = world.components[0, self.focal_index].tolist()
         info.update(zip(world.reward_components, parts, strict=True))
         return info

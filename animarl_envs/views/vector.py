@@ -7,7 +7,6 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
     Others,
+    TimeLimitSpec,
     action_space,
     check_actions,
     checked_limit,
@@ -26,15 +26,16 @@ from animarl_envs.views.common import (
     focal_scenario,
     observation_space,
     reset_options,
+    scenario_as_data,
     stream_seed,
-    with_limit,
 )
-from animarl_envs.views.scenario_data import scenario_as_data
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.executed import ExecutedActions
 
 
-class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]):
+class AnimalVectorEnv(  # type: ignore[misc]
+    TimeLimitSpec, VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]
+):
     """``num_envs`` copies of an :class:`~animarl_envs.views.single.AnimalEnv` in one kernel call.
 
     Copy ``b`` seeded with ``s`` gives the numbers of a single environment seeded with ``s + b``.
@@ -85,7 +86,6 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
             type(self), species, focal, others, options
         )
         self._most = checked_limit("max_episode_steps", max_episode_steps)
-        self._spec: EnvSpec | None = None
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -117,17 +117,7 @@ class AnimalVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[
     @property
     def time_limit(self) -> int:
         """Longest episode [steps], which truncates it."""
-        limit = int(self.scenario.species.time_limit)
-        return limit if self._most is None else min(limit, self._most)
-
-    @property  # type: ignore[override]
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = with_limit(spec, self.time_limit)
+        return super().time_limit if self._most is None else min(super().time_limit, self._most)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None

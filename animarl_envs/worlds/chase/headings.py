@@ -19,9 +19,8 @@ from animarl_envs.focus import focus_directions
 from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.scenario import REPLAY
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.worlds.chase import layout
+from animarl_envs.worlds.chase.layout import Seen
 
-HEADING, OTHER_HEADING = layout.HEADING, layout.OTHER_HEADING
 NOT_RECORDED = -1  # in the place of a frame
 
 
@@ -177,12 +176,12 @@ def observe_headings(i, position, towards, first, order, bodies, observation):  
     last = position.shape[0] - 1
     leading = 0 if i == last else 1
     for b in range(position.shape[2]):
-        _write(i, i, b, first[0, HEADING], towards, bodies, observation)
+        _write(i, i, b, first[0, Seen.HEADING], towards, bodies, observation)
         if leading == 1:
-            _write(i, last, b, first[1, OTHER_HEADING], towards, bodies, observation)
+            _write(i, last, b, first[1, Seen.OTHER_HEADING], towards, bodies, observation)
     if order.shape[2] > 0:
         for rank in range(last - leading):
-            at = first[1 + leading + rank, OTHER_HEADING]
+            at = first[1 + leading + rank, Seen.OTHER_HEADING]
             for b in range(position.shape[2]):
                 _write(i, order[i, b, rank], b, at, towards, bodies, observation)
         return
@@ -190,7 +189,7 @@ def observe_headings(i, position, towards, first, order, bodies, observation):  
         for b in range(position.shape[2]):
             if j != i:
                 rank = leading + _nearer(i, j, b, position)
-                at = first[1 + rank, OTHER_HEADING]
+                at = first[1 + rank, Seen.OTHER_HEADING]
                 _write(i, j, b, at, towards, bodies, observation)
 
 

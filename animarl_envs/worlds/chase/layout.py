@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from enum import IntEnum
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,127 +54,142 @@ class Group(NamedTuple):
     sense: str = ""
 
 
+def _pair(first: str, second: str) -> tuple[tuple[str, float], ...]:
+    """Two entries of which a mirror turns the second round."""
+    return (first, 1.0), (second, -1.0)
+
+
 def _plane(name: str) -> tuple[tuple[str, float], ...]:
-    return (f"{name} x", 1.0), (f"{name} y", -1.0)
+    return _pair(f"{name} x", f"{name} y")
 
 
 def _ahead_left(name: str) -> tuple[tuple[str, float], ...]:
-    return (f"{name} ahead", 1.0), (f"{name} left", -1.0)
+    return _pair(f"{name} ahead", f"{name} left")
 
 
 def _out_along(name: str) -> tuple[tuple[str, float], ...]:
-    return (f"{name} outwards", 1.0), (f"{name} along", -1.0)
+    return _pair(f"{name} outwards", f"{name} along")
 
 
 def _circle(name: str) -> tuple[tuple[str, float], ...]:
-    return (f"{name} cosine", 1.0), (f"{name} sine", -1.0)
+    return _pair(f"{name} cosine", f"{name} sine")
 
 
 def _harmonics(vector: str) -> tuple[tuple[str, float], ...]:
-    """A direction by its harmonics, as ``own._observe_direction`` writes it."""
-    return tuple(
-        (f"{vector} harmonic {k} {function}", sign)
-        for k in HARMONICS
-        for function, sign in (("cosine", 1.0), ("sine", -1.0))
-    )
+    """A direction by its harmonics, as the kernel ``_observe_direction`` writes it."""
+    return tuple(entry for k in HARMONICS for entry in _circle(f"{vector} harmonic {k}"))
 
 
-def _scales(velocity: str, speed: str, sense: str = "") -> tuple[Group, Group, Group]:
-    """A velocity where small differences show, as ``own._observe_scales`` writes it."""
-    return (
-        Group(_ahead_left(f"tanh of {velocity} / (u dt)"), EGO, "1", "fine", sense=sense),
-        Group(_ahead_left(f"tanh of {velocity} / (3 u dt)"), EGO, "1", "coarse", sense=sense),
-        Group(((f"log of ({speed} / (u dt) + 0.3)", 1.0),), "any", "1", "log speed", sense=sense),
-    )
+def _fine(velocity: str, sense: str = "") -> Group:
+    return Group(_ahead_left(f"tanh of {velocity} / (u dt)"), EGO, "1", "fine", sense=sense)
 
 
-OWN = (
-    Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL), sense=COMPASS),
-    Group(_ahead_left("own velocity"), EGO, SPEED, "own speed", (PAPER, FULL)),
-    Group(_plane("own velocity"), ARENA, SPEED, "own speed", sense=COMPASS),
-    *_scales("own velocity", "own speed"),
-    Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration"),
-    Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL), sense=COMPASS),
-    Group(
+def _coarse(velocity: str, sense: str = "") -> Group:
+    return Group(_ahead_left(f"tanh of {velocity} / (3 u dt)"), EGO, "1", "coarse", sense=sense)
+
+
+def _log(speed: str, sense: str = "") -> Group:
+    name = f"log of ({speed} / (u dt) + 0.3)"
+    return Group(((name, 1.0),), "any", "1", "log speed", sense=sense)
+
+
+_SHORT, _LONG = (f"mean velocity over {over} steps" for over in PAST)
+
+
+class Seen(IntEnum):
+    """The groups of an observation in its order: columns of :func:`first_rows`.
+
+    Where velocities are measured by it, u is the smallest of the individual's thrusts: how an
+    animal rests shows among velocities that no larger one could bring to a stop. The others
+    stand in order: the last individual first (the target, or a lone pursuer), then the others by
+    distance; the first is the focus. Of the arena, the paper's observation holds something if the
+    species senses it, the full one if there is an edge, and where it stands if that is a wall.
+    """
+
+    group: Group
+
+    def __new__(cls, *group: Any) -> Seen:
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.group = len(cls.__members__), Group(*group)
+        return member
+
+    # The individual itself
+    POSITION = Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL), sense=COMPASS)
+    VELOCITY = Group(_ahead_left("own velocity"), EGO, SPEED, "own speed", (PAPER, FULL))
+    PLANE_VELOCITY = Group(_plane("own velocity"), ARENA, SPEED, "own speed", sense=COMPASS)
+    FINE = _fine("own velocity")
+    COARSE = _coarse("own velocity")
+    LOG_SPEED = _log("own speed")
+    ACCELERATION = Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration")
+    FOCUS = Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL), sense=COMPASS)
+    TIME = Group(
         (("log of (1 + steps since the start)", 1.0),), "any", "1", "log steps", sense="senses_time"
-    ),
-    *(
-        group
-        for mean in (f"mean velocity over {over} steps" for over in PAST)
-        for group in _scales(mean, mean, sense="senses_past")
-    ),
-    Group(_circle("own heading"), EGO, "1", "unit", sense="senses_heading"),
-    Group(_harmonics("own velocity"), EGO, "1", "unit", sense="senses_course"),
-    Group(_harmonics("own acceleration"), EGO, "1", "unit", sense="senses_course"),
-)
-"""Of the individual itself. Where velocities are measured by it, u is the smallest of its thrusts:
-how an animal rests shows among velocities that no larger one could bring to a stop."""
-
-OTHER = (
-    Group(_ahead_left("relative position"), EGO, LENGTH, "offset", (PAPER, FULL), of_focus=False),
-    Group(_ahead_left("relative velocity"), EGO, SPEED, "difference", (PAPER, FULL)),
-    Group((("distance", 1.0),), "any", LENGTH, "distance", (PAPER, FULL)),
-    Group((("bearing", -1.0),), EGO, "rad", "angle", (PAPER,)),
-    Group((("inverse of (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"),
-    Group(_circle("bearing"), EGO, "1", "unit", of_focus=False),
-    Group(_plane("position"), ARENA, LENGTH, "place", sense=COMPASS),
-    Group(_plane("velocity"), ARENA, SPEED, "speed", sense=COMPASS),
-    Group(_plane("difference"), ARENA, LENGTH, "offset", sense=COMPASS),
-    Group(_circle("direction"), ARENA, "1", "unit", of_focus=False, sense=COMPASS),
-    Group(_circle("heading"), EGO, "1", "unit", sense="senses_heading"),
-)
-"""Of each other individual: the last one first (the target, or a lone pursuer), then the others by
-distance. The first is the focus."""
-
-FIELD = (
-    Group((("distance from the centre", 1.0),), ARENA, LENGTH, "radius", (PAPER,)),
-    Group((("distance to the edge", 1.0),), ARENA, LENGTH, "inside"),
-    Group(_ahead_left("centre of the arena"), EGO, LENGTH, "centre"),
-    Group(
+    )
+    FINE_SHORT = _fine(_SHORT, "senses_past")
+    COARSE_SHORT = _coarse(_SHORT, "senses_past")
+    LOG_SHORT = _log(_SHORT, "senses_past")
+    FINE_LONG = _fine(_LONG, "senses_past")
+    COARSE_LONG = _coarse(_LONG, "senses_past")
+    LOG_LONG = _log(_LONG, "senses_past")
+    HEADING = Group(_circle("own heading"), EGO, "1", "unit", sense="senses_heading")
+    COURSE = Group(_harmonics("own velocity"), EGO, "1", "unit", sense="senses_course")
+    PUSH = Group(_harmonics("own acceleration"), EGO, "1", "unit", sense="senses_course")
+    # Each other individual
+    PLACE = Group(
+        _ahead_left("relative position"), EGO, LENGTH, "offset", (PAPER, FULL), of_focus=False
+    )
+    DRIFT = Group(_ahead_left("relative velocity"), EGO, SPEED, "difference", (PAPER, FULL))
+    DISTANCE = Group((("distance", 1.0),), "any", LENGTH, "distance", (PAPER, FULL))
+    BEARING = Group((("bearing", -1.0),), EGO, "rad", "angle", (PAPER,))
+    NEARNESS = Group(
+        (("inverse of (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"
+    )
+    BEARING_CIRCLE = Group(_circle("bearing"), EGO, "1", "unit", of_focus=False)
+    OTHER_POSITION = Group(_plane("position"), ARENA, LENGTH, "place", sense=COMPASS)
+    OTHER_VELOCITY = Group(_plane("velocity"), ARENA, SPEED, "speed", sense=COMPASS)
+    OFFSET = Group(_plane("difference"), ARENA, LENGTH, "offset", sense=COMPASS)
+    DIRECTION = Group(_circle("direction"), ARENA, "1", "unit", of_focus=False, sense=COMPASS)
+    OTHER_HEADING = Group(_circle("heading"), EGO, "1", "unit", sense="senses_heading")
+    # The arena
+    CENTRE_DISTANCE = Group((("distance from the centre", 1.0),), ARENA, LENGTH, "radius", (PAPER,))
+    EDGE = Group((("distance to the edge", 1.0),), ARENA, LENGTH, "inside")
+    CENTRE = Group(_ahead_left("centre of the arena"), EGO, LENGTH, "centre")
+    AT_WALL = Group(
         (("tanh of distance to the wall / (0.03 size)", 1.0),), WALL, "1", "at wall", of_walls=True
-    ),
-    Group(
+    )
+    BY_WALL = Group(
         (("tanh of distance to the wall / (0.1 size)", 1.0),), WALL, "1", "by wall", of_walls=True
-    ),
-    Group(_circle("direction of the wall"), EGO, "1", "unit", of_walls=True),
-    Group(_out_along("tanh of own velocity / (u dt)"), WALL, "1", "fine", of_walls=True),
-    Group(_out_along("tanh of own velocity / (3 u dt)"), WALL, "1", "coarse", of_walls=True),
-)
-"""Of the arena: in the paper's if the species senses it, in the full one if there is an edge, and
-where it stands if that is a wall. The wall's frame is that of its nearest point: x outwards."""
+    )
+    WALL_CIRCLE = Group(_circle("direction of the wall"), EGO, "1", "unit", of_walls=True)
+    FINE_WALL = Group(_out_along("tanh of own velocity / (u dt)"), WALL, "1", "fine", of_walls=True)
+    COARSE_WALL = Group(
+        _out_along("tanh of own velocity / (3 u dt)"), WALL, "1", "coarse", of_walls=True
+    )
 
-(
-    POSITION, VELOCITY, PLANE_VELOCITY, FINE, COARSE, LOG_SPEED, ACCELERATION,
-    FOCUS, TIME, FINE_PAST, COARSE_PAST, LOG_PAST, _, _, _, HEADING,
-    COURSE, PUSH, PLACE, DRIFT, DISTANCE, BEARING, NEARNESS, BEARING_CIRCLE, OTHER_POSITION,
-    OTHER_VELOCITY, OFFSET, DIRECTION, OTHER_HEADING, CENTRE_DISTANCE, EDGE, CENTRE, AT_WALL,
-    BY_WALL, WALL_CIRCLE, FINE_WALL, COARSE_WALL,
-) = range(len(OWN) + len(OTHER) + len(FIELD))  # fmt: skip
-"""Columns of :func:`first_rows`: the groups as they stand above."""
 
 ABSENT = -1
 
 
-def rows(species: ChaseSpecies) -> Iterator[tuple[int, int, Group]]:
-    """The groups of an observation in order: whose (0 itself, 1 the focus, ...), column, group."""
+def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
+    """The groups of an observation in order: whose (0 itself, 1 the focus, ...), which, group."""
     kind = species.observation
-    for column, group in enumerate(OWN):
-        if kind in group.seen and _sensed(species, group):
-            yield 0, column, group
-    for rank in range(1, species.num_individuals):
-        for column, group in enumerate(OTHER, start=len(OWN)):
-            ahead = rank == 1 and not group.of_focus and kind != PAPER
-            if kind in group.seen and _sensed(species, group) and not ahead:
-                yield rank, column, group
     senses_field = species.senses_centre if kind == PAPER else species.arena.shape != "open"
-    for column, group in enumerate(FIELD, start=len(OWN) + len(OTHER)):
-        here = species.arena.rebound or not group.of_walls
-        if senses_field and kind in group.seen and here:
-            yield 0, column, group
 
+    def held(first: Seen, end: int) -> Iterator[tuple[Seen, Group]]:
+        for seen in list(Seen)[first:end]:
+            sense = seen.group.sense
+            if kind in seen.group.seen and (kind == PAPER or not sense or getattr(species, sense)):
+                yield seen, seen.group
 
-def _sensed(species: ChaseSpecies, group: Group) -> bool:
-    return species.observation == PAPER or not group.sense or bool(getattr(species, group.sense))
+    for seen, group in held(Seen.POSITION, Seen.PLACE):
+        yield 0, seen, group
+    for rank in range(1, species.num_individuals):
+        for seen, group in held(Seen.PLACE, Seen.CENTRE_DISTANCE):
+            if rank > 1 or group.of_focus or kind == PAPER:
+                yield rank, seen, group
+    for seen, group in held(Seen.CENTRE_DISTANCE, len(Seen)):
+        if senses_field and (species.arena.rebound or not group.of_walls):
+            yield 0, seen, group
 
 
 def past_scales(species: ChaseSpecies) -> int:
@@ -186,10 +202,10 @@ def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
 
     The first row is of the individual itself and the arena, the following of the others in order.
     """
-    first = np.full((species.num_individuals, COARSE_WALL + 1), ABSENT, dtype=np.int64)
+    first = np.full((species.num_individuals, len(Seen)), ABSENT, dtype=np.int64)
     end = 0
-    for rank, column, group in rows(species):
-        first[rank, column] = end
+    for rank, seen, group in rows(species):
+        first[rank, seen] = end
         end += len(group.entries)
     return first
 

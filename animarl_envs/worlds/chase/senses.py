@@ -17,9 +17,19 @@ from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
 from animarl_envs.focus import FALLBACK
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.worlds.arctangent import angle_of
-from animarl_envs.worlds.chase import layout
 from animarl_envs.worlds.chase.headings import face, observe_headings
+from animarl_envs.worlds.chase.layout import (
+    ABSENT,
+    BODY,
+    FAINT,
+    HARDEST,
+    NEAR,
+    PAST,
+    REACH,
+    REST,
+    Seen,
+    first_rows,
+)
 from animarl_envs.worlds.chase.neighbours import (
     APART,
     DVX,
@@ -30,17 +40,18 @@ from animarl_envs.worlds.chase.neighbours import (
     lay_out,
     look,
 )
-from animarl_envs.worlds.chase.own import egocentric, observe_own
-from animarl_envs.worlds.chase.walls import observe_wall
+from animarl_envs.worlds.fast_math import angle_of, log_of, tanh_of, tanh_tripled
 
-ABSENT = layout.ABSENT
+FINE_PAST, COARSE_PAST, LOG_PAST = (
+    int(each) for each in (Seen.FINE_SHORT, Seen.COARSE_SHORT, Seen.LOG_SHORT)
+)
 SQUARE = SHAPE_CODES["square"]
 
 
 class Senses(NamedTuple):
     """Numbers of the senses, as the kernels need them."""
 
-    first: NDArray[np.int64]  # of layout.first_rows
+    first: NDArray[np.int64]  # of first_rows
     observers: NDArray[np.bool_]  # whose observations are made
     stride: NDArray[np.float64]  # what its smallest thrust changes in a step [arena unit / s]
     damping: NDArray[np.float64]  # share of the velocity lost in a step
@@ -57,14 +68,14 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
     """The senses of a species; ``observers`` ``(K,)`` tells whose observations are made."""
     arena, scales = species.arena, species.scales
     return Senses(
-        layout.first_rows(species),
+        first_rows(species),
         observers,
         np.array([m.smallest_thrust * scales.dt for m in scales.locomotion]),
         np.array([m.damping for m in scales.locomotion]),
         np.array([m.thrust * scales.dt for m in scales.locomotion]),
         np.array(scales.own_velocity),
-        layout.NEAR * scales.arena_size,
-        (layout.BODY * scales.arena_size, layout.REACH * scales.arena_size),
+        NEAR * scales.arena_size,
+        (BODY * scales.arena_size, REACH * scales.arena_size),
         SHAPE_CODES[arena.shape],
         arena.edge,
         scales.time_limit,
@@ -85,7 +96,7 @@ def observe(  # type: ignore[no-untyped-def]
     """
     first, observers, stride, _, _, own_velocity, near, scales, shape, edge, limit = senses
     others = neighbours.others
-    turning = first[0, layout.HEADING] != ABSENT
+    turning = first[0, Seen.HEADING] != ABSENT
     if turning:
         face(bodies)
     lay_out(position, velocity, observers, neighbours)
@@ -102,7 +113,7 @@ def observe(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
         _observe_field(i, position, towards, first, shape, edge, observation)
-        if first[0, layout.AT_WALL] != ABSENT:
+        if first[0, Seen.AT_WALL] != ABSENT:
             observe_wall(
                 i, position, velocity, towards, first, stride[i], scales, shape, edge, observation
             )
@@ -124,9 +135,9 @@ def _observe_others(i, seen, position, velocity, others, towards, first, near, o
     """The others, seen from individual ``i``; each part is a loop over all of them."""
     _observe_places(i, seen, others, towards, first, observation)
     _observe_drifts(i, seen, others, towards, first, observation)
-    if seen > 1 and first[2, layout.BEARING_CIRCLE] != ABSENT:
+    if seen > 1 and first[2, Seen.BEARING_CIRCLE] != ABSENT:
         _observe_directions(i, seen, others, towards, first, observation)
-    if first[1, layout.NEARNESS] != ABSENT:
+    if first[1, Seen.NEARNESS] != ABSENT:
         _observe_in_arena(i, seen, position, velocity, others, first, near, observation)
 
 
@@ -135,8 +146,8 @@ def _observe_places(i, seen, others, towards, first, observation):  # type: igno
     """How far each other is, and where; the focus lies straight ahead, by definition."""
     for rank in range(seen):
         who = rank + 1
-        apart_at, at = first[who, layout.DISTANCE], first[who, layout.PLACE]
-        bearing_at = first[who, layout.BEARING]
+        apart_at, at = first[who, Seen.DISTANCE], first[who, Seen.PLACE]
+        bearing_at = first[who, Seen.BEARING]
         for b in range(others.shape[2]):
             observation[i, apart_at, b] = others[rank, APART, b]
         if at != ABSENT:
@@ -155,7 +166,7 @@ def _observe_places(i, seen, others, towards, first, observation):  # type: igno
 def _observe_drifts(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
     """The velocity of each other, relative to the own."""
     for rank in range(seen):
-        at = first[rank + 1, layout.DRIFT]
+        at = first[rank + 1, Seen.DRIFT]
         for b in range(others.shape[2]):
             ahead, left = egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
             observation[i, at, b] = ahead
@@ -166,7 +177,7 @@ def _observe_drifts(i, seen, others, towards, first, observation):  # type: igno
 def _observe_directions(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
     """Unit vectors towards others who are not the focus; of one at the same place, the focus'."""
     for rank in range(1, seen):
-        circle, plane = first[rank + 1, layout.BEARING_CIRCLE], first[rank + 1, layout.DIRECTION]
+        circle, plane = first[rank + 1, Seen.BEARING_CIRCLE], first[rank + 1, Seen.DIRECTION]
         for b in range(others.shape[2]):
             apart = others[rank, APART, b]
             ex = towards[i, 0, b]
@@ -185,9 +196,9 @@ def _observe_in_arena(i, seen, position, velocity, others, first, near, observat
     """How near each other is, and where it is and goes in the arena frame."""
     for rank in range(seen):
         who = rank + 1
-        inverse = first[who, layout.NEARNESS]
-        place, going = first[who, layout.OTHER_POSITION], first[who, layout.OTHER_VELOCITY]
-        offset = first[who, layout.OFFSET]
+        inverse = first[who, Seen.NEARNESS]
+        place, going = first[who, Seen.OTHER_POSITION], first[who, Seen.OTHER_VELOCITY]
+        offset = first[who, Seen.OFFSET]
         for b in range(others.shape[2]):
             observation[i, inverse, b] = 1.0 / (others[rank, APART, b] + near)
         if place == ABSENT:
@@ -203,13 +214,13 @@ def _observe_in_arena(i, seen, position, velocity, others, first, near, observat
 def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
     """The centre and the edge of the arena."""
     B = position.shape[2]
-    at = first[0, layout.CENTRE_DISTANCE]
+    at = first[0, Seen.CENTRE_DISTANCE]
     if at != ABSENT:
         for b in range(B):
             x = position[i, 0, b]
             y = position[i, 1, b]
             observation[i, at, b] = math.sqrt(x * x + y * y)
-    at = first[0, layout.EDGE]
+    at = first[0, Seen.EDGE]
     if at == ABSENT:
         return
     for b in range(B):
@@ -217,8 +228,194 @@ def _observe_field(i, position, towards, first, shape, edge, observation):  # ty
         y = position[i, 1, b]
         out = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
         observation[i, at, b] = edge - out
-    at = first[0, layout.CENTRE]
+    at = first[0, Seen.CENTRE]
     for b in range(B):
         ahead, left = egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
         observation[i, at, b] = ahead
         observation[i, at + 1, b] = left
+
+
+# -- oneself --------------------------------------------------------------------------------------
+
+
+@part
+def observe_own(  # type: ignore[no-untyped-def]
+    i, position, velocity, acceleration, past, steps, towards, first, stride, factor, limit,
+    observation,
+):  # fmt: skip
+    """Own position, velocity on several scales, acceleration, and what a species senses beside.
+
+    ``factor`` applies to the velocities that have no scale.
+    """
+    place, focus = first[0, Seen.POSITION], first[0, Seen.FOCUS]
+    B = position.shape[2]
+    if place != ABSENT:
+        for x in range(2):
+            for b in range(B):
+                observation[i, place + x, b] = position[i, x, b]
+                observation[i, focus + x, b] = towards[i, x, b]
+    at = first[0, Seen.VELOCITY]
+    for b in range(B):
+        vx, vy = factor * velocity[i, 0, b], factor * velocity[i, 1, b]
+        ahead, left = egocentric(vx, vy, i, b, towards)
+        observation[i, at, b] = ahead
+        observation[i, at + 1, b] = left
+    at = first[0, Seen.PLANE_VELOCITY]
+    if at != ABSENT:
+        for b in range(B):
+            observation[i, at, b] = factor * velocity[i, 0, b]
+            observation[i, at + 1, b] = factor * velocity[i, 1, b]
+    at = first[0, Seen.ACCELERATION]
+    if at != ABSENT:
+        for b in range(B):
+            ahead, left = egocentric(acceleration[i, 0, b], acceleration[i, 1, b], i, b, towards)
+            observation[i, at, b] = min(HARDEST, max(-HARDEST, ahead))
+            observation[i, at + 1, b] = min(HARDEST, max(-HARDEST, left))
+    if first[0, Seen.FINE] != ABSENT:
+        _observe_scales(
+            i, velocity, towards, first[0, Seen.FINE], first[0, Seen.COARSE],
+            first[0, Seen.LOG_SPEED], stride, observation,
+        )  # fmt: skip
+    if first[0, Seen.COURSE] != ABSENT:
+        course, push = first[0, Seen.COURSE], first[0, Seen.PUSH]
+        _observe_direction(i, velocity, towards, course, FAINT * stride, observation)
+        _observe_direction(i, acceleration, towards, push, FAINT, observation)
+    if first[0, Seen.TIME] != ABSENT:
+        _observe_time(i, steps, first, limit, observation)
+    for scale in range(past.shape[0]):
+        at = 3 * scale
+        _observe_scales(
+            i, past[scale], towards, first[0, FINE_PAST + at],
+            first[0, COARSE_PAST + at], first[0, LOG_PAST + at], stride,
+            observation,
+        )  # fmt: skip
+
+
+@part
+def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation):  # type: ignore[no-untyped-def]
+    """Own velocity where small differences show: recorded animals are slow most of the time."""
+    per_stride = 1.0 / stride
+    for b in range(velocity.shape[2]):
+        vx = velocity[i, 0, b] * per_stride
+        vy = velocity[i, 1, b] * per_stride
+        ex = towards[i, 0, b]
+        ey = towards[i, 1, b]
+        ahead = tanh_of((vx * ex + vy * ey) / 3.0)
+        left = tanh_of((vy * ex - vx * ey) / 3.0)
+        observation[i, coarse, b] = ahead
+        observation[i, coarse + 1, b] = left
+        observation[i, fine, b] = tanh_tripled(ahead)
+        observation[i, fine + 1, b] = tanh_tripled(left)
+    for b in range(velocity.shape[2]):
+        vx = velocity[i, 0, b] * per_stride
+        vy = velocity[i, 1, b] * per_stride
+        observation[i, log, b] = log_of(np.float32(math.sqrt(vx * vx + vy * vy) + REST))
+
+
+@part
+def _observe_direction(i, vector, towards, at, faint, observation):  # type: ignore[no-untyped-def]
+    """Whereto a vector points, by the second to fourth harmonic: powers of the unit vector."""
+    for b in range(vector.shape[2]):
+        ahead, left = egocentric(vector[i, 0, b], vector[i, 1, b], i, b, towards)
+        length = math.sqrt(ahead * ahead + left * left)
+        per_length = 1.0 / length if length > 0.0 else 0.0
+        x = ahead * per_length
+        y = left * per_length
+        clear = length / (length + faint)
+        x2 = x * x - y * y
+        y2 = 2.0 * x * y
+        observation[i, at, b] = clear * x2
+        observation[i, at + 1, b] = clear * y2
+        observation[i, at + 2, b] = clear * (x2 * x - y2 * y)
+        observation[i, at + 3, b] = clear * (x2 * y + y2 * x)
+        observation[i, at + 4, b] = clear * (x2 * x2 - y2 * y2)
+        observation[i, at + 5, b] = clear * (2.0 * x2 * y2)
+
+
+@part
+def _observe_time(i, steps, first, limit, observation):  # type: ignore[no-untyped-def]
+    """How long the episode has lasted; recordings may go on beyond the limit."""
+    at = first[0, Seen.TIME]
+    for b in range(len(steps)):
+        observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
+
+
+@part
+def egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
+    """A vector ahead and to the left of individual ``i``, float32."""
+    ex = towards[i, 0, b]
+    ey = towards[i, 1, b]
+    return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)
+
+
+# -- walls ----------------------------------------------------------------------------------------
+
+
+@part
+def observe_wall(  # type: ignore[no-untyped-def]
+    i, position, velocity, towards, first, stride, scales, shape, edge, observation
+):
+    """The nearest wall: how far, in which direction, and the own velocity towards and along it.
+
+    Who walks along a wall keeps a small distance that does not show among distances to the centre.
+    From the middle of a disc it lies towards the focus.
+    """
+    at, by, where = first[0, Seen.AT_WALL], first[0, Seen.BY_WALL], first[0, Seen.WALL_CIRCLE]
+    fine, coarse = first[0, Seen.FINE_WALL], first[0, Seen.COARSE_WALL]
+    per_stride = 1.0 / stride
+    for b in range(position.shape[2]):
+        x = position[i, 0, b]
+        y = position[i, 1, b]
+        ex = towards[i, 0, b]
+        ey = towards[i, 1, b]
+        if shape == SQUARE:
+            sideways = abs(x) >= abs(y)
+            out = abs(x) if sideways else abs(y)
+            nx = math.copysign(1.0, x) if sideways else 0.0
+            ny = 0.0 if sideways else math.copysign(1.0, y)
+        else:
+            out = math.sqrt(x * x + y * y)
+            nx = x / out if out > 0.0 else ex
+            ny = y / out if out > 0.0 else ey
+        near = edge - out
+        observation[i, at, b] = tanh_of(near / scales[0])
+        observation[i, by, b] = tanh_of(near / scales[1])
+        observation[i, where, b] = nx * ex + ny * ey
+        observation[i, where + 1, b] = ny * ex - nx * ey
+        vx = velocity[i, 0, b] * per_stride
+        vy = velocity[i, 1, b] * per_stride
+        outwards = tanh_of((vx * nx + vy * ny) / 3.0)
+        along = tanh_of((vy * nx - vx * ny) / 3.0)
+        observation[i, coarse, b] = outwards
+        observation[i, coarse + 1, b] = along
+        observation[i, fine, b] = tanh_tripled(outwards)
+        observation[i, fine + 1, b] = tanh_tripled(along)
+
+
+# -- the past -------------------------------------------------------------------------------------
+
+
+@part
+def remember(velocity, past):  # type: ignore[no-untyped-def]
+    """Before a step: the present velocity moves each mean by its share."""
+    for scale in range(past.shape[0]):
+        share = 1.0 / PAST[scale]
+        for i in range(velocity.shape[0]):
+            for x in range(2):
+                for b in range(velocity.shape[2]):
+                    past[scale, i, x, b] += share * (velocity[i, x, b] - past[scale, i, x, b])
+
+
+@jit
+def remembered(velocity, steps, past):  # type: ignore[no-untyped-def]
+    """Mean velocities of recorded frames ``(K, 2, frames)``, whose episodes begin at step 0."""
+    for scale in range(past.shape[0]):
+        share = 1.0 / PAST[scale]
+        for i in range(velocity.shape[0]):
+            for x in range(2):
+                for t in range(velocity.shape[2]):
+                    mean = velocity[i, x, t]
+                    if steps[t] > 0:
+                        mean = past[scale, i, x, t - 1]
+                        mean += share * (velocity[i, x, t - 1] - mean)
+                    past[scale, i, x, t] = mean

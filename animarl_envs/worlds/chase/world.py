@@ -29,7 +29,6 @@ from animarl_envs.worlds.chase.headings import bodies_of, first_headings, record
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
 from animarl_envs.worlds.chase.layout import past_scales
 from animarl_envs.worlds.chase.neighbours import neighbours_of
-from animarl_envs.worlds.chase.past import remembered
 from animarl_envs.worlds.flat_demos import recorded_reach, recorded_speed
 
 
@@ -205,7 +204,7 @@ def observe(
         for each in (position, velocity, acceleration)
     )
     past = np.zeros((past_scales(species), K, 2, frames))
-    remembered(velocity, steps, past)
+    senses.remembered(velocity, steps, past)
     senses.observe(
         position,
         velocity,

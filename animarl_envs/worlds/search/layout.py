@@ -8,48 +8,65 @@ paper's; ``observation="paper"`` stops there. The position is not among them.
 from __future__ import annotations
 
 import math
-from enum import IntEnum, auto
+from enum import IntEnum
 
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.base import ObservationComponent
 
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
+EGO, BODY = "egocentric, x upwind, y to the left", "body"
 REST = 0.3  # added to the speed in steps of thrust before its logarithm is taken
 
 
 class Seen(IntEnum):
-    """Rows of an observation."""
+    """Rows of an observation: its component's name, frame, unit, range, and look in a mirror.
 
-    @staticmethod
-    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
-        return count
+    ``span`` names a range of :func:`observation_components`; ``sign`` and ``mirror`` are those of
+    an :class:`~animarl_envs.worlds.base.ObservationComponent`.
+    """
 
-    VELOCITY_AHEAD = auto()
-    VELOCITY_LEFT = auto()
-    BODY_ANGLE = auto()
-    ODOUR_LEFT = auto()
-    ODOUR_RIGHT = auto()
-    FLOW = auto()
-    WIND_FRONT = auto()
-    WIND_RIGHT = auto()
-    WIND_LEFT = auto()
-    WIND_BACK = auto()
-    HIT_LEFT = auto()
-    HIT_RIGHT = auto()
-    ODOUR_DIFFERENCE = auto()
-    ODOUR_SUM = auto()
-    TRACE_LEFT = auto()
-    TRACE_RIGHT = auto()
-    ANGLE_COSINE = auto()
-    ANGLE_SINE = auto()
-    FINE_AHEAD = auto()
-    FINE_LEFT = auto()
-    COARSE_AHEAD = auto()
-    COARSE_LEFT = auto()
-    LOG_SPEED = auto()
-    ACCELERATION_AHEAD = auto()
-    ACCELERATION_LEFT = auto()
-    YAW_RATE = auto()
+    label: str
+    frame: str
+    unit: str
+    span: str
+    sign: float
+    mirror: str
+
+    def __new__(
+        cls, label: str, frame: str, unit: str, span: str, sign: float = 1.0, mirror: str = ""
+    ) -> Seen:
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_ = len(cls.__members__)
+        member.label, member.frame, member.unit = label, frame, unit
+        member.span, member.sign, member.mirror = span, sign, mirror
+        return member
+
+    VELOCITY_AHEAD = "velocity ahead", EGO, "arena unit / s", "speed"
+    VELOCITY_LEFT = "velocity left", EGO, "arena unit / s", "speed", -1.0
+    BODY_ANGLE = "body angle", EGO, "rad", "angle", -1.0
+    ODOUR_LEFT = "odour left", BODY, "1", "share", 1.0, "odour right"
+    ODOUR_RIGHT = "odour right", BODY, "1", "share", 1.0, "odour left"
+    FLOW = "visual flow", BODY, "rad / s", "flow", -1.0
+    WIND_FRONT = "wind from front", BODY, "1", "share"
+    WIND_RIGHT = "wind from right", BODY, "1", "share", 1.0, "wind from left"
+    WIND_LEFT = "wind from left", BODY, "1", "share", 1.0, "wind from right"
+    WIND_BACK = "wind from back", BODY, "1", "share"
+    HIT_LEFT = "hit left", BODY, "1", "share", 1.0, "hit right"
+    HIT_RIGHT = "hit right", BODY, "1", "share", 1.0, "hit left"
+    ODOUR_DIFFERENCE = "odour left minus right", BODY, "1", "unit", -1.0
+    ODOUR_SUM = "odour left plus right", BODY, "1", "sum"
+    TRACE_LEFT = "trace left", BODY, "1", "share", 1.0, "trace right"
+    TRACE_RIGHT = "trace right", BODY, "1", "share", 1.0, "trace left"
+    ANGLE_COSINE = "body angle, cosine", EGO, "1", "unit"
+    ANGLE_SINE = "body angle, sine", EGO, "1", "unit", -1.0
+    FINE_AHEAD = "velocity ahead, fine", EGO, "1", "unit"
+    FINE_LEFT = "velocity left, fine", EGO, "1", "unit", -1.0
+    COARSE_AHEAD = "velocity ahead, coarse", EGO, "1", "unit"
+    COARSE_LEFT = "velocity left, coarse", EGO, "1", "unit", -1.0
+    LOG_SPEED = "log speed", EGO, "1", "log speed"
+    ACCELERATION_AHEAD = "acceleration ahead / u", EGO, "1", "push"
+    ACCELERATION_LEFT = "acceleration left / u", EGO, "1", "push", -1.0
+    YAW_RATE = "yaw rate", BODY, "rad / s", "turn", -1.0
 
 
 PAPER = Seen.WIND_BACK + 1  # components of the paper
@@ -58,7 +75,7 @@ PAPER = Seen.WIND_BACK + 1  # components of the paper
 def observation_components(
     species: SearchSpecies, fastest: float = 0.0
 ) -> tuple[ObservationComponent, ...]:
-    """What each entry of an observation means, in order.
+    """Return what each entry of an observation means, in order.
 
     The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are.
     """
@@ -70,37 +87,21 @@ def observation_components(
     largest = min(HARDEST, species.locomotion[0].magnitudes[0] * (1.0 + 1e-6))
     push = HARDEST if fastest > 0.0 or species.sense_scales is not None else largest
     flow, turn = species.flow_limit, math.pi / species.dt
-    ego = "egocentric, x upwind, y to the left"
-    entry = ObservationComponent
-    table = {
-        Seen.VELOCITY_AHEAD: entry("velocity ahead", ego, "arena unit / s", -own, own),
-        Seen.VELOCITY_LEFT: entry("velocity left", ego, "arena unit / s", -own, own, -1.0),
-        Seen.BODY_ANGLE: entry("body angle", ego, "rad", -math.pi, math.pi, -1.0),
-        Seen.ODOUR_LEFT: entry("odour left", "body", "1", 0.0, 1.0, mirror="odour right"),
-        Seen.ODOUR_RIGHT: entry("odour right", "body", "1", 0.0, 1.0, mirror="odour left"),
-        Seen.FLOW: entry("visual flow", "body", "rad / s", -flow, flow, -1.0),
-        Seen.WIND_FRONT: entry("wind from front", "body", "1", 0.0, 1.0),
-        Seen.WIND_RIGHT: entry("wind from right", "body", "1", 0.0, 1.0, mirror="wind from left"),
-        Seen.WIND_LEFT: entry("wind from left", "body", "1", 0.0, 1.0, mirror="wind from right"),
-        Seen.WIND_BACK: entry("wind from back", "body", "1", 0.0, 1.0),
-        Seen.HIT_LEFT: entry("hit left", "body", "1", 0.0, 1.0, mirror="hit right"),
-        Seen.HIT_RIGHT: entry("hit right", "body", "1", 0.0, 1.0, mirror="hit left"),
-        Seen.ODOUR_DIFFERENCE: entry("odour left minus right", "body", "1", -1.0, 1.0, -1.0),
-        Seen.ODOUR_SUM: entry("odour left plus right", "body", "1", 0.0, 2.0),
-        Seen.TRACE_LEFT: entry("trace left", "body", "1", 0.0, 1.0, mirror="trace right"),
-        Seen.TRACE_RIGHT: entry("trace right", "body", "1", 0.0, 1.0, mirror="trace left"),
-        Seen.ANGLE_COSINE: entry("body angle, cosine", ego, "1", -1.0, 1.0),
-        Seen.ANGLE_SINE: entry("body angle, sine", ego, "1", -1.0, 1.0, -1.0),
-        Seen.FINE_AHEAD: entry("velocity ahead, fine", ego, "1", -1.0, 1.0),
-        Seen.FINE_LEFT: entry("velocity left, fine", ego, "1", -1.0, 1.0, -1.0),
-        Seen.COARSE_AHEAD: entry("velocity ahead, coarse", ego, "1", -1.0, 1.0),
-        Seen.COARSE_LEFT: entry("velocity left, coarse", ego, "1", -1.0, 1.0, -1.0),
-        Seen.LOG_SPEED: entry(
-            "log speed", ego, "1", math.log(REST), math.log(top / stride + REST)
-        ),
-        Seen.ACCELERATION_AHEAD: entry("acceleration ahead / u", ego, "1", -push, push),
-        Seen.ACCELERATION_LEFT: entry("acceleration left / u", ego, "1", -push, push, -1.0),
-        Seen.YAW_RATE: entry("yaw rate", "body", "rad / s", -turn, turn, -1.0),
-    }  # fmt: skip
+    spans = {
+        "speed": (-own, own),
+        "angle": (-math.pi, math.pi),
+        "share": (0.0, 1.0),
+        "unit": (-1.0, 1.0),
+        "sum": (0.0, 2.0),
+        "flow": (-flow, flow),
+        "log speed": (math.log(REST), math.log(top / stride + REST)),
+        "push": (-push, push),
+        "turn": (-turn, turn),
+    }
     wanted = PAPER if species.observation == "paper" else len(Seen)
-    return tuple(table[seen] for seen in Seen)[:wanted]
+    return tuple(
+        ObservationComponent(
+            seen.label, seen.frame, seen.unit, *spans[seen.span], seen.sign, seen.mirror
+        )
+        for seen in list(Seen)[:wanted]
+    )

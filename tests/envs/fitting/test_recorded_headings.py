@@ -25,7 +25,7 @@ from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.turning import along_travel, fit_turning, heading_errors
 from animarl_envs.scenario import with_options
 from animarl_envs.species import ChaseSpecies
-from animarl_envs.views.scenario_data import plain
+from animarl_envs.views.common import plain
 from animarl_envs.worlds.chase.world import demonstration_headings
 
 DOCS = Path(__file__).parents[3] / "docs"

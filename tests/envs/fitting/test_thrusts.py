@@ -39,7 +39,7 @@ from animarl_envs.locomotion import (
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, FLY, SILKMOTH, ChaseSpecies
 from animarl_envs.species.options import with_options
-from animarl_envs.views.scenario_data import scenario_as_data
+from animarl_envs.views.common import scenario_as_data
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.rules import LOOKAHEAD, decide
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
