@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -32,7 +32,11 @@ from animarl_envs.errors import InputError, MissingExtraError
 
 MEMORY = 2**30  # [bytes] that a call may take beyond what is loaded
 SECONDS = 60  # of processor time
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "ARROW_NUM_THREADS")
+SETTINGS = {
+    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve gigabytes of addresses
+}  # fmt: skip
+"""For the server, which is forked and whose memory is limited."""
 START = "import sys; sys.path[:] = {path}; from animarl_envs.wall import serve; serve({answer})"
 ARRAY = "number of the array"  # the one key of a dictionary that stands for an array
 
@@ -78,11 +82,21 @@ def call(
         server = _running_server()
         try:
             status = server.ask(request, progress)
-            if status == 0:
-                return server.answer_to(what)
+            record, arrays = server.answer_read() if status == 0 else ({}, [])
         except BaseException:
             server.stop()
             raise
+    if "missing" in record:
+        raise MissingExtraError(record["missing"])
+    if "refused" in record:
+        raise InputError(record["refused"])
+    if "memory" in record:
+        raise InputError(
+            f"{what}: it needs more memory than a file of its size may ask for: its header is "
+            "damaged, or cut it in parts"
+        )
+    if status == 0:
+        return _unpacked(record["value"], arrays)
     if status in (-signal.SIGXCPU, -signal.SIGKILL):
         raise InputError(f"{what}: it takes more than {seconds} s of processor time: {remedy}")
     raise InputError(
@@ -101,7 +115,7 @@ class _Server:
             [sys.executable, "-c", START.format(path=sys.path, answer=number)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             pass_fds=(number,), start_new_session=True,
-            env=os.environ | dict.fromkeys(THREADS, "1"),
+            env=os.environ | SETTINGS,
         )  # fmt: skip
 
     @property
@@ -124,22 +138,13 @@ class _Server:
                     progress(float(value))
         return -signal.SIGABRT  # the server itself is gone
 
-    def answer_to(self, what: str) -> Any:
-        """The result of the last call."""
+    def answer_read(self) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+        """What the process of the last call wrote."""
         self.answer.seek(0)
         record = json.loads(str(np.load(self.answer, allow_pickle=False)))
         arrays = [np.load(self.answer, allow_pickle=False) for _ in range(record["arrays"])]
         self.answer.truncate(0)
-        if "missing" in record:
-            raise MissingExtraError(record["missing"])
-        if "refused" in record:
-            raise InputError(record["refused"])
-        if "memory" in record:
-            raise InputError(
-                f"{what}: it needs more memory than a file of its size may ask for: its header is "
-                "damaged, or cut it in parts"
-            )
-        return _unpacked(record["value"], arrays)
+        return record, arrays
 
     def stop(self) -> None:
         """End it and whatever it forked."""
@@ -193,6 +198,7 @@ def _answer(request: Any, answer: int, told: int) -> NoReturn:
         arrays: list[NDArray[Any]] = []
         try:
             record = {"value": _packed(function(*arguments, **options), arrays)}
+            json.dumps(record)
         except MissingExtraError as error:
             record = {"missing": str(error)}
         except InputError as error:
@@ -229,7 +235,7 @@ def _packed(value: Any, arrays: list[NDArray[Any]]) -> Any:
         return {ARRAY: len(arrays) - 1}
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): _packed(entry, arrays) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
         return [_packed(entry, arrays) for entry in value]

@@ -15,14 +15,19 @@ from animarl_envs.demos.episode import HEADING, INTERVAL
 from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import clean, resample, resample_index, runs
-from animarl_envs.importing.contacts import found_contact
-from animarl_envs.importing.cutting import FEWEST_PIECES, Cut, cut_episodes, in_pieces
-from animarl_envs.importing.events import check_recordings
+from animarl_envs.importing.cutting import (
+    FEWEST_PIECES,
+    Cut,
+    check_events,
+    cut_episodes,
+    find_contact_distance,
+    in_pieces,
+)
 from animarl_envs.importing.headings import in_arena_frame, resample_headings
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
-from animarl_envs.importing.roles import named, roles_of, with_faced
-from animarl_envs.importing.scaling import in_centimetres, scales_of
-from animarl_envs.importing.sessions import TARGET, sessions_of, with_session
+from animarl_envs.importing.roles import apply_names, assign_focus, assign_roles
+from animarl_envs.importing.scaling import scales_of, to_centimetres
+from animarl_envs.importing.sessions import TARGET, apply_session, load_sessions
 from animarl_envs.importing.tracks import Tracks
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
@@ -46,25 +51,25 @@ def demonstrations_from_tracks(
         raise InputError(
             f"{name}: its recordings have one frame each, an episode needs two or more: check it"
         )
-    sessions = sessions_of(recordings, recipe.metadata, recipe.name_pattern)
+    sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
     cleaned, done = [], {}
     for tracks in recordings:
-        tracks = with_session(named(tracks, recipe), sessions)
+        tracks = apply_session(apply_names(tracks, recipe), sessions)
         tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
         scale = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
-        cleaned.append(in_centimetres(tracks, scale))
-    cleaned, faced = with_faced(cleaned, recipe, sessions, name)
+        cleaned.append(to_centimetres(tracks, scale))
+    cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
     bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
     cleaned = [in_arena_frame(one, scale) for one, scale in zip(cleaned, scales, strict=True)]
-    individuals, roles, order = roles_of(cleaned, faced, recipe, name)
+    individuals, roles, order = assign_roles(cleaned, focus, recipe, name)
     bodies = [body[:, order] for body in bodies]
     contact = recipe.cutting.contact
     if all(tracks.outcome is None for tracks in cleaned):
         contact = _contact(bodies, roles, cleaned, recipe)
     touching = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
     if recipe.cutting.mode == "events" and recipe.cutting.events is not None:
-        check_recordings(Path(recipe.cutting.events), [tracks.recording for tracks in cleaned])
+        check_events(Path(recipe.cutting.events), [tracks.recording for tracks in cleaned])
     episodes = []
     for tracks, body, cuts in zip(
         cleaned, bodies, _cuts(cleaned, bodies, roles, touching), strict=True
@@ -168,7 +173,7 @@ def _contact(
             for start, stop in runs(np.isfinite(distance))
             if stop - start - 1 >= shortest
         ]
-    return found_contact(stretches)
+    return find_contact_distance(stretches)
 
 
 def _cuts(

@@ -5,7 +5,9 @@ All distances are in arena units, after scaling; cuts and outcomes are decided a
 
 from __future__ import annotations
 
+import csv
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,11 +19,17 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
+from animarl_envs.files import refuse_unfinished
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import runs
-from animarl_envs.importing.events import event_rows
 
 FEWEST_PIECES = 10
+FEWEST_ENDS = 5  # recordings that say how recordings end
+MOST_END = 0.5  # at least this share of recordings ends within the distance
+AT_LAST = 0.95  # at least this share of those that come within it do so in their last frame
+SLACK = 1e-6  # relative, beyond the farthest contact
+NEEDED = {"recording", "start", "end"}
+SHOWN = 10  # recordings
 ROUNDING = 1e-9  # relative difference of distances that a change of unit makes
 
 Mode = Literal["whole", "approach", "events"]
@@ -45,7 +53,7 @@ class Cutting:
     contact
         In mode ``"whole"``: an episode ends at the first contact within this distance; in mode
         ``"events"``: one that ends within it ended by contact. 0: there is none; ``None``: none is
-        known, see :func:`animarl_envs.importing.contacts.found_contact`.
+        known, see :func:`find_contact_distance`.
     piece
         In mode ``"whole"``: longer stretches are cut into pieces of this length [s]. ``None``: only
         where there would be fewer than three episodes, and then into ``FEWEST_PIECES``, so that
@@ -219,7 +227,7 @@ def _from_table(
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
-    for number, row in event_rows(path):
+    for number, row in _event_rows(path):
         if row["recording"] != recording:
             continue
         try:
@@ -228,11 +236,13 @@ def _from_table(
             condition = int(row["condition"]) if row.get("condition") else None
             outcome = int(row["outcome"]) if row.get("outcome") else None
         except (TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{path}: line {number} is not numbers ({error}): mend it") from None
+            raise InputError(
+                f"{path}: line {number} is not numbers ({error}): correct it"
+            ) from None
         if not 0 <= start < stop - 1 < len(bodies):
             raise InputError(
                 f"{path}: line {number} lies outside {recording} "
-                f"({len(bodies) / frame_rate:.3f} s): mend start and end"
+                f"({len(bodies) / frame_rate:.3f} s): correct start and end"
             )
         if not np.isfinite(bodies[start:stop]).all():
             raise InputError(
@@ -268,3 +278,79 @@ def most_approached(bodies: Sequence[NDArray[np.float64]]) -> int:
                 approach[i] += along.sum()
                 count[i] += len(along)
     return int(np.argmin(approach / np.maximum(count, 1)))
+
+
+def find_contact_distance(nearest: Sequence[NDArray[np.float64]]) -> float | None:
+    """Return the largest distance of contact that ends recordings, where nobody states it.
+
+    Some recordings are stopped, by hand or by the program, as soon as the target is reached. Then
+    there is a distance within which nearly nobody comes before the last frame, and within which
+    most recordings end. Chance leaves no such distance: the last frame is the nearest one rarely.
+
+    Parameters
+    ----------
+    nearest
+        Of each recording ``(frames,)``, how far the nearest pursuer is from the target.
+
+    Returns
+    -------
+    The distance, a trifle beyond the farthest contact; ``None`` where there is none.
+    """
+    known = [one for one in nearest if len(one) > 1 and np.isfinite(one).all()]
+    if len(known) < FEWEST_ENDS:
+        return None
+    last = np.array([one[-1] for one in known])
+    before = np.array([one[:-1].min() for one in known])  # until the last frame
+    for limit in sorted(set(last.tolist()), reverse=True):
+        ends, came = last <= limit, before <= limit
+        if ends.mean() < MOST_END:
+            return None
+        if (ends & ~came).sum() >= AT_LAST * (ends | came).sum():
+            return float(limit) * (1 + SLACK)
+    return None
+
+
+def _event_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """The lines of a table, each with its number.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or lacks a column.
+    """
+    refuse_unfinished(path)
+    try:
+        with path.open(newline="") as file:
+            table = csv.DictReader(file)
+            rows = [(table.line_num, row) for row in table]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: the event table cannot be read ({error}): check it") from None
+    if rows and not set(rows[0][1]) >= NEEDED:
+        raise InputError(f"{path}: it lacks a column recording, start or end: add them")
+    return rows
+
+
+def check_events(path: Path, recordings: Sequence[str]) -> None:
+    """Warn of events of recordings that there are none of: misspelt, or of files left out.
+
+    Raises
+    ------
+    InputError
+        If all are.
+    """
+    rows = _event_rows(path)
+    strange = [(line, row["recording"]) for line, row in rows if row["recording"] not in recordings]
+    if not strange:
+        return
+    line, name = strange[0]
+    known = ", ".join(recordings[:SHOWN]) + ", ..." * (len(recordings) > SHOWN)
+    if len(strange) == len(rows):
+        raise InputError(
+            f"{path}: line {line} is of recording {name!r} and no line is of any that is imported "
+            f"({known}): correct the names"
+        )
+    warnings.warn(
+        f"{path}: {len(strange)} of {len(rows)} events are of recordings that are not imported, "
+        f"the first on line {line} ({name!r}; imported: {known})",
+        stacklevel=2,
+    )

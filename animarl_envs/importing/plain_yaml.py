@@ -55,11 +55,11 @@ def parse_yaml(text: str, place: str) -> Any:
             loader.dispose()
     except yaml.YAMLError as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{place}: it is not valid YAML ({first}): mend it") from None
+        raise InputError(f"{place}: it is not valid YAML ({first}): correct it") from None
     except (ValueError, TypeError, RecursionError, OverflowError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{place}: it is not valid YAML ({error}): mend it") from None
+        raise InputError(f"{place}: it is not valid YAML ({error}): correct it") from None
 
 
 def _refuse_twice(root: Any, place: str) -> None:

@@ -16,14 +16,14 @@ AUTO = "auto"
 MANY = {TARGET: PURSUER, PURSUER: TARGET}  # the role of the others, where one has this role
 
 
-class Faced(NamedTuple):
+class FocusRole(NamedTuple):
     """Whom all others face: the target, or the pursuer of several targets."""
 
     name: str
     role: str
 
 
-def named(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
+def apply_names(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
     """The recording with the individuals, names and frame rate that the recipe states."""
     strangers = sorted(set(recipe.rename) - set(tracks.individuals))
     if strangers:
@@ -38,9 +38,9 @@ def named(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
     return replace(tracks, individuals=names, frame_rate=rate)
 
 
-def with_faced(
+def assign_focus(
     recordings: list[Tracks], recipe: ImportRecipe, sessions: Sessions, name: str
-) -> tuple[list[Tracks], Faced | None]:
+) -> tuple[list[Tracks], FocusRole | None]:
     """Whom all others face, and the recordings, named by role where theirs differ.
 
     Raises
@@ -49,34 +49,34 @@ def with_faced(
         If a target is named for some recordings only, some have several, or their units differ.
     """
     _check_units(recordings, name)
-    stated = [_faced_in(sessions.of(one.recording), name, one.recording) for one in recordings]
-    told = [faced for faced in stated if faced is not None]
+    stated = [_stated_focus(sessions.of(one.recording), name, one.recording) for one in recordings]
+    told = [focus for focus in stated if focus is not None]
     if told:
         if None in stated:
             untold = recordings[stated.index(None)].recording
             raise InputError(
                 f"{name}: no target is named for {untold}: name one for every recording"
             )
-        if len({faced.role for faced in told}) > 1:
+        if len({focus.role for focus in told}) > 1:
             raise InputError(
                 f"{name}: some recordings have one target and others several: import them apart"
             )
-        if len({(one.individuals, faced) for one, faced in zip(recordings, told, strict=True)}) > 1:
-            return _named_by_role(recordings, told), Faced(told[0].role, told[0].role)
+        if len({(one.individuals, focus) for one, focus in zip(recordings, told, strict=True)}) > 1:
+            return _named_by_role(recordings, told), FocusRole(told[0].role, told[0].role)
         return recordings, told[0]
     if recipe.pursuer is not None:
-        return recordings, Faced(recipe.pursuer, PURSUER)
+        return recordings, FocusRole(recipe.pursuer, PURSUER)
     if recipe.target != AUTO:
-        return recordings, None if recipe.target is None else Faced(recipe.target, TARGET)
+        return recordings, None if recipe.target is None else FocusRole(recipe.target, TARGET)
     names = recordings[0].individuals
     if len(names) < 2 or any(tracks.individuals != names for tracks in recordings):
         return recordings, None
     target = names[most_approached([tracks.bodies for tracks in recordings])]
-    return recordings, Faced(target, TARGET)
+    return recordings, FocusRole(target, TARGET)
 
 
-def roles_of(
-    cleaned: Sequence[Tracks], faced: Faced | None, recipe: ImportRecipe, name: str
+def assign_roles(
+    cleaned: Sequence[Tracks], focus: FocusRole | None, recipe: ImportRecipe, name: str
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
     """Names and roles, whom all others face last, and the order of the tracks' columns."""
     names = cleaned[0].individuals
@@ -94,37 +94,37 @@ def roles_of(
                 f"{cleaned[0].recording} {rate}: give a decision rate"
             )
     order = list(range(len(names)))
-    if faced is None:
+    if focus is None:
         role = "searcher" if recipe.searcher else "pursuer"
         return names, (role,) * len(names), order
-    if faced.name not in names:
+    if focus.name not in names:
         raise InputError(
-            f"{name}: there is no {faced.role} {faced.name!r}: choose among {', '.join(names)}"
+            f"{name}: there is no {focus.role} {focus.name!r}: choose among {', '.join(names)}"
         )
-    last = names.index(faced.name)
+    last = names.index(focus.name)
     order = [i for i in order if i != last] + [last]
-    roles = (MANY[faced.role],) * (len(names) - 1) + (faced.role,)
+    roles = (MANY[focus.role],) * (len(names) - 1) + (focus.role,)
     return tuple(names[i] for i in order), roles, order
 
 
-def _faced_in(session: Session, name: str, recording: str) -> Faced | None:
+def _stated_focus(session: Session, name: str, recording: str) -> FocusRole | None:
     """Who is pursued in a recording, or who pursues several, if it is said."""
     of = {role: [n for n, r in session.roles.items() if r == role] for role in (TARGET, PURSUER)}
     if not of[TARGET]:
-        return None if session.target is None else Faced(session.target, TARGET)
+        return None if session.target is None else FocusRole(session.target, TARGET)
     role = PURSUER if len(of[TARGET]) > 1 else TARGET
     if not of[role]:
         raise InputError(f"{name}: several targets but no pursuer in {recording}: name who pursues")
-    return Faced(of[role][0], role)
+    return FocusRole(of[role][0], role)
 
 
-def _named_by_role(recordings: Sequence[Tracks], faced: Sequence[Faced]) -> list[Tracks]:
+def _named_by_role(recordings: Sequence[Tracks], focus: Sequence[FocusRole]) -> list[Tracks]:
     """Recordings of different animals under the same names: ``pursuer_0``, ..., ``target``.
 
     Of several targets: ``target_0``, ..., ``pursuer``.
     """
     renamed = []
-    for tracks, (last, role) in zip(recordings, faced, strict=True):
+    for tracks, (last, role) in zip(recordings, focus, strict=True):
         others = [name for name in tracks.individuals if name != last]
         names = [f"{MANY[role]}_{i}" for i in range(len(others))]
         ordered = tracks.choose([*others, last])

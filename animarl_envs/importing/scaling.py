@@ -145,7 +145,7 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
     return Scale(centre, half, sign)
 
 
-def in_centimetres(tracks: Tracks, px_per_cm: float | None) -> Tracks:
+def to_centimetres(tracks: Tracks, px_per_cm: float | None) -> Tracks:
     """The same recording in cm, where it is known how many of its units make one."""
     if px_per_cm is None:
         return tracks

@@ -101,7 +101,7 @@ class Sessions:
         return None if session.condition is None else self.conditions.index(session.condition)
 
 
-def sessions_of(
+def load_sessions(
     recordings: Sequence[Tracks], metadata: str | None, name_pattern: str | None
 ) -> Sessions:
     """What a table or a pattern says of recordings; nothing, where neither is given."""
@@ -174,7 +174,7 @@ def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
     return found
 
 
-def with_session(tracks: Tracks, sessions: Sessions) -> Tracks:
+def apply_session(tracks: Tracks, sessions: Sessions) -> Tracks:
     """The recording with its condition, its scale, and of its individuals those with a role."""
     session = sessions.of(tracks.recording)
     if session.roles:
@@ -187,7 +187,7 @@ def with_session(tracks: Tracks, sessions: Sessions) -> Tracks:
 
 def _rows(path: Path) -> tuple[list[tuple[int, dict[str, str]]], set[str]]:
     """Lines with their numbers and cells by column, and the names of the columns."""
-    from animarl_envs.importing.readers.encodings import encoding_of  # readers import recipes
+    from animarl_envs.importing.readers.text_layout import encoding_of  # readers import recipes
 
     refuse_unfinished(path)
     try:
@@ -212,7 +212,7 @@ def _rows(path: Path) -> tuple[list[tuple[int, dict[str, str]]], set[str]]:
             continue
         if len(cells) != len(names):
             raise InputError(
-                f"{path}: line {number} has {len(cells)} cells, the header {len(names)}: mend it"
+                f"{path}: line {number} has {len(cells)} cells, the header {len(names)}: correct it"
             )
         rows.append((number, dict(zip(names, (cell.strip() for cell in cells), strict=True))))
     return rows, set(names)

@@ -82,6 +82,8 @@ class Tracks:
                 f"{self.recording}: individuals {self.individuals} are not all different: "
                 "give each its own name"
             )
+        for name in ("individuals", "keypoints", "events"):  # lists where they come from a file
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         check_names(f"{self.recording:.80}", "a recording", [self.recording])
         check_names(self.recording, "an individual", self.individuals)
         check_names(self.recording, "a keypoint", self.keypoints)
@@ -182,7 +184,7 @@ def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
     ]
 
 
-def told_apart(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tracks]]:
+def disambiguate_by_folder(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[Path, Tracks]]:
     """The same, named by folder where files of one name in several folders have the same animals.
 
     Other files that share a recording hold different animals of it.

@@ -69,6 +69,6 @@ NAMES_A_SPECIES = {
     "animarl_envs/__init__.py",
     "animarl_envs/importing/readers/agents.py",
     "animarl_envs/importing/readers/authors.py",
-    "animarl_envs/importing/readers/habits.py",
+    "animarl_envs/importing/readers/column_names.py",
     "animarl_envs/importing/readers/mothvr.py",
 }

@@ -172,12 +172,6 @@ def write_trex(folder: Path) -> Path:
     return folder / "video_fish0.npz"
 
 
-def write_idtracker_npy(folder: Path) -> Path:
-    content = {"trajectories": BODIES, "frames_per_second": 25.0, "version": "5.2", "setup": None}
-    np.save(folder / "trajectories.npy", np.array(content), allow_pickle=True)
-    return folder / "trajectories.npy"
-
-
 def write_idtracker_h5(folder: Path) -> Path:
     import h5py
 
@@ -369,7 +363,6 @@ KINDS: dict[str, Kind] = {
     "mat": Kind(write_mat, "matlab", "bodies", "structure"),
     "packed_mat": Kind(write_packed_mat, "matlab", "bodies", "checksum"),
     "mat73": Kind(write_mat73, "matlab", "bodies", "structure"),
-    "idtracker_npy": Kind(write_idtracker_npy, "idtracker", "bodies", "structure"),
     "idtracker_h5": Kind(write_idtracker_h5, "idtracker", "bodies", "structure"),
     "idtracker_csv": Kind(write_idtracker_csv, "idtracker", "bodies", "text"),
     "slp": Kind(write_slp, "sleap", "poses", "structure"),

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from animarl_envs import wall
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers.unpickle import load_plain
 from tools.fuzz.judging import Values, assert_true_to_the_file, read_values
-from tools.fuzz.layouts import KINDS, write_dlc_h5, write_idtracker_npy
+from tools.fuzz.layouts import KINDS, write_dlc_h5
 from tools.fuzz.mutations import Damage, damaged
 from tools.fuzz.pickles import random_pickle
 
@@ -56,10 +57,9 @@ def _planted_hdf(folder: Path) -> Path:
     return path
 
 
-def _planted_npy(folder: Path) -> Path:
-    path = write_idtracker_npy(folder)
-    content = np.load(path, allow_pickle=True).item() | {"setup": _Planted(folder)}
-    np.save(path, np.array(content), allow_pickle=True)
+def _planted_npz(folder: Path) -> Path:
+    path = folder / "pos_val_rep_2on1_share_equal_K_0.npz"
+    np.savez(path, pos=np.array([[_Planted(folder)] * 3], dtype=object))
     return path
 
 
@@ -75,12 +75,13 @@ def _recipe_is_its_own(path: Path, found: Any, clean: Any, damage: Damage) -> No
 
 
 def _plain(path: Path) -> Any:
-    return load_plain(path.read_bytes(), str(path))
+    return wall.call(_plain_text_of, path, what=str(path))
 
 
-def _is_inert(path: Path, found: Any, clean: Any, damage: Damage) -> None:
-    """Only plain values, and every array can be read through."""
-    waiting, seen = [found], 0
+def _plain_text_of(path: Path) -> str:
+    """What a pickle holds, written out, if it is of plain values alone."""
+    waiting, seen = [load_plain(path.read_bytes(), str(path))], 0
+    text = repr(waiting[0])
     while waiting:
         value = waiting.pop()
         seen += 1
@@ -93,6 +94,11 @@ def _is_inert(path: Path, found: Any, clean: Any, damage: Damage) -> None:
             waiting += value.ravel().tolist()
         else:
             assert isinstance(value, (str, bytes, int, float, type(None))), type(value).__name__
+    return text
+
+
+def _is_inert(path: Path, found: Any, clean: Any, damage: Damage) -> None:
+    """Nothing but plain values was found, or it were refused."""
 
 
 def _write_pickle(folder: Path) -> Path:
@@ -119,7 +125,7 @@ def _of_tracks(name: str, write: Callable[[Path], Path] | None = None) -> Target
 TARGETS: dict[str, Target] = {
     **{name: _of_tracks(name) for name in KINDS},
     "planted_h5": _of_tracks("dlc_h5", _planted_hdf),
-    "planted_npy": _of_tracks("idtracker_npy", _planted_npy),
+    "planted_npz": _of_tracks("authors_agents", _planted_npz),
     "recipe": Target(_recipe, lambda path: ImportRecipe.load(path).to_dict(), _recipe_is_its_own),
     "pickle": Target(_write_pickle, _plain, _is_inert, make=_any_pickle),
 }

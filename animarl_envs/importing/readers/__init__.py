@@ -7,11 +7,11 @@ from animarl_envs.importing.readers import (
     collections,
     deeplabcut,
     ethovision,
+    long_tables,
     mothvr,
     movement_tables,
     own,
-    pose,
-    tables,
+    sleap,
     trackers,
     wide_tables,
 )
@@ -30,7 +30,7 @@ from animarl_envs.importing.readers.registry import (
 
 __all__ = [
     "Reader", "agents", "arrays", "authors", "available_readers", "collections", "deeplabcut",
-    "default_recipe", "ethovision", "find_reader", "follow", "get_reader", "mothvr",
-    "movement_tables", "own", "pose", "read", "read_tracks", "register_reader",
-    "register_track_reader", "tables", "trackers", "wide_tables",
+    "default_recipe", "ethovision", "find_reader", "follow", "get_reader", "long_tables", "mothvr",
+    "movement_tables", "own", "read", "read_tracks", "register_reader", "register_track_reader",
+    "sleap", "trackers", "wide_tables",
 ]  # fmt: skip

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from animarl_envs.errors import InputError
 from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf, read_dataset
-from animarl_envs.importing.readers.matlab import read_mat5
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.unpickle import load_object_npy
+from animarl_envs.importing.readers.unpickle import load_npy
 from animarl_envs.importing.tracks import CENTROID, Tracks
 
 AXES = ("frame", "individual", "keypoint", "xy")
@@ -46,12 +45,7 @@ def read_numpy(
     if path.suffix.lower() == ".npz":
         arrays = read_npz(path)
     else:
-        loaded = load_object_npy(path.read_bytes(), path)
-        if not isinstance(loaded, np.ndarray) or loaded.dtype.hasobject:
-            raise InputError(
-                f"{path}: it holds Python objects, not numbers: check --source, or save numbers"
-            )
-        arrays = {path.stem: loaded}
+        arrays = {path.stem: load_npy(path.read_bytes(), path)}
     return _recordings(path, arrays, key, axes, names, keypoints, fps, unit, y_down)
 
 
@@ -85,7 +79,16 @@ def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
         with open_hdf(path) as file:
             names = [n for n in file if not n.startswith("#") and hasattr(file[n], "shape")]
             return {name: read_dataset(path, file, name).T for name in names}
-    return read_mat5(path)
+    from scipy.io import loadmat
+
+    try:
+        found = loadmat(path)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # what SciPy raises over damage is of no one kind
+        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        raise InputError(f"{path}: the MATLAB file is damaged ({first}): copy it again") from None
+    return {name: value for name, value in found.items() if hasattr(value, "dtype")}
 
 
 def _recordings(
@@ -109,9 +112,10 @@ def _recordings(
     else:
         chosen = {}
     if not chosen:
+        known = [name for name, value in arrays.items() if value.dtype.kind in "iuf"]
         raise InputError(
-            f"{path}: it holds {', '.join(arrays) or 'no array'}: name the one with the positions "
-            "by the option key, or * for all"
+            f"{path}: it holds {', '.join(known) or 'no array of numbers'}: name the one with the "
+            "positions by the option key, or * for all"
         )
     found = []
     for name, array in chosen.items():

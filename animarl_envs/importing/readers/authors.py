@@ -19,7 +19,7 @@ from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.files import check_npz, npz_members, refuse_unfinished
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.unpickle import load_object_npy
+from animarl_envs.importing.readers.unpickle import load_npy
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH
 
@@ -58,7 +58,7 @@ def _objects(path: Path) -> dict[str, Any]:
     check_npz(path)
     with zipfile.ZipFile(path) as archive:
         return {
-            member.removesuffix(".npy"): load_object_npy(archive.read(member), path, member)
+            member.removesuffix(".npy"): load_npy(archive.read(member), path, member, objects=True)
             for member in archive.namelist()
         }
 
@@ -240,12 +240,14 @@ def read_authors_silkmoth(path: Path) -> list[Tracks]:
     try:
         table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
     except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: a line is not eight numbers ({error}): mend it") from None
+        raise InputError(f"{path}: a line is not eight numbers ({error}): correct it") from None
     if table.shape[1] != 8 or len(table) < 2:
         raise InputError(f"{path}: it has shape {table.shape}, not (frames, 8): check the file")
     bad = np.argwhere(~np.isfinite(table))
     if len(bad):
-        raise InputError(f"{path}: line {bad[0][0] + 1} holds a value that is no number: mend it")
+        raise InputError(
+            f"{path}: line {bad[0][0] + 1} holds a value that is no number: correct it"
+        )
     rate = SILKMOTH.recording.frame_rate
     frames = table[:, 0] * rate
     off = np.abs(np.diff(frames, prepend=frames[0] - 1.0) - 1.0) > 0.5

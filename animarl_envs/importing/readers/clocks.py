@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.guards import Place, row_of
+from animarl_envs.importing.readers.tables import Words
+
+Place = Callable[[int], str]  # what messages call a row, counted from 0
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame
 LARGEST_FRAME = 2**31
@@ -22,11 +24,13 @@ CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
 DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"
 
 
-def even_rate(path: Path, time: NDArray[np.float64], place: Place = row_of) -> float:
+def even_rate(path: Path, time: NDArray[np.float64], place: Place) -> float:
     """Frame rate [Hz] of times [s] that must rise evenly from row to row."""
     step = np.diff(time)
     if len(step) == 0 or not np.isfinite(step).all() or not (step > 0).all():
-        raise InputError(f"{path}: the times do not rise from row to row: mend them or give --fps")
+        raise InputError(
+            f"{path}: the times do not rise from row to row: correct them or give --fps"
+        )
     usual = float(np.median(step))
     if np.abs(step - usual).max() > 0.5 * usual:
         at = int(np.abs(step - usual).argmax())
@@ -37,7 +41,7 @@ def even_rate(path: Path, time: NDArray[np.float64], place: Place = row_of) -> f
     return round(1.0 / float(step.mean()), 6)
 
 
-def refuse_uneven_frames(path: Path, frames: NDArray[np.float64], place: Place = row_of) -> None:
+def refuse_uneven_frames(path: Path, frames: NDArray[np.float64], place: Place) -> None:
     """Refuse frame numbers that do not rise by one from row to row."""
     wrong = np.flatnonzero(np.diff(frames) != 1)  # NaN too
     if len(wrong):
@@ -52,8 +56,8 @@ def frames_at(
     path: Path,
     time: NDArray[np.float64],
     rate: float | None,
-    group: NDArray[np.integer] | None = None,
-    place: Place = row_of,
+    group: NDArray[np.integer],
+    place: Place,
 ) -> tuple[float, NDArray[np.int32]]:
     """Frame rate [Hz] and frame number ``(rows,)`` of times [s], repeats allowed.
 
@@ -63,7 +67,6 @@ def frames_at(
     if not np.isfinite(time).all():
         row = int((~np.isfinite(time)).argmax())
         raise InputError(f"{path}: {place(row)} has no time: fill it in, or leave the row out")
-    group = np.zeros(len(time), dtype=np.int64) if group is None else group
     first = np.full(int(group.max()) + 1, np.inf)
     np.minimum.at(first, group, time)
     since = time - first[group]
@@ -85,13 +88,13 @@ def frames_at(
         if rate > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
             return rate, numbers.astype(np.int32)
     raise InputError(
-        f"{path}: the time of {place(int(off.argmax()))} lies between frames at {rate:g} Hz: mend "
-        "it, or give the right --option fps=..."
+        f"{path}: the time of {place(int(off.argmax()))} lies between frames at {rate:g} Hz: "
+        "correct it, or give the right --option fps=..."
     )
 
 
 def refuse_times_going_back(
-    path: Path, time: NDArray[np.float64], track: NDArray[np.integer], place: Place = row_of
+    path: Path, time: NDArray[np.float64], track: NDArray[np.integer], place: Place
 ) -> None:
     """Refuse times [s] that are earlier than those of the same ``track`` on a line above.
 
@@ -128,9 +131,11 @@ def rate_of_frames(
     return round(1.0 / float(np.median(passed[use] / steps[use])), 6)
 
 
-def seconds(path: Path, column: str, values: NDArray[Any], unit: str | None) -> NDArray[np.float64]:
-    """Times in seconds: numbers of a unit, ISO 8601 dates, or clock times such as 0:01:02.5."""
-    if values.dtype.kind == "f":
+def seconds(
+    path: Path, column: str, values: NDArray[np.float64] | Words, unit: str | None
+) -> NDArray[np.float64]:
+    """Return times in seconds: numbers of a unit, ISO 8601 dates, or clock times: 0:01:02.5."""
+    if not isinstance(values, Words):
         if (unit or "s") not in IN_SECONDS:
             raise InputError(
                 f"{path}: times in {unit!r} are unknown: choose one of {', '.join(IN_SECONDS)}"
@@ -138,10 +143,11 @@ def seconds(path: Path, column: str, values: NDArray[Any], unit: str | None) -> 
         return np.asarray(values * IN_SECONDS[unit or "s"])
     import pandas
 
-    texts = pandas.Series(values).str.replace(DECIMAL_COMMA, ".", regex=True)
+    texts = pandas.Series(values.entries, dtype=str).str.replace(DECIMAL_COMMA, ".", regex=True)
     try:
         if texts.str.fullmatch(CLOCK).all():
-            return np.asarray(pandas.to_timedelta(texts).dt.total_seconds(), dtype=np.float64)
+            since = pandas.to_timedelta(texts).dt.total_seconds()
+            return np.asarray(since, dtype=np.float64)[values.number]
         moments = pandas.to_datetime(texts, format="ISO8601", utc=True)
     except (ValueError, OverflowError) as error:
         raise InputError(
@@ -150,7 +156,7 @@ def seconds(path: Path, column: str, values: NDArray[Any], unit: str | None) -> 
             "them, or use a column of seconds"
         ) from None
     passed = moments - moments.min().normalize()  # since midnight: more digits than since 1970
-    return np.asarray(passed.dt.total_seconds(), dtype=np.float64)
+    return np.asarray(passed.dt.total_seconds(), dtype=np.float64)[values.number]
 
 
 def check_rate(path: Path, column: str, rate: float) -> None:

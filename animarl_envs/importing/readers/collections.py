@@ -60,7 +60,7 @@ def _scale_of(path: Path, row: dict[str, str]) -> float:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path.parent / 'index.csv'}: a scale is no number ({error})") from None
     if not 0 < scale < np.inf:
-        raise InputError(f"{path.parent / 'index.csv'}: a scale is {scale}: mend it")
+        raise InputError(f"{path.parent / 'index.csv'}: a scale is {scale}: correct it")
     return scale
 
 

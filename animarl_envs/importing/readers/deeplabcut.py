@@ -17,14 +17,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 from animarl_envs.files import refuse_unfinished
-from animarl_envs.importing.readers.hdf import (
-    hdf_keys,
-    open_hdf,
-    read_bytes_attribute,
-    read_dataset,
-)
+from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names
+from animarl_envs.importing.readers.tables import plain_table
 from animarl_envs.importing.readers.unpickle import load_plain
 from animarl_envs.importing.tracks import Tracks
 
@@ -36,7 +31,7 @@ Column = tuple[str, str, str]  # individual, body part, coordinate
     "deeplabcut",
     "DeepLabCut predictions (.csv, .h5), single- or multi-animal",
     sniff=lambda path: (
-        column_names(path)[:1] == ["scorer"]
+        plain_table(path).names[:1] == ("scorer",)
         or any(key.startswith("df_with_missing") for key in hdf_keys(path))
     ),
     extensions=(".csv", ".h5"),
@@ -98,7 +93,7 @@ def read_deeplabcut_csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
             except InputError:
                 raise
             except ValueError as error:
-                raise InputError(f"{path}: line {number}: {error}: mend it") from None
+                raise InputError(f"{path}: line {number}: {error}: correct it") from None
     if not values:
         raise InputError(f"{path}: it has a header but no rows: check the file")
     return columns, np.array(values)
@@ -128,7 +123,10 @@ def _hdf(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
                 f"{path}: it is not stored as a table: export the predictions as .csv instead"
             )
         table = read_dataset(path, file, f"{group}/table")
-        labels = load_plain(read_bytes_attribute(path, file[group], "non_index_axes"), str(path))
+        header = file[group].attrs.get("non_index_axes")
+        if not isinstance(header, bytes):
+            raise InputError(f"{path}: it has no header 'non_index_axes': check --source")
+        labels = load_plain(bytes(header), str(path))
     try:
         names = [tuple(str(part) for part in column) for column in labels[0][1]]
         levels = [list(level) for level in zip(*names, strict=True)][1:]
@@ -163,6 +161,6 @@ def _columns(path: Path, levels: Sequence[Sequence[str]]) -> list[Column]:
         if not {"x", "y"} <= coordinates <= {"x", "y", "likelihood"}:
             raise InputError(
                 f"{path}: {part!r} of {who!r} has columns {', '.join(sorted(coordinates))}, not x, "
-                "y and likelihood: mend the header"
+                "y and likelihood: correct the header"
             )
     return columns

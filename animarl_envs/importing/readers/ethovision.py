@@ -7,32 +7,34 @@ keypoints; what was not found is ``-``. Files and sheets of one trial are merged
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers.clocks import even_rate
-from animarl_envs.importing.readers.layouts import Layout, layout_of
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.sheets import is_workbook, sheet_names
-from animarl_envs.importing.readers.tables import EXTENSIONS
-from animarl_envs.importing.readers.tabular import line_of, pieces
+from animarl_envs.importing.readers.tables import (
+    EXTENSIONS,
+    PARQUET,
+    Progress,
+    Table,
+    is_workbook,
+    open_table,
+    sheet_names,
+)
 from animarl_envs.importing.tracks import Tracks
 
 FIRST_CELL = "Number of header lines:"
 CLOCKS = ("Trial time", "Recording time")
-Progress = Callable[[float], None] | None
 
 
 def _is_ethovision(path: Path) -> bool:
-    if path.suffix.lower() == ".parquet":
+    if path.suffix.lower() in PARQUET:
         return False
     try:
         sheet = sheet_names(path)[0] if is_workbook(path) else None
-        first = layout_of(path, sheet=sheet).before[:1]
+        first = open_table(path, sheet=sheet).layout.before[:1]
     except (InputError, ImportError, OSError, LookupError, ValueError):
         return False
     return bool(first) and first[0][:1] == (FIRST_CELL,)
@@ -51,10 +53,11 @@ def read_ethovision(
     sheets: list[str | None] = [None]
     if is_workbook(path):
         sheets = list(sheet_names(path))
-    return [_read(path, layout_of(path, encoding, sheet), progress) for sheet in sheets]
+    return [_read(open_table(path, encoding, sheet), progress) for sheet in sheets]
 
 
-def _read(path: Path, layout: Layout, progress: Progress) -> Tracks:
+def _read(table: Table, progress: Progress) -> Tracks:
+    path, layout = table.path, table.layout
     said = {row[0].rstrip(":").lower(): row[1] for row in layout.before if len(row) > 1}
     points = {name[2:]: (name, "Y" + name[1:]) for name in layout.names if re.match(r"X .", name)}
     clock = next((name for name in CLOCKS if name in layout.names), None)
@@ -66,20 +69,17 @@ def _read(path: Path, layout: Layout, progress: Progress) -> Tracks:
     if len(units) != 1:
         raise InputError(f"{path}: its points have several units: export them in one")
     wanted = [clock, *(name for pair in points.values() for name in pair)]
-    parts = list(pieces(path, wanted, (), progress, layout))
-    if not parts:
-        raise InputError(f"{path}: it has a header but no rows: check the file")
-    table = {name: np.concatenate([part[name] for part in parts]) for name in wanted}
+    number, _ = table.columns(wanted, progress=progress)
     positions = np.stack(
-        [np.column_stack([table[x], table[y]]) for x, y in points.values()], axis=1
+        [np.column_stack([number[x], number[y]]) for x, y in points.values()], axis=1
     )
     return Tracks(
         recording=said.get("trial name") or path.stem,
-        individuals=(said.get("subject name") or layout.sheet or "subject",),
+        individuals=(said.get("subject name") or table.sheet or "subject",),
         keypoints=tuple(points),
         positions=positions[:, None],
-        frame_rate=even_rate(path, table[clock], partial(line_of, path, layout)),
-        start=float(table[clock][0]),
+        frame_rate=even_rate(path, number[clock], table.place),
+        start=float(number[clock][0]),
         unit=units.pop() or "px",
-        provenance={"file": path.name, "tracker": "EthoVision", "read_as": layout.words},
+        provenance={"file": path.name, "tracker": "EthoVision", "read_as": table.description},
     )

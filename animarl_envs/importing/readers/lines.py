@@ -1,6 +1,6 @@
-"""Lines of a text table, looked at before a parser sees them.
+"""Lines of a text table, checked before a parser sees them.
 
-Parsers fill short lines with nothing and drop what a long one has too much; after a cut or a lost
+Parsers fill short lines with nothing and drop what a long line has too much. After a cut or a lost
 piece that shifts numbers into the wrong columns without a word. Here every line must have as many
 cells as the header, and the last one must end: cut within its last number it would be another.
 """
@@ -8,8 +8,9 @@ cells as the header, and the last one must end: cut within its last number it wo
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,32 +22,19 @@ BLOCK = 2**20  # [bytes]
 _NUL, _LINE_FEED, _RETURN, _QUOTE = 0, 10, 13, 34
 
 
-class Readable(Protocol):
-    """What gives bytes."""
-
-    def read(self, size: int = -1, /) -> bytes:
-        """At most so many."""
-
-    def readline(self, size: int = -1, /) -> bytes:
-        """The next line."""
-
-    def close(self) -> None:
-        """Done with it."""
-
-
 class CheckedLines(io.RawIOBase):
-    """Passes a file's bytes on and refuses the first line whose cells are not ``cells`` in number.
+    """Pass a file's bytes on; refuse the first line whose cells are not ``cells`` in number.
 
     Blank lines count for none. Separators and line ends inside quotes belong to the cell.
-    ``seen`` is the number of bytes passed on; ``before`` the number of lines left out above them.
+    ``before`` is the number of lines left out above; ``progress`` is told the bytes passed on.
     """
 
     def __init__(
-        self, file: Readable, path: Path, separator: str, cells: int, before: int = 0
-    ) -> None:
-        self.seen = 0
+        self, file: IO[bytes], path: Path, separator: str, cells: int, before: int = 0,
+        progress: Callable[[int], None] | None = None,
+    ) -> None:  # fmt: skip
         self._file, self._path, self._cells = file, path, cells
-        self._separator = ord(separator)
+        self._separator, self._progress, self._seen = ord(separator), progress, 0
         self._line = 1 + before
         self._separators = 0  # on the line that a block broke off
         self._length = 0  # of that line [bytes]
@@ -61,12 +49,14 @@ class CheckedLines(io.RawIOBase):
         if data:
             self._check(np.frombuffer(data, dtype=np.uint8))
         elif self._quoted:
-            raise InputError(f"{self._path}: a quote is never closed: mend the file")
+            raise InputError(f"{self._path}: a quote is never closed: correct the file")
         elif self._length:
             self._refuse_unless(self._separators + 1)
             raise unfinished(self._path)
         buffer[: len(data)] = data
-        self.seen += len(data)
+        self._seen += len(data)
+        if self._progress is not None:
+            self._progress(self._seen)
         return len(data)
 
     def _check(self, block: NDArray[np.uint8]) -> None:
@@ -108,12 +98,12 @@ class CheckedLines(io.RawIOBase):
         if found != self._cells:
             raise InputError(
                 f"{self._path}: line {self._line} has {found} cells, the header {self._cells}: "
-                "mend the line, or copy the file again"
+                "correct the line, or copy the file again"
             )
 
 
 def check_lines(path: Path, separator: str, cells: int) -> None:
-    """Look at all lines of a text table that another package is going to read."""
+    """Check all lines of a text table that another package is going to read."""
     with path.open("rb") as file:
         lines = io.BufferedReader(CheckedLines(file, path, separator, cells), BLOCK)
         while lines.read(BLOCK):

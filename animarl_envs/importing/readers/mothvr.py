@@ -17,7 +17,7 @@ import numpy as np
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, line_of, plain_layout, read_columns
+from animarl_envs.importing.readers.tables import plain_table
 from animarl_envs.importing.tracks import Tracks
 
 HEADER = ("Time", "X", "Y", "Theta", "Odor", "Wind")
@@ -42,7 +42,7 @@ DEFAULTS = {
 @register_track_reader(
     "mothvr",
     "silkmoth runs of the MothVR set-up (case*.csv)",
-    sniff=lambda path: column_names(path) == list(HEADER),
+    sniff=lambda path: plain_table(path).names == HEADER,
     extensions=(".csv",),
     defaults=DEFAULTS,
 )
@@ -52,37 +52,39 @@ def read_mothvr(path: Path) -> list[Tracks]:
     Signals: odour_left, odour_right; heading [rad, arena frame]; wind, the side the air comes from
     (0 front, 1 right, 2 left, 3 back).
     """
-    table = read_columns(path, HEADER, text=("Odor", "Wind"))
-    time = np.asarray(table["Time"], dtype=np.float64)
+    table = plain_table(path)
+    number, word = table.columns(("Time", "X", "Y", "Theta"), ("Odor", "Wind"))
+    time = number["Time"]
     uneven = ~(np.abs(np.diff(time) - 1 / FRAME_RATE) <= 1e-3)
     if len(time) < 2 or uneven.any():
         row = int(uneven.argmax()) + 1 if len(time) > 1 else 0
         raise InputError(
-            f"{path}: {line_of(path, plain_layout(path), row)}: Time does not run at "
+            f"{path}: {table.place(row)}: Time does not run at "
             f"{FRAME_RATE:g} frames a second: check it"
         )
-    signals = {}
     for column, codes in (("Odor", ODOUR), ("Wind", WIND)):
-        unknown = set(table[column].tolist()) - set(codes)
+        unknown = sorted(set(word[column].entries) - set(codes))
         if unknown:
             raise InputError(
-                f"{path}: column {column} holds {sorted(map(str, unknown))[0]!r}: "
-                f"use one of {', '.join(codes)}"
+                f"{path}: column {column} holds {unknown[0]!r}: use one of {', '.join(codes)}"
             )
-    odour = np.array([ODOUR[entry] for entry in table["Odor"].tolist()], dtype=bool)
+    odour = np.array([ODOUR[entry] for entry in word["Odor"].entries], dtype=bool)
+    odour = odour[word["Odor"].number]
+    wind = np.array([WIND[entry] for entry in word["Wind"].entries], dtype=np.int8)
     signals = {
         "odour_left": odour[:, 0],
         "odour_right": odour[:, 1],
-        "heading": np.asarray(table["Theta"], dtype=np.float64),
-        "wind": np.array([WIND[entry] for entry in table["Wind"].tolist()], dtype=np.int8),
+        "heading": number["Theta"],
+        "wind": wind[word["Wind"].number],
     }
     for name in ("X", "Y", "Theta"):
-        bad = ~np.isfinite(np.asarray(table[name], dtype=np.float64))
+        bad = ~np.isfinite(number[name])
         if bad.any():
             raise InputError(
-                f"{path}: line {int(bad.argmax()) + 2}, column {name} is not a number: mend it"
+                f"{path}: {table.place(int(bad.argmax()))}, column {name} is not a number: "
+                "correct it"
             )
-    positions = np.column_stack([table["X"], table["Y"]]).astype(np.float64)
+    positions = np.column_stack([number["X"], number["Y"]])
     outcome = UNFINISHED
     if np.hypot(*positions[-1]) <= GOAL_RADIUS + FRAME_WALK:
         outcome = 1

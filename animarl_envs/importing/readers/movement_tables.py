@@ -7,33 +7,20 @@ describes. The readers of this project open such files without either.
 
 from __future__ import annotations
 
-import mmap
-import re
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.files import refuse_unfinished
 from animarl_envs.importing.readers.clocks import refuse_uneven_frames
 from animarl_envs.importing.readers.deeplabcut import read_deeplabcut_csv
 from animarl_envs.importing.readers.hdf import is_hdf
 from animarl_envs.importing.readers.lines import check_lines
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import (
-    check_header,
-    column_names,
-    line_of,
-    plain_layout,
-    read_columns,
-    separator_of,
-)
+from animarl_envs.importing.readers.tables import plain_table
 from animarl_envs.importing.tracks import Tracks
 
 SOFTWARE = ("DeepLabCut", "LightningPose", "Anipose", "VIA-tracks")  # those of tables
-LONG_EXPONENT = re.compile(rb"[0-9.][eE][-+]?[0-9]{5,}")
-"""Of ten digits and more; with it the parser of pandas that movement uses ends the process."""
 FRAMES = {"Anipose": "fnum"}  # column of frame numbers, which movement ignores
 
 
@@ -103,22 +90,12 @@ def _check(path: Path, software: str) -> None:
         raise InputError(
             f"{path}: software {software!r} writes no table: choose one of {', '.join(SOFTWARE)}"
         )
-    refuse_unfinished(path)
-    with path.open("rb") as file:
-        if path.stat().st_size:
-            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                if found := LONG_EXPONENT.search(data):
-                    raise InputError(
-                        f"{path}: it holds a number with the exponent {found[0][1:20].decode()}: "
-                        "mend it"
-                    )
-    header = column_names(path)
+    table = plain_table(path)
     if software in ("DeepLabCut", "LightningPose"):
         read_deeplabcut_csv(path)  # its header and frames are refused there
-        check_lines(path, separator_of(path), len(header))
-        return
-    check_header(path, header)
-    check_lines(path, separator_of(path), len(header))
+    else:
+        table.check_names()
+    check_lines(path, table.layout.separator, len(table.names))
     if software in FRAMES:
-        frames = read_columns(path, [FRAMES[software]])[FRAMES[software]]
-        refuse_uneven_frames(path, frames, partial(line_of, path, plain_layout(path)))
+        number, _ = table.columns([FRAMES[software]])
+        refuse_uneven_frames(path, number[FRAMES[software]], table.place)

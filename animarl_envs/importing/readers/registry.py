@@ -7,25 +7,31 @@ of trackers are read into :class:`~animarl_envs.importing.tracks.Tracks` and pas
 
 from __future__ import annotations
 
+import contextlib
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from animarl_envs import wall
+from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, MissingExtraError, printable
 from animarl_envs.files import check_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.readers.guards import naming, refusing
-from animarl_envs.importing.readers.habits import what_to_type
-from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
-from animarl_envs.importing.tracks import Tracks, merge, one_per_individual, told_apart
+from animarl_envs.importing.tracks import (
+    Tracks,
+    disambiguate_by_folder,
+    merge,
+    one_per_individual,
+)
 
 ReadDemonstrations = Callable[..., Demonstrations]
 ReadTracks = Callable[..., list[Tracks]]
 Sniff = Callable[[Path], bool]
+Progress = Callable[[float], None] | None
 
 
 @dataclass(frozen=True)
@@ -48,14 +54,33 @@ class Reader:
     generic: bool = False
 
     @property
-    def options(self) -> tuple[str, ...]:
-        """Names of the reader's options."""
+    def function(self) -> ReadDemonstrations | ReadTracks:
+        """The one that reads."""
         function = self.read_demonstrations or self.read_tracks
         assert function is not None
-        return tuple(k for k in inspect.signature(function).parameters if k not in _NOT_OPTIONS)
+        return function
+
+    @property
+    def is_own(self) -> bool:
+        """Whether it is of this project: others are their user's code and run in the process."""
+        return str(self.function.__module__).startswith("animarl_envs.")
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the reader's options."""
+        parameters = inspect.signature(self.function).parameters
+        return tuple(name for name in parameters if name not in _NOT_OPTIONS)
 
 
+# Seconds and bytes that a file may take beyond those of any file, by its size.
+BYTES_PER_SECOND, MEMORY_PER_BYTE = 5_000_000, 24
 TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet")
+LIBRARIES = {
+    ".parquet": ("pandas", "pyarrow.parquet"), ".pq": ("pandas", "pyarrow.parquet"),
+    ".h5": ("h5py",), ".hdf5": ("h5py",), ".mat": ("h5py", "scipy.io"),
+    ".slp": ("h5py", "sleap_io.io.slp"), ".xlsx": ("pandas", "openpyxl"), ".npz": (), ".npy": (),
+}  # fmt: skip
+"""What files of an ending are read by, loaded once; tables by pandas."""
 _NOT_OPTIONS = ("path", "progress")
 _READERS: dict[str, Reader] = {}
 
@@ -118,19 +143,34 @@ def find_reader(path: str | Path, source: str | None = None) -> Reader:
             raise InputError(f"{path}: it is empty: copy the file again")
     if source is not None:
         return get_reader(source)
-    for reader in sorted(available_readers(), key=lambda reader: reader.generic):
-        if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
+    for reader in available_readers():
+        fits = not reader.is_own and path.name.lower().endswith(reader.extensions)
+        if fits and reader.sniff(path):
             return reader
+    if path.is_dir() or path.suffix.lower() == ".npz":  # looked at without any library
+        return get_reader(_find_own_reader(path))
+    return get_reader(_call_behind_wall(_find_own_reader, path))
+
+
+def _find_own_reader(path: Path) -> str:
+    """Return the name of this project's reader that recognises the file."""
+    own = [reader for reader in available_readers() if reader.is_own]
+    for reader in sorted(own, key=lambda reader: reader.generic):
+        if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
+            return reader.name
     refuse_special(path)
     if path.suffix.lower() == ".npz":
         check_npz(path)  # says so if it is damaged
+    from animarl_envs.importing.readers.column_names import suggested_command
+    from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
+
     if is_hdf(path):
         open_hdf(path).close()  # says so if the extra is missing or the file is damaged
-    if path.suffix.lower() in TABLES and (words := what_to_type(path)):
+    if path.suffix.lower() in TABLES and (words := suggested_command(path)):
         raise InputError(f"{path}: no reader recognises it: {words}")
     raise InputError(
         f"{path}: no reader recognises it: name its --source "
-        f"({', '.join(reader.name for reader in available_readers())})"
+        f"({', '.join(reader.name for reader in own)})"
     )
 
 
@@ -155,9 +195,9 @@ def read(path: str | Path, source: str | None = None, **options: Any) -> Demonst
     path = Path(path)
     reader = find_reader(path, source)
     if reader.read_demonstrations is not None:
-        _check_options(reader, options)
-        with refusing(path, reader.name):
-            return reader.read_demonstrations(path, **options)
+        found = _read_with(reader, path, options)
+        assert isinstance(found, Demonstrations)
+        return found
     own = {key: options.pop(key) for key in reader.options if key in options}
     return follow(default_recipe(reader, options=own, **options), [path])
 
@@ -172,7 +212,7 @@ def default_recipe(reader: Reader, **changes: Any) -> ImportRecipe:
 def read_tracks(
     path: str | Path,
     source: str | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
     **options: Any,
 ) -> list[Tracks]:
     """Read the recordings of one tracker's file, as they are."""
@@ -183,15 +223,78 @@ def read_tracks(
             f"{path}: source {reader.name} holds finished episodes, not tracks: "
             "use it as it is, or convert it with 'animarl data convert'"
         )
-    _check_options(reader, options)
-    if progress is not None and "progress" in inspect.signature(reader.read_tracks).parameters:
-        options["progress"] = progress
-    with refusing(path, reader.name):
-        return reader.read_tracks(path, **options)
+    found = _read_with(reader, path, options, progress)
+    assert isinstance(found, list)
+    return found
+
+
+def _read_with(
+    reader: Reader, path: Path, options: dict[str, Any], progress: Progress = None
+) -> Demonstrations | list[Tracks]:
+    """Read a file, those of other software in a process of its own."""
+    unknown = sorted(set(options) - set(reader.options))
+    if unknown:
+        known = ", ".join(reader.options) or "none"
+        raise InputError(
+            f"source {reader.name} has no option {unknown[0]!r}: its options are {known}"
+        )
+    if "progress" not in inspect.signature(reader.function).parameters:
+        progress = None
+    if not reader.is_own or reader.name == "animarl":
+        with one_sentence_for(path, reader.name):
+            told = {} if progress is None else {"progress": progress}
+            return reader.function(path, **options, **told)
+    found = _call_behind_wall(_read_plainly, path, reader.name, options, progress=progress)
+    if isinstance(found, dict):
+        return Demonstrations(**found | {"arena": Arena(**found["arena"])})
+    return [Tracks(**record) for record in found]
+
+
+def _read_plainly(path: Path, name: str, options: dict[str, Any], **told: Any) -> Any:
+    """Return tracks or demonstrations as plain values and arrays."""
+    with one_sentence_for(path, name):
+        found = get_reader(name).function(path, **options, **told)
+    if isinstance(found, Demonstrations):
+        record = {one.name: getattr(found, one.name) for one in fields(found) if one.init}
+        return record | {"arena": vars(found.arena)}
+    return [{one.name: getattr(tracks, one.name) for one in fields(tracks)} for tracks in found]
+
+
+def _call_behind_wall(
+    function: Callable[..., Any], path: Path, *more: Any, progress: Progress = None
+) -> Any:
+    size = path.stat().st_size
+    return wall.call(
+        function, path, *more, what=str(path), progress=progress,
+        memory=wall.MEMORY + MEMORY_PER_BYTE * size,
+        seconds=wall.SECONDS + size // BYTES_PER_SECOND,
+        modules=LIBRARIES.get(path.suffix.lower(), ("pandas",)),
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def one_sentence_for(path: Path, source: str) -> Iterator[None]:
+    """Turn what a library raises over a damaged file into one sentence."""
+    try:
+        yield
+    except (MissingExtraError, MemoryError):
+        raise
+    except InputError as error:
+        if printable(str(path)) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: it is a folder: name a file in it") from None
+    except Exception as error:
+        first = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+        raise InputError(
+            f"{path}: it cannot be read as {source} ({type(error).__name__}: {first}): "
+            "check --source, or copy the file again"
+        ) from error
 
 
 def follow(
-    recipe: ImportRecipe, files: Sequence[Path], progress: Callable[[float], None] | None = None
+    recipe: ImportRecipe, files: Sequence[Path], progress: Progress = None
 ) -> Demonstrations:
     """The demonstrations that a recipe makes of a tracker's files.
 
@@ -210,7 +313,11 @@ def follow(
         if file.resolve() in seen:
             raise InputError(f"{file}: it is given twice: name it once")
         seen.add(file.resolve())
-        told = _part_of(progress, number, len(files))
+
+        def told(share: float, number: int = number) -> None:
+            if progress is not None:
+                progress((number + share) / len(files))
+
         found = read_tracks(file, recipe.source, progress=told, **recipe.options)
         parts += [(file, tracks) for tracks in found]
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
@@ -218,29 +325,24 @@ def follow(
         return demonstrations_from_tracks(
             merge(one_per_individual([tracks for _, tracks in parts])), recipe, name
         )
-    parts = told_apart(parts)
-    with naming({tracks.recording: file for file, tracks in parts}):
+    parts = disambiguate_by_folder(parts)
+    with _naming_files({tracks.recording: file for file, tracks in parts}):
         return demonstrations_from_tracks(merge([tracks for _, tracks in parts]), recipe, name)
 
 
-def _check_options(reader: Reader, options: Mapping[str, Any]) -> None:
-    unknown = sorted(set(options) - set(reader.options))
-    if unknown:
-        known = ", ".join(reader.options) or "none"
-        raise InputError(
-            f"source {reader.name} has no option {unknown[0]!r}: its options are {known}"
-        )
+@contextlib.contextmanager
+def _naming_files(files: Mapping[str, Path]) -> Iterator[None]:
+    """Put the file before a sentence about a recording."""
+    try:
+        yield
+    except InputError as error:
+        for recording, file in files.items():
+            if str(error).startswith((f"{recording}: ", f"{recording}, ")):
+                raise InputError(f"{file}: {error}") from None
+        raise
 
 
 def _add(reader: Reader) -> None:
     if reader.name in _READERS:
         raise ValueError(f"reader {reader.name!r} is registered twice")
     _READERS[reader.name] = reader
-
-
-def _part_of(
-    progress: Callable[[float], None] | None, number: int, total: int
-) -> Callable[[float], None] | None:
-    if progress is None:
-        return None
-    return lambda share: progress((number + share) / total)

@@ -1,278 +1,469 @@
-"""Long tables: a row per frame and individual, in CSV, TSV, text of any layout, Excel or Parquet.
+"""Tables of text, Excel or Parquet: their names, and their columns as numbers or words.
 
-Columns are found by their names or named by options. A table may hold several recordings, told
-apart by a column. The frame rate comes from ``fps``, or from a column of times.
+Pandas parses all of them. What it would read in silence as other numbers is refused before or
+after: lines of another length, truth values, whole numbers that no float holds, empty names.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from functools import partial
+import contextlib
+import csv
+import datetime
+import io
+import itertools
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.episode import HEADING
-from animarl_envs.errors import InputError
-from animarl_envs.files import EXPANSION, allowed_bytes
-from animarl_envs.importing.headings import radians_per_unit
-from animarl_envs.importing.readers.clocks import (
-    check_rate,
-    frames_at,
-    rate_of_frames,
-    refuse_times_going_back,
-    seconds,
+from animarl_envs.checks import LONGEST_NAME
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import check_size, npz_members, refuse_special
+from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
+from animarl_envs.importing.readers.text_layout import (
+    BLANK,
+    UTF_8,
+    Layout,
+    encoding_of,
+    is_number,
+    layout_of_lines,
+    split_cells,
 )
-from animarl_envs.importing.readers.guards import Place
-from animarl_envs.importing.readers.habits import columns_by_habit, refuse_left_over, what_to_type
-from animarl_envs.importing.readers.layouts import Layout, layout_of, names_by_look
-from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
-from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import line_of, numbered, pieces
-from animarl_envs.importing.tracks import Tracks
 
-LONE = "individual_0"  # of a table with one x and one y
 EXTENSIONS = (
     ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq"
 )  # fmt: skip
+PARQUET = {".parquet", ".pq"}
+HEAD = 2**18  # [bytes] that are looked at
+LONGEST_LINE = 2**20
+MOST_COLUMNS = 10_000
+MOST_ROWS_OF_EXCEL, MOST_COLUMNS_OF_EXCEL = 2**20, 2**14
+OLD_EXCEL = bytes.fromhex("d0cf11e0a1b11ae1")
+NO_VALUE = "-"  # of EthoVision
+MISSING = {"", NO_VALUE, "NA", "N/A", "n/a", "NULL", "null", "None", "#N/A", "#NA", "<NA>"}
+SWALLOWED = "Calling read(nbytes) on source failed"
+"""What pandas makes of Ctrl-C while it asks for more; errors of the source come through as such."""
 Progress = Callable[[float], None] | None
-# Frame numbers, codes of recording and individual, positions (rows, 2), confidence, headings.
-_Part = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any] | None, NDArray[Any] | None]
 
 
-def table_layout(
-    path: Path, encoding: str | None, sheet: str | None, decimal: str | None
-) -> Layout:
-    """The layout of a text or workbook; of Parquet only the names."""
-    if is_parquet(path):
-        names = tuple(parquet_names(path))
-        return Layout(names, ("",) * len(names))
-    return layout_of(path, encoding, sheet, decimal)
+@dataclass(frozen=True)
+class Words:
+    """A column of text: its different entries, sorted, and for each row the number of its own."""
+
+    entries: list[str]
+    number: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.number)
 
 
-def _is_long(path: Path) -> bool:
-    names = parquet_names(path) if is_parquet(path) else names_by_look(path)
-    return columns_by_habit(names).is_long
+@dataclass(frozen=True)
+class Table:
+    """A table whose layout is known; its columns are read on demand."""
 
+    path: Path
+    layout: Layout
+    encoding: str = UTF_8
+    sheet: str | None = None
+    kind: str = "text"  # or workbook, Parquet
 
-@register_track_reader(
-    "long-table",
-    "a row per frame and individual (CSV, TSV, text, Excel, Parquet); columns by habit or option",
-    sniff=_is_long,
-    extensions=EXTENSIONS,
-    generic=True,
-)
-def read_long_table(
-    path: Path,
-    frame: str | None = None,
-    individual: str | None = None,
-    x: str | None = None,
-    y: str | None = None,
-    confidence: str | None = None,
-    recording: str | None = None,
-    time: str | None = None,
-    fps: float | None = None,
-    unit: str | None = None,
-    time_unit: str | None = None,
-    y_down: bool = False,
-    decimal: str | None = None,
-    encoding: str | None = None,
-    sheet: str | None = None,
-    heading: str | None = None,
-    angle_unit: str | None = None,
-    progress: Progress = None,
-) -> list[Tracks]:
-    """One or more recordings; frames are whole numbers, missing rows are gaps.
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.layout.names
 
-    ``time`` names a column of times (numbers in ``time_unit``, by default seconds, or ISO 8601)
-    that stands in for ``frame``; without ``fps`` it gives the frame rate as well. Frame 0 is the
-    earliest time of each recording.
-
-    ``heading`` names a column of where bodies point, from x towards y; its ``angle_unit`` (rad or
-    deg) may stand in its name. No such column is found by habit: an angle may be that of an
-    ellipse, which has no front.
-    """
-    if heading is None and angle_unit is not None:
-        raise InputError(f"{path}: angle_unit is {angle_unit!r} of no column: name it by heading")
-    to_radians = 1.0 if heading is None else radians_per_unit(path, heading, angle_unit)
-    layout = table_layout(path, encoding, sheet, decimal)
-    habit = columns_by_habit(layout.names, layout.units)
-    given = {"frame": frame or time, "individual": individual, "x": x, "recording": recording}
-    if any(given.get(part, part) is None for part in habit.unclear) and (
-        words := what_to_type(path)
-    ):
-        raise InputError(f"{path}: {words}")
-    if habit.x is not None and not (individual or habit.individual or x or y):
-        refuse_left_over(path, layout.names, habit)
-    x, y = x or habit.x or "x", y or habit.y or "y"
-    recording = recording or habit.recording
-    confidence = confidence or habit.confidence
-    individual = individual or habit.individual or (None if recording else "id")
-    clock = time or (habit.time if frame is None else None)
-    frame = None if time is not None else frame or habit.frame or (None if clock else "frame")
-    if clock is not None and time is None:
-        time_unit = time_unit or habit.time_unit or None
-    wanted = (frame, clock, individual, x, y, confidence, heading, recording)
-    columns = [name for name in wanted if name]
-    words_of_time = clock is not None and clock in layout.words_in
-    text = [name for name in (individual, recording) if name]
-    text += [clock] if clock is not None and words_of_time else []
-    codes: dict[tuple[str, str], int] = {}
-    place = partial(line_of, path, layout)
-    parts: list[_Part] = []
-    times: list[NDArray[Any]] = []
-    for piece in pieces(path, columns, text, progress, layout):
-        rows = len(piece[x])
-        names = piece[individual] if individual else np.full(rows, LONE, dtype=object)
-        sets = piece[recording] if recording is not None else None
-        which = _codes(codes, names, sets, path.stem)
-        values = np.column_stack([piece[x], piece[y]])
-        weight = piece[confidence] if confidence is not None else None
-        angle = piece[heading] * to_radians if heading is not None else None
-        when: NDArray[Any] = np.zeros(rows, dtype=np.int32)
-        if frame is not None:
-            when = _frame_numbers(path, frame, piece[frame], sum(len(p[0]) for p in parts), place)
-        if clock is not None:
-            times.append(piece[clock])
-        parts.append((when, which, values, weight, angle))
-    if not parts or not codes:
-        raise InputError(f"{path}: it has a header but no rows: check the file")
-    starts: dict[str, float] = {}
-    if clock is not None and (frame is None or fps is None):
-        sets_of = {name: i for i, name in enumerate(dict.fromkeys(name for name, _ in codes))}
-        group = np.array([sets_of[name] for name, _ in codes])[
-            np.concatenate([p[1] for p in parts])
-        ]
-        every = seconds(path, clock, np.concatenate(times), time_unit)
-        if frame is not None:
-            fps = rate_of_frames(path, np.concatenate([part[0] for part in parts]), every, group)
-        else:
-            refuse_times_going_back(path, every, np.concatenate([p[1] for p in parts]), place)
-            fps, numbers = frames_at(path, every, fps, group, place)
-            starts = {name: float(every[group == i].min()) for name, i in sets_of.items()}
-            edges = np.cumsum([len(part[0]) for part in parts])[:-1]
-            parts = [
-                (own, *part[1:]) for own, part in zip(np.split(numbers, edges), parts, strict=True)
-            ]
-        if not words_of_time and time is None and time_unit is None:
-            check_rate(path, clock, fps)
-    return _spread(
-        path, codes, parts, fps, unit or habit.unit or "px", y_down, layout.words, starts, place
-    )
-
-
-def _frame_numbers(
-    path: Path, column: str, frames: NDArray[np.float64], first_row: int, place: Place
-) -> NDArray[np.int32]:
-    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < 2**31))
-    if bad.any():
-        at = int(bad.argmax())
-        raise InputError(
-            f"{path}: {place(first_row + at)}, column {column!r} holds {frames[at]:g}: give whole "
-            "numbers from 0"
+    @property
+    def description(self) -> str:
+        """How it was read, for messages and provenance."""
+        if self.kind == "Parquet":
+            return self.kind
+        kind = "workbook" if self.kind == "workbook" else f"text in {self.encoding}"
+        layout = self.layout
+        sign = {"\t": "tabs", BLANK: "blanks"}.get(layout.separator, repr(layout.separator))
+        return (
+            f"{kind}, separator {sign}, decimal {layout.decimal!r}, first row on {layout.first + 1}"
         )
-    return frames.astype(np.int32)
 
+    def place(self, row: int) -> str:
+        """Return what messages call a row, counted from 0: its line, of Parquet the row."""
+        if self.kind == "Parquet":
+            return f"row {row + 1}"
+        line = self.layout.first
+        with contextlib.closing(self._rows()) as file:
+            while row >= 0 and (text := file.readline(LONGEST_LINE)):
+                line += 1
+                row -= bool(text.strip())  # blank lines are no rows
+        return f"line {line}"
 
-def _codes(
-    codes: dict[tuple[str, str], int],
-    names: NDArray[Any],
-    sets: NDArray[Any] | None,
-    stem: str,
-) -> NDArray[np.int32]:
-    """A number for each (recording, individual), new ones added to ``codes``."""
-    unique, inverse = numbered(names)
-    if sets is None:
-        lookup = [codes.setdefault((stem, str(name)), len(codes)) for name in unique]
-        return np.array(lookup, dtype=np.int32)[inverse]
-    unique_sets, inverse_sets = numbered(sets)
-    pairs, back = np.unique(
-        inverse_sets.astype(np.int64) * len(unique) + inverse, return_inverse=True
-    )
-    lookup = [
-        codes.setdefault(
-            (str(unique_sets[pair // len(unique)]), str(unique[pair % len(unique)])), len(codes)
-        )
-        for pair in pairs.tolist()
-    ]
-    return np.array(lookup, dtype=np.int32)[back]
-
-
-def _spread(
-    path: Path,
-    codes: dict[tuple[str, str], int],
-    parts: list[_Part],
-    fps: float | None,
-    unit: str,
-    y_down: bool,
-    read_as: str,
-    starts: dict[str, float],
-    place: Place,
-) -> list[Tracks]:
-    """Rows to arrays ``(frames, individuals, 1, 2)``, a Tracks per recording."""
-    count = len(codes)
-    last = np.full(count, -1, dtype=np.int64)
-    for frames, which, *_ in parts:
-        np.maximum.at(last, which, frames)
-    found = []
-    for name in dict.fromkeys(recording for recording, _ in codes):
-        own = {who: code for (recording, who), code in codes.items() if recording == name}
-        individuals = tuple(sorted(own, key=_natural))
-        frames_total = int(max(last[code] for code in own.values())) + 1
-        size = frames_total * len(own) * 16
-        if size > allowed_bytes(path.stat().st_size):
-            frames, which = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-            latest = (frames == frames_total - 1) & np.isin(which, list(own.values()))
+    def check_names(self) -> None:
+        """Refuse a first line that is no header, or one of absurdly many columns."""
+        if len(self.names) > MOST_COLUMNS:
             raise InputError(
-                f"{path}: {place(int(latest.argmax()))} is of frame {frames_total - 1}, with which "
-                f"recording {name} would take {size / 2**20:,.0f} MiB, more than {EXPANSION} times "
-                "the file: mend it"
+                f"{self.path}: it has {len(self.names):,} columns, more than {MOST_COLUMNS:,}: cut "
+                "it in parts"
             )
-        column = np.full(count, -1)
-        column[[own[who] for who in individuals]] = np.arange(len(own))
-        positions = np.full((frames_total, len(own), 1, 2), np.nan)
-        weights = None
-        if parts[0][3] is not None:
-            weights = np.full((frames_total, len(own), 1), np.nan)
-        signals = {}
-        if parts[0][4] is not None:
-            signals[HEADING] = np.full((frames_total, len(own)), np.nan)
-        seen = np.zeros((frames_total, len(own)), dtype=bool)
-        for frames, which, values, weight, angle in parts:
-            mine = column[which] >= 0
-            rows, columns = frames[mine], column[which[mine]]
-            flat = rows.astype(np.int64) * len(own) + columns
-            twice = np.flatnonzero(
-                (np.bincount(flat - flat.min()) if len(flat) else np.zeros(1)) > 1
+        if self.names and all(map(is_number, self.names)):
+            raise InputError(
+                f"{self.path}: its first line holds numbers, not names: put a line of names above "
+                "them"
             )
-            clash = seen[rows, columns]
-            if len(twice) or clash.any():
-                at = int((twice[0] + flat.min()) if len(twice) else flat[clash.argmax()])
+
+    def columns(
+        self, numbers: Sequence[str], words: Sequence[str] = (), progress: Progress = None
+    ) -> tuple[dict[str, NDArray[np.float64]], dict[str, Words]]:
+        """Return the named columns: numbers, empty cells NaN, and words, of which none is empty.
+
+        Raises
+        ------
+        InputError
+            It names the line and column of what cannot be read.
+        """
+        self.check_names()
+        times = Counter(self.names)
+        for name in (*numbers, *words):
+            if times[name] != 1:
                 raise InputError(
-                    f"{path}: {name}, frame {at // len(own)}, {individuals[at % len(own)]} has "
-                    "two rows: drop the duplicate, or name the recording column"
+                    f"{self.path}: it has {times[name]} columns {name!r} (header: "
+                    f"{', '.join(self.names)[:200]}): name the column by an option"
                 )
-            seen[rows, columns] = True
-            positions[rows, columns, 0] = values[mine]
-            if weights is not None and weight is not None:
-                weights[rows, columns, 0] = weight[mine]
-            if angle is not None:
-                signals[HEADING][rows, columns] = angle[mine]
-        found.append(
-            Tracks(
-                recording=name, individuals=individuals, positions=positions, frame_rate=fps,
-                unit=unit, y_down=y_down, confidence=weights, signals=signals,
-                start=starts.get(name, 0.0),
-                provenance={"file": path.name, "read_as": read_as},
+        read = self._parquet if self.kind == "Parquet" else self._text
+        frame = read(list(numbers), list(words), progress)
+        if not len(frame):
+            raise InputError(f"{self.path}: it has a header but no rows: check the file")
+        found = {name: self._words(name, frame[name]) for name in words}
+        return {name: frame[name].to_numpy(np.float64) for name in numbers}, found
+
+    def _words(self, name: str, column: Any) -> Words:
+        number, entries = _pandas().factorize(column)
+        if (number < 0).any():
+            raise InputError(
+                f"{self.path}: {self.place(int((number < 0).argmax()))} has no {name}: fill it in, "
+                "or leave the row out"
             )
-        )  # fmt: skip
-    return found
+        texts = [str(entry) for entry in entries]
+        longest = max(map(len, texts), default=0)
+        if longest > LONGEST_NAME:
+            raise InputError(
+                f"{self.path}: column {name!r} has an entry of {longest:,} characters: give names "
+                f"of at most {LONGEST_NAME}"
+            )
+        order = sorted(range(len(texts)), key=texts.__getitem__)
+        return Words([texts[i] for i in order], np.argsort(order)[number])
+
+    # -- text ----------------------------------------------------------------------------------
+
+    @cached_property
+    def _content(self) -> bytes | None:
+        """All of it as UTF-8, where it is not a file in UTF-8 as it stands."""
+        if self.kind == "workbook":
+            raw = _sheet_as_text(self.path, self.sheet)
+        elif self.encoding != UTF_8:
+            raw = _decoded(self.path, self.encoding)
+        elif self.layout.separator == BLANK:
+            raw = self.path.read_bytes()
+        else:
+            return None
+        if self.layout.separator == BLANK:
+            return b"\n".join(b"\t".join(line.split()) for line in raw.split(b"\n"))
+        return raw
+
+    def _rows(self) -> IO[bytes]:
+        """The lines of numbers."""
+        file: IO[bytes]
+        file = self.path.open("rb") if self._content is None else io.BytesIO(self._content)
+        for _ in range(self.layout.first):
+            file.readline(LONGEST_LINE)
+        return file
+
+    def _text(self, numbers: list[str], words: list[str], progress: Progress) -> Any:
+        pandas, layout = _pandas(), self.layout
+        if layout.unclear:
+            plain, decimal = (layout.unclear.replace(layout.decimal, sign) for sign in ("", "."))
+            raise InputError(
+                f"{self.path}: {layout.unclear} may be {plain} or {decimal}: write numbers without "
+                f"signs between thousands, or say --option decimal={layout.decimal!r} if it is the "
+                "decimal sign"
+            )
+        separator = "\t" if layout.separator == BLANK else layout.separator
+        at = {name: self.names.index(name) for name in (*numbers, *words)}
+        kinds = {i: "category" if name in words else np.float64 for name, i in at.items()}
+        size = max(len(self._content) if self._content else self.path.stat().st_size, 1)
+
+        def told(seen: int) -> None:
+            if progress is not None:
+                progress(min(seen / size, 1.0))
+
+        try:
+            with contextlib.closing(self._rows()) as file:
+                lines = CheckedLines(
+                    file, self.path, separator, len(self.names), layout.first, told
+                )
+                frame = pandas.read_csv(
+                    io.BufferedReader(lines, BLOCK), names=range(len(self.names)), header=None,
+                    usecols=list(at.values()), index_col=False, sep=separator, encoding=UTF_8,
+                    dtype=kinds, skipinitialspace=True, decimal=layout.decimal,
+                    float_precision="round_trip",
+                    na_values={at[name]: [NO_VALUE] for name in numbers},
+                ).rename(columns={i: name for name, i in at.items()})  # fmt: skip
+        except InputError:
+            raise
+        except pandas.errors.EmptyDataError:
+            return ()  # a header without rows
+        except (ValueError, pandas.errors.ParserError) as error:
+            first = str(error).splitlines()[0][:200]
+            if SWALLOWED in first:
+                raise KeyboardInterrupt from None
+            self._refuse_bad_cell(numbers)
+            raise InputError(f"{self.path}: a line cannot be read ({first}): correct it") from None
+        told(size)
+        # Columns of True and False alone are parsed as numbers.
+        self._refuse_bad_cell([name for name in numbers if frame[name].isin([0.0, 1.0]).all()])
+        return frame
+
+    def _refuse_bad_cell(self, numbers: Sequence[str]) -> None:
+        """Name line and column of the first cell that is no number, where one should be."""
+        separator = "\t" if self.layout.separator == BLANK else self.layout.separator
+        places = {name: self.names.index(name) for name in numbers}
+        with contextlib.closing(self._rows()) as file:
+            for line in itertools.count(self.layout.first + 1):
+                text = file.readline(LONGEST_LINE).decode(errors="replace")
+                if not text or not places:
+                    return
+                cells = split_cells(text.rstrip("\r\n"), separator)
+                for name, at in places.items():
+                    cell = cells[at] if at < len(cells) else ""
+                    if not (cell in MISSING or is_number(cell, self.layout.decimal)):
+                        raise InputError(
+                            f"{self.path}: line {line}, column {name!r} holds {cell[:40]!r}, which "
+                            "is no number: correct it, or name another column by an option"
+                        )
+
+    # -- Parquet -------------------------------------------------------------------------------
+
+    def _parquet(self, numbers: list[str], words: list[str], progress: Progress) -> Any:
+        import pyarrow
+        import pyarrow.parquet
+
+        with _open_parquet(self.path, words) as file:
+            announced = file.metadata.num_rows
+            arrow = file.read([*numbers, *words], use_threads=False)
+        types = pyarrow.types
+        for name in (*numbers, *words):
+            kind = arrow.schema.field(name).type
+            kind = kind.value_type if types.is_dictionary(kind) else kind
+            text = types.is_string(kind) or types.is_large_string(kind) or types.is_boolean(kind)
+            number = types.is_integer(kind) or types.is_floating(kind)
+            if not number and not (name in words and text):
+                raise InputError(
+                    f"{self.path}: column {name!r} is not {'text' if name in words else 'numbers'} "
+                    f"(but {kind!s:.80}): name another column by an option"
+                )
+        try:
+            arrow.validate(full=True)
+            for name in numbers:
+                at = arrow.schema.get_field_index(name)
+                column = arrow.column(at).cast(pyarrow.float64())  # refuses what none holds
+                arrow = arrow.set_column(at, name, column)
+            frame = arrow.to_pandas()
+        except (ValueError, NotImplementedError) as error:
+            first = str(error).splitlines()[0][:160]
+            raise InputError(
+                f"{self.path}: column {name!r} is not numbers ({first}): name another column by an "
+                "option"
+            ) from None
+        if len(frame) != announced:
+            raise InputError(
+                f"{self.path}: it announces {announced} rows and holds {len(frame)}: copy it again"
+            )
+        if progress is not None:
+            progress(1.0)
+        return frame
 
 
-def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sort key under which 2 comes before 10."""
-    pieces_of_name = re.findall(r"\d+|\D+", name)
-    return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p) for p in pieces_of_name)
+def open_table(
+    path: Path, encoding: str | None = None, sheet: str | None = None, decimal: str | None = None
+) -> Table:
+    """Return the table in a file.
+
+    Raises
+    ------
+    InputError
+        If the file is no table, or it is not clear which sheet of a workbook is meant.
+    """
+    refuse_special(path)
+    status = path.stat()
+    table = _open_table(path, status.st_mtime_ns, status.st_size, encoding, sheet)
+    if decimal is None:
+        return table
+    if decimal not in (".", ","):
+        raise InputError(f"{path}: decimal is {decimal!r}: give . or ,")
+    return replace(table, layout=replace(table.layout, decimal=decimal, unclear=""))
+
+
+def table_or_none(path: Path) -> Table | None:
+    """Return the table in a file, ``None`` where there is none. For sniffing: it never raises."""
+    try:
+        return open_table(path)
+    except (InputError, ImportError, OSError, LookupError, ValueError):
+        return None
+
+
+def plain_table(path: Path) -> Table:
+    """Return a table as programs write it: UTF-8, its names on the first line."""
+    try:
+        with path.open("rb") as file:
+            header = file.readline(LONGEST_LINE).decode("utf-8-sig").strip("\r\n")
+    except (OSError, UnicodeDecodeError):
+        header = ""
+    separator = ";" if ";" in header and "," not in header else ","
+    separator = "\t" if path.suffix.lower() == ".tsv" else separator
+    names = tuple(split_cells(header, separator))
+    return Table(path, Layout(names, ("",) * len(names), separator))
+
+
+@lru_cache(maxsize=4)
+def _open_table(
+    path: Path, changed: int, size: int, encoding: str | None, sheet: str | None
+) -> Table:
+    if path.suffix.lower() in PARQUET:
+        with _open_parquet(path) as file:
+            names = tuple(str(name) for name in file.schema_arrow.names)
+        return Table(path, Layout(names, ("",) * len(names)), kind="Parquet")
+    if is_workbook(path):
+        head, encoding, kind = _sheet_as_text(path, sheet)[:HEAD], UTF_8, "workbook"
+    else:
+        with path.open("rb") as file:
+            if file.read(len(OLD_EXCEL)) == OLD_EXCEL:
+                raise InputError(f"{path}: it is of the old Excel format: save it as .xlsx or .csv")
+            file.seek(0)
+            encoding, kind = encoding or encoding_of(path), "text"
+            head = file.read(HEAD) if encoding == UTF_8 else _decoded(path, encoding)[:HEAD]
+    if b"\0" in head:
+        raise InputError(f"{path}: it holds NUL bytes: it is no text table")
+    lines = head.decode("utf-8-sig", errors="ignore").split("\n")
+    if len(head) == HEAD and len(lines) > 1:
+        lines = lines[:-1]
+    lines = [line.removesuffix("\r") for line in lines]
+    while lines and not lines[-1]:
+        lines.pop()
+    if not lines:
+        raise InputError(f"{path}: it is empty: check the file")
+    return Table(path, layout_of_lines(lines), encoding, sheet, kind)
+
+
+def _decoded(path: Path, encoding: str) -> bytes:
+    try:
+        return path.read_bytes().decode(encoding).encode()
+    except (LookupError, UnicodeError) as error:
+        raise InputError(f"{path}: it is no text in {encoding} ({error}): check it") from None
+
+
+def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:
+    refuse_special(path)
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise MissingExtraError("reading Parquet", "data") from error
+    try:
+        return parquet.ParquetFile(
+            path, read_dictionary=list(words), page_checksum_verification=True, pre_buffer=False
+        )
+    except (pyarrow.ArrowException, OSError) as error:
+        first = str(error).splitlines()[0][:160]
+        raise InputError(f"{path}: the Parquet file is damaged ({first}): copy it again") from None
+
+
+# -- workbooks -------------------------------------------------------------------------------------
+
+
+def is_workbook(path: Path) -> bool:
+    """Whether the file is an ``.xlsx``, whatever its name."""
+    return "xl/workbook.xml" in npz_members(path)
+
+
+def sheet_names(path: Path) -> list[str]:
+    """Return the sheets that hold cells, in their order."""
+    with _open_workbook(path) as book:
+        return [
+            str(sheet.title)
+            for sheet in book.worksheets
+            if any(
+                cell is not None
+                for cells in itertools.islice(sheet.iter_rows(values_only=True), 1000)
+                for cell in cells
+            )
+        ]
+
+
+def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
+    """The sheet as UTF-8 with tabs; every row as long as the longest, empty cells nothing."""
+    if sheet is None:
+        names = sheet_names(path)
+        if len(names) != 1:
+            raise InputError(
+                f"{path}: it has {len(names)} sheets with cells ({', '.join(names)[:200]}): name "
+                "one by --option sheet=NAME"
+            )
+        sheet = names[0]
+    rows: list[list[str]] = []
+    walked = 0
+    with _open_workbook(path) as book:
+        if sheet not in book.sheetnames:
+            raise InputError(
+                f"{path}: there is no sheet {sheet!r}: choose among {', '.join(book.sheetnames)}"
+            )
+        for cells in book[sheet].iter_rows(values_only=True):
+            last = max((i for i, cell in enumerate(cells, 1) if cell is not None), default=0)
+            if len(rows) >= MOST_ROWS_OF_EXCEL or last > MOST_COLUMNS_OF_EXCEL:
+                raise InputError(f"{path}: it has more rows or columns than Excel: correct it")
+            walked += len(cells)
+            check_size(path, walked * 8, f"sheet {sheet}")
+            rows.append([_text_of(cell) for cell in cells[:last]])
+    width = max(map(len, rows), default=0)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, delimiter="\t", lineterminator="\n")
+    writer.writerows([*row, *[""] * (width - len(row))] for row in rows)
+    return text.getvalue().encode()
+
+
+@contextlib.contextmanager
+def _open_workbook(path: Path) -> Iterator[Any]:
+    """An open workbook; what is raised over damage within the block becomes one sentence."""
+    refuse_special(path)
+    try:
+        import openpyxl
+    except ImportError as error:
+        raise MissingExtraError("reading Excel workbooks", "data") from error
+    try:
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        with contextlib.closing(book):
+            yield book
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # whatever zipfile, the XML parser and openpyxl raise
+        raise InputError(
+            f"{path}: the workbook is damaged ({type(error).__name__}): save it again"
+        ) from None
+
+
+def _text_of(cell: Any) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, (datetime.datetime, datetime.date, datetime.time)):
+        return cell.isoformat()
+    if isinstance(cell, datetime.timedelta):
+        return repr(cell.total_seconds())
+    return repr(cell) if isinstance(cell, float) else str(cell)
+
+
+def _pandas() -> Any:
+    try:
+        import pandas
+    except ImportError as error:
+        raise MissingExtraError("reading tables", "data") from error
+    return pandas

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.clocks import even_rate
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tabular import column_names, line_of, plain_layout, read_columns
-from animarl_envs.importing.readers.unpickle import load_object_npy
+from animarl_envs.importing.readers.tables import plain_table
 from animarl_envs.importing.tracks import Tracks
 
 _TREX_NAME = re.compile(r"^(?P<recording>.+)_(?P<individual>(?:fish|id|agent)\d+)$")
@@ -73,11 +71,11 @@ def _trex_x(members: set[str]) -> str | None:
 
 @register_track_reader(
     "idtracker",
-    "idtracker.ai trajectories (.npy, .h5, .csv)",
+    "idtracker.ai trajectories (.h5, .csv)",
     sniff=lambda path: (
         (path.suffix == ".npy" and path.stem in {"trajectories", "with_gaps", "without_gaps"})
         or {"trajectories"} <= hdf_keys(path)
-        or (path.suffix == ".csv" and column_names(path)[:2] == ["time", "x1"])
+        or (path.suffix == ".csv" and plain_table(path).names[:2] == ("time", "x1"))
     ),
     extensions=(".npy", ".h5", ".csv"),
 )
@@ -87,7 +85,10 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     if suffix == ".csv":
         positions, rate = _idtracker_csv(path)
     elif suffix == ".npy":
-        positions, rate = _idtracker_npy(path)
+        raise InputError(
+            f"{path}: it holds a pickle, which is never opened: import trajectories.h5 or "
+            "trajectories.csv of the same folder, or export them from idtracker.ai"
+        )
     else:
         with open_hdf(path) as file:
             positions = np.asarray(read_dataset(path, file, "trajectories"), dtype=np.float64)
@@ -109,25 +110,13 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     ]  # fmt: skip
 
 
-def _idtracker_npy(path: Path) -> tuple[NDArray[np.float64], float | None]:
-    value: Any = load_object_npy(path.read_bytes(), path)
-    if isinstance(value, np.ndarray) and value.dtype.hasobject and value.size == 1:
-        value = value.item()
-    if not isinstance(value, dict) or not isinstance(value.get("trajectories"), np.ndarray):
-        raise InputError(f"{path}: it holds no idtracker.ai trajectories: check --source")
-    trajectories = value["trajectories"]
-    if trajectories.dtype.kind not in "iuf":
-        raise InputError(f"{path}: its trajectories are {trajectories.dtype}: check --source")
-    return trajectories.astype(np.float64), _number(value.get("frames_per_second"))
-
-
 def _idtracker_csv(path: Path) -> tuple[NDArray[np.float64], float | None]:
-    names = column_names(path)
-    count = sum(1 for name in names if re.fullmatch(r"x\d+", name))
+    table = plain_table(path)
+    count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
     columns = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
-    table = read_columns(path, ["time", *columns])
-    values = np.column_stack([table[name] for name in columns])
-    rate = even_rate(path, table["time"], partial(line_of, path, plain_layout(path)))
+    number, _ = table.columns(["time", *columns])
+    values = np.column_stack([number[name] for name in columns])
+    rate = even_rate(path, number["time"], table.place)
     return values.reshape(len(values), count, 2), rate
 
 

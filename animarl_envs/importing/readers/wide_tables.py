@@ -3,37 +3,38 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.clocks import (
-    check_rate,
-    even_rate,
-    refuse_uneven_frames,
-    seconds,
-)
-from animarl_envs.importing.readers.habits import (
+from animarl_envs.importing.readers import clocks
+from animarl_envs.importing.readers.column_names import (
     Columns,
-    columns_by_habit,
-    named,
+    find_columns,
     pairs_of,
-    refuse_left_over,
+    parsed_names,
+    refuse_unused_pair,
 )
-from animarl_envs.importing.readers.layouts import names_by_look
-from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
+from animarl_envs.importing.readers.long_tables import LONE
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tables import EXTENSIONS, LONE, Progress, table_layout
-from animarl_envs.importing.readers.tabular import MOST_COLUMNS, check_header, line_of, pieces
+from animarl_envs.importing.readers.tables import (
+    EXTENSIONS,
+    MOST_COLUMNS,
+    Progress,
+    Table,
+    open_table,
+    table_or_none,
+)
 from animarl_envs.importing.tracks import Tracks
 
 
 def _is_wide(path: Path) -> bool:
-    names = list(parquet_names(path) if is_parquet(path) else names_by_look(path))[:MOST_COLUMNS]
-    return len(wide_columns(names, columns_by_habit(names))) > 0
+    table = table_or_none(path)
+    if table is None or len(table.names) > MOST_COLUMNS:
+        return table is not None
+    return len(wide_columns(table, find_columns(table))) > 0
 
 
 @register_track_reader(
@@ -58,100 +59,95 @@ def read_wide_table(
     sheet: str | None = None,
     progress: Progress = None,
 ) -> list[Tracks]:
-    """One or more recordings. ``columns`` maps each individual to its x and y column.
+    """Read one or more recordings. ``columns`` maps each individual to its x and y column.
 
     Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
     A column of times gives the frame rate and must run evenly; one of frames must rise by one from
     row to row; one of recordings tells them apart.
     """
-    layout = table_layout(path, encoding, sheet, decimal)
-    header = list(layout.names)
-    check_header(path, header)
-    habit = columns_by_habit(header, layout.units)
-    found = columns or wide_columns(header, habit)
-    if columns is None and habit.x is not None:
-        refuse_left_over(path, header, habit)
-    if columns is None and (habit.x is None or len(found) > 1):
-        _refuse_lone(path, [one.bare for one in named(header)])
-    if not found or any(len(pair) != 2 for pair in found.values()):
+    table = open_table(path, encoding, sheet, decimal)
+    table.check_names()
+    found = find_columns(table)
+    pairs = columns or wide_columns(table, found)
+    if columns is None and found.x is not None:
+        refuse_unused_pair(table, found)
+    if columns is None and (found.x is None or len(pairs) > 1):
+        _refuse_lone(path, [one.bare for one in parsed_names(table.names)])
+    if not pairs or any(len(pair) != 2 for pair in pairs.values()):
         raise InputError(
             f"{path}: it has no pairs of x and y columns: name them, such as "
             "columns: {male: [mx, my], female: [fx, fy]}"
         )
-    by_habit = time is None
-    clock = time or habit.time
-    frame = frame or habit.frame
-    recording = recording or habit.recording
-    words_of_time = clock is not None and clock in layout.words_in
-    wanted = [name for pair in found.values() for name in pair]
-    wanted += [name for name in (clock, frame, recording) if name]
-    text = [recording] if recording else []
-    text += [clock] if clock is not None and words_of_time else []
-    parts: list[dict[str, NDArray[Any]]] = list(pieces(path, wanted, text, progress, layout))
-    if not parts or not sum(len(part[wanted[0]]) for part in parts):
-        raise InputError(f"{path}: it has a header but no rows: check the file")
-    table = {name: np.concatenate([part[name] for part in parts]) for name in dict.fromkeys(wanted)}
-    bodies = np.stack([np.column_stack([table[a], table[b]]) for a, b in found.values()], axis=1)
-    units = {one.column: one.unit for one in named(header, layout.units)}
-    own_unit = unit or units[next(iter(found.values()))[0]] or "px"
+    clock, frame = time or found.time, frame or found.frame
+    recording = recording or found.recording
+    times_in_words = clock is not None and clock in table.layout.words_in
+    numbers = [name for pair in pairs.values() for name in pair] + ([frame] if frame else [])
+    texts = [recording] if recording else []
+    if clock is not None:
+        (texts if times_in_words else numbers).append(clock)
+    number, word = table.columns(list(dict.fromkeys(numbers)), texts, progress)
+    bodies = np.stack([np.column_stack([number[a], number[b]]) for a, b in pairs.values()], axis=1)
+    units = {one.column: one.unit for one in parsed_names(table.names, table.layout.units)}
+    names, which = [path.stem], np.zeros(len(bodies), dtype=np.int64)
+    if recording:
+        names, which = word[recording].entries, word[recording].number
     tracks = []
-    names = table[recording] if recording else np.full(len(bodies), path.stem, dtype=object)
-    for name in dict.fromkeys(names.tolist()):
-        mine = names == name
-        rows = np.flatnonzero(mine)
-
-        def place(row: int, rows: NDArray[np.intp] = rows) -> str:
-            return line_of(path, layout, int(rows[row]))
-
+    for at in dict.fromkeys(which.tolist()):
+        rows = np.flatnonzero(which == at)
+        place = partial(_place, table, rows)
         rate, start = fps, 0.0
         if frame is not None:
-            refuse_uneven_frames(path, table[frame][mine], place)
+            clocks.refuse_uneven_frames(path, number[frame][rows], place)
         if clock is not None and (time is not None or fps is None):
-            stated = time_unit or (habit.time_unit if by_habit else "") or None
-            when = seconds(path, clock, table[clock][mine], stated)
-            rate, start = fps or even_rate(path, when, place), float(when[0])
-            if by_habit and stated is None and not words_of_time:
-                check_rate(path, clock, rate)
+            stated = time_unit or (found.time_unit if time is None else "") or None
+            column = word[clock] if times_in_words else number[clock]
+            when = clocks.seconds(path, clock, column, stated)[rows]
+            rate, start = fps or clocks.even_rate(path, when, place), float(when[0])
+            if time is None and stated is None and not times_in_words:
+                clocks.check_rate(path, clock, rate)
         tracks.append(
             Tracks(
-                recording=str(name), individuals=tuple(found), positions=bodies[mine][:, :, None],
-                frame_rate=rate, start=start, unit=own_unit, y_down=y_down,
-                provenance={"file": path.name, "read_as": layout.words},
+                recording=names[at],
+                individuals=tuple(pairs),
+                positions=bodies[rows][:, :, None],
+                frame_rate=rate,
+                start=start,
+                unit=unit or units[next(iter(pairs.values()))[0]] or "px",
+                y_down=y_down,
+                provenance={"file": path.name, "read_as": table.description},
             )
-        )  # fmt: skip
+        )
     return tracks
 
 
-def wide_columns(names: list[str], habit: Columns) -> dict[str, list[str]]:
-    """Pairs of columns that differ in an x and a y; a lone x and y where no animal is named."""
-    if habit.individual is not None or {"individual", "x"} & set(habit.unclear):
+def wide_columns(table: Table, found: Columns) -> dict[str, list[str]]:
+    """Return pairs of an x and a y; a lone x and y where no animal is named."""
+    if found.individual is not None or {"individual", "x"} & set(found.unclear):
         return {}  # of rows of several individuals, or of points that might be taken for them
-    if habit.x is not None and habit.y is not None:
-        return {LONE: [habit.x, habit.y]}
-    known = {one.bare: one.column for one in named(names)}
-    if len(known) < len(names):
-        known = {name: name for name in names}
+    if found.x is not None and found.y is not None:
+        return {LONE: [found.x, found.y]}
+    known = {one.bare: one.column for one in parsed_names(table.names)}
+    if len(known) < len(table.names):
+        known = {name: name for name in table.names}
     return {who: [known[x], known[y]] for who, (x, y) in pairs_of(list(known)).items()}
+
+
+def _place(table: Table, rows: np.ndarray, row: int) -> str:
+    return table.place(int(rows[row]))
 
 
 def _refuse_lone(path: Path, names: list[str]) -> None:
     """Refuse an x without its y, whose animal would be left out silently."""
     known = set(names)
-    pairs = pairs_of(names).values()
-    joined = any(re.match(r"x[^\W\d_]", x) for x, _ in pairs)  # as xmale, ymale
+    joined = any(re.match(r"x[^\W\d_]", x) for x, _ in pairs_of(names).values())  # as in xmale
     after = r"(?=.)" if joined else r"(?=[_ .]|\d+$)"
     for name in names:
-        for own, other in ("xy", "yx"):
-            partner = re.sub(f"^{own}{after}", other, name)
+        partners = [re.sub(f"^{own}{after}", other, name) for own, other in ("xy", "yx")]
+        if ending := re.fullmatch(r"(.+[_ .])([xy])", name):
+            partners.append(ending[1] + ("y" if ending[2] == "x" else "x"))
+        for partner in partners:
             if partner not in known:
-                raise _lone(path, name, partner)
-        ending = re.fullmatch(r"(.+[_ .])([xy])", name)
-        if ending and (partner := ending[1] + ("y" if ending[2] == "x" else "x")) not in known:
-            raise _lone(path, name, partner)
-
-
-def _lone(path: Path, name: str, partner: str) -> InputError:
-    return InputError(
-        f"{path}: it has a column {name!r} and no {partner!r}: mend the header, or name the pairs "
-        "by the option columns"
-    )
+                raise InputError(
+                    f"{path}: it has a column {name!r} and no {partner!r}: correct the header, or "
+                    "name the pairs by the option columns"
+                )

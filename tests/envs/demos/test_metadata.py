@@ -18,8 +18,7 @@ from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.importing.contacts import found_contact
-from animarl_envs.importing.cutting import Cutting, cut_episodes
+from animarl_envs.importing.cutting import Cutting, cut_episodes, find_contact_distance
 from animarl_envs.importing.readers import read
 from animarl_envs.importing.sessions import read_sessions, sessions_by_name
 from tools.fuzz.layouts import write_native
@@ -231,13 +230,13 @@ def test_contact_is_found_where_it_ends_recordings_and_only_there() -> None:
     rng = np.random.default_rng(0)
     ended = [np.append(rng.uniform(0.2, 1.0, 30), rng.uniform(0.05, 0.1)) for _ in range(20)]
     farthest = max(one[-1] for one in ended)
-    assert found_contact(ended) == pytest.approx(farthest, rel=1e-5)
+    assert find_contact_distance(ended) == pytest.approx(farthest, rel=1e-5)
     stopped = [*ended, *(rng.uniform(0.5, 1.0, 30) for _ in range(5))]  # by the clock
-    assert found_contact(stopped) == pytest.approx(farthest, rel=1e-5)
-    assert found_contact([one[::-1] for one in ended]) is None
-    assert found_contact([rng.uniform(0, 1, 30) for _ in range(20)]) is None
-    assert found_contact(ended[:4]) is None  # too few to say
-    assert found_contact([np.full(30, np.inf)] * 9) is None  # nobody is the target
+    assert find_contact_distance(stopped) == pytest.approx(farthest, rel=1e-5)
+    assert find_contact_distance([one[::-1] for one in ended]) is None
+    assert find_contact_distance([rng.uniform(0, 1, 30) for _ in range(20)]) is None
+    assert find_contact_distance(ended[:4]) is None  # too few to say
+    assert find_contact_distance([np.full(30, np.inf)] * 9) is None  # nobody is the target
 
 
 def test_target_and_contact_are_found_and_told_or_stated(files: list[Path], tmp_path: Path) -> None:

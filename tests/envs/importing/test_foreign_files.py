@@ -22,7 +22,7 @@ from animarl_algos.learner.checkpoint import load_tensors
 from animarl_algos.learner.presets import read_file
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import ALLOWANCE, read_npz
+from animarl_envs.files import read_npz
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.plain_yaml import parse_yaml, read_yaml
 from animarl_envs.importing.readers import available_readers, read, read_tracks
@@ -91,21 +91,6 @@ def test_movement_takes_no_other_software_for_a_foreign_table(tmp_path: Path) ->
     path = write_dlc_csv(tmp_path)
     for software in ("NWB", "SLEAP", "nonsense"):
         assert "writes no table" in refused(path, "movement", software=software)
-
-
-@pytest.mark.parametrize("exponent", ["e308545519708834", "E-99999999999", "e+2147483648"])
-def test_a_long_exponent_of_a_foreign_table_does_not_end_the_process(
-    exponent: str, tmp_path: Path
-) -> None:
-    """It did, in the parser of pandas that movement uses; the project's own makes it a gap."""
-    path = write_dlc_csv(tmp_path)
-    lines = path.read_text().splitlines()
-    cells = lines[9].split(",")
-    lines[9] = ",".join([cells[0], f"1{exponent}", *cells[2:]])
-    path.write_text("\n".join(lines) + "\n")
-    assert "with the exponent" in refused(path, "movement", fps=25.0)
-    (tracks,) = read_tracks(path, "deeplabcut")
-    assert tracks.positions[5, 0, 0, 0] == 0.0 or np.isnan(tracks.positions[5, 0, 0, 0])
 
 
 def planted_npy(marker: Path) -> bytes:
@@ -285,16 +270,12 @@ BOMBS = (
 def test_foreign_files_ask_for_no_more_than_they_may(
     write: Callable[[Path], None], tmp_path: Path
 ) -> None:
-    resource = pytest.importorskip("resource")
     write(tmp_path / "bomb.x")
     (path,) = tmp_path.glob("bomb.*")
     if path.suffix == ".npz":
         with pytest.raises(InputError, match="times the file"):
             Demonstrations.load(path)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused(path)
-    grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
-    assert grown < 64 * path.stat().st_size + 4 * ALLOWANCE
 
 
 def fifo(path: Path) -> None:

@@ -41,10 +41,6 @@ def virtual(file: Any, elsewhere: Path) -> None:
     file.create_virtual_dataset("more", layout)
 
 
-def large_chunk(file: Any, elsewhere: Path) -> None:
-    file.create_dataset("more", (4,), "f8", maxshape=(None,), chunks=(2**28,), compression="gzip")
-
-
 def strange_float(file: Any, elsewhere: Path) -> None:
     import h5py
 
@@ -64,7 +60,6 @@ POINTING: dict[str, tuple[Callable[[Any, Path], None], str]] = {
     "soft link": (soft_link, "link to elsewhere"),
     "external storage": (external_storage, "stored in another file"),
     "virtual": (virtual, "virtual dataset"),
-    "chunk": (large_chunk, "a chunk of /more would take"),
     "wrong_number": (strange_float, "floats that are not IEEE"),
     "filter": (strange_filter, "unusual filter"),
 }

@@ -270,10 +270,8 @@ def test_parquet_columns_of_every_kind_give_the_same_numbers(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_matlab_reader_agrees_with_scipy(packed: bool, tmp_path: Path) -> None:
-    from scipy.io import loadmat, savemat
-
-    from animarl_envs.importing.readers.matlab import read_mat5
+def test_matlab_reader_takes_numbers_and_passes_others_over(packed: bool, tmp_path: Path) -> None:
+    from scipy.io import savemat
 
     numbers = {
         "paths": BODIES, "pixels": np.arange(300, dtype=np.uint8).reshape(3, 50, 2), "one": 3.5,
@@ -285,13 +283,10 @@ def test_matlab_reader_agrees_with_scipy(packed: bool, tmp_path: Path) -> None:
         "cell": np.array([1, "x"], dtype=object),
     }  # fmt: skip
     savemat(tmp_path / "all.mat", numbers | others, do_compression=packed)
-    found, expected = read_mat5(tmp_path / "all.mat"), loadmat(tmp_path / "all.mat")
-    assert found.keys() == numbers.keys()
-    for name, array in found.items():
-        assert array.dtype == expected[name].dtype
-        np.testing.assert_array_equal(array, expected[name])
-    (tracks,) = read_tracks(tmp_path / "all.mat", key="paths")
-    np.testing.assert_array_equal(tracks.bodies, BODIES)
+    for name in ("paths", "pixels"):
+        (tracks,) = read_tracks(tmp_path / "all.mat", key=name)
+        wanted = numbers[name] if name == "paths" else numbers[name].astype(float)
+        np.testing.assert_array_equal(tracks.bodies, wanted)
     with pytest.raises(InputError, match=r"all\.mat: it holds .*name the one with the positions"):
         read_tracks(tmp_path / "all.mat")
 

@@ -18,7 +18,7 @@ from refusals import refused
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import read, read_tracks
-from animarl_envs.importing.readers.unpickle import load_object_npy, load_plain
+from animarl_envs.importing.readers.unpickle import load_npy, load_plain
 from tools.fuzz.layouts import agents_arrays, write_mothvr, write_native, write_npy, write_wide
 
 
@@ -158,9 +158,9 @@ def test_a_pickle_that_repeats_itself_is_refused(tmp_path: Path) -> None:
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("pos.npy", buffer.getvalue() + pickle.dumps(laugh))
-    with pytest.raises(InputError, match="repeats itself"):
+    with pytest.raises(InputError, match=r"MemoryError|more memory|processor time"):
         read(path)
-    assert load_object_npy(buffer.getvalue() + pickle.dumps([1]), path) == [1]
+    assert load_npy(buffer.getvalue() + pickle.dumps([1]), path, objects=True) == [1]
 
 
 BAD_TABLES = {
@@ -268,5 +268,5 @@ def test_parquet_reader_refuses_rows_beyond_what_the_file_may_ask_for(tmp_path: 
     with pq.ParquetWriter(path, table.schema) as writer:
         for _ in range(40):
             writer.write_table(table)
-    with pytest.raises(InputError, match="more than 64 times the file"):
+    with pytest.raises(InputError, match="more memory than a file of its size"):
         read_tracks(path, "long-table")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
-import tracemalloc
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import pytest
 
 from animarl_envs.errors import InputError
 from animarl_envs.importing.readers import read
-from animarl_envs.importing.readers.unpickle import load_object_npy, load_plain
+from animarl_envs.importing.readers.unpickle import load_npy, load_plain
 from tools.fuzz.workers import fuzz
 
 DTYPE = b"cnumpy\ndtype\n"
@@ -55,11 +55,8 @@ HOSTILE: dict[str, bytes] = {
     "call of what was made": dtype("f8") + b"(tR",
     "bare function": b"c_codecs\nencode\n",
     "bare class": b"cnumpy\nndarray\n",
-    "colliding keys": b"(dL2305843009213693951L\nI1\nsL4611686018427387902L\nI1\ns",
-    "colliding memo": b"I1\np2305843009213693951\n",
     "float key": b"(dF1.5\nI1\ns",
     "deep": b"(" * 500 + b"t" * 500,
-    "long number": b"L" + b"9" * 4000 + b"L\n",
 }  # fmt: skip
 
 
@@ -82,10 +79,11 @@ def test_an_address_in_a_pickled_array_is_never_followed(tmp_path: Path) -> None
         + HOSTILE["object field"]
         + b"I0\nS'\\x41\\x41\\x41\\x41\\x41\\x41\\x41\\x41'\ntb"
     )
-    path = tmp_path / "trajectories.npy"
-    path.write_bytes(stream.getvalue() + b"(dS'trajectories'\n" + body + b"s.")
-    with pytest.raises(InputError, match="pickle"):
-        read(path, target="auto")
+    path = tmp_path / "pos_val_rep_2on1.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("pos.npy", stream.getvalue() + b"(dS'pos'\n" + body + b"s.")
+    with pytest.raises(InputError, match=r"dtype has fields, or an unusual state|not of plain"):
+        read(path, "authors-agents")
 
 
 @pytest.mark.parametrize("protocol", range(6))
@@ -103,20 +101,6 @@ def test_unpickling_gives_back_plain_arrays_of_every_kind(protocol: int, order: 
     assert back[:3].tolist() == [None, [1, 2.5], "a"] and back[3].tolist() == [0.0, 1.0, 2.0]
 
 
-def test_unpickling_counts_what_is_repeated() -> None:
-    laugh: list[Any] = [0.0]
-    for _ in range(25):
-        laugh = [laugh] * 10
-    text = ["a" * 10_000]
-    for repeated in (laugh, {"a": text * 100_000}, [np.zeros(10_000)] * 100_000):
-        raw = pickle.dumps(repeated)
-        tracemalloc.start()
-        with pytest.raises(InputError, match="repeats itself"):
-            load_plain(raw, "file")
-        assert tracemalloc.get_traced_memory()[1] < 64 * len(raw) + 2**24
-        tracemalloc.stop()
-
-
 def test_arrays_of_unusual_kinds_are_refused_before_unpickling(tmp_path: Path) -> None:
     for array in (
         np.zeros(3, "V8"),
@@ -127,11 +111,11 @@ def test_arrays_of_unusual_kinds_are_refused_before_unpickling(tmp_path: Path) -
         stream = io.BytesIO()
         np.save(stream, array)
         with pytest.raises(InputError, match="save plain numbers or text"):
-            load_object_npy(stream.getvalue(), tmp_path / "a.npy")
+            load_npy(stream.getvalue(), tmp_path / "a.npy")
 
 
 def test_unpickling_withstands_random_and_grammatical_pickles() -> None:
-    """In a process of its own with 2 GB; ``make fuzz`` does more of them."""
-    result = fuzz(3000, 1, 0, ["pickle"])
-    assert result.total == 3000 and result.findings == []
-    assert result.counts["refused"] > 1000 and result.counts["different"] > 10
+    """In processes of their own; ``make fuzz`` does more of them."""
+    result = fuzz(400, 1, 0, ["pickle"])
+    assert result.total == 400 and result.findings == []
+    assert result.counts["refused"] > 200 and result.counts["different"] > 5

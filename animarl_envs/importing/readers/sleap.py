@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.files import check_size
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.tracks import Tracks
@@ -37,7 +36,7 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
         raise MissingExtraError("reading SLEAP projects", "tracking") from error
     with open_hdf(path) as file:
         keys = [k for k in ("points", "pred_points", "instances", "frames") if k in file]
-        tables = {key: read_dataset(path, file, key) for key in keys}  # refuses absurd sizes
+        tables = {key: read_dataset(path, file, key) for key in keys}
     _check_places(path, tables)
     labels = sleap_io.load_slp(str(path), open_videos=False)
     if not labels.tracks:
@@ -64,9 +63,6 @@ def read_sleap(path: Path, fps: float | None = None) -> list[Tracks]:
 def _check_places(path: Path, tables: dict[str, NDArray[Any]]) -> None:
     """Refuse frames and instances of a project that share rows or point outside the tables."""
     instances, frames = tables["instances"], tables["frames"]
-    if len(frames):
-        last = int(frames["frame_idx"].max())
-        check_size(path, (last + 1) * 16, f"frame number {last}")
     for what, ids in (("instances", instances["instance_id"]), ("frames", frames["frame_id"])):
         if len(np.unique(ids)) != len(ids):
             raise InputError(f"{path}: two of its {what} have one number: copy the file again")

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.layouts import UNIT_NAMES, bare_unit, layout_of
-from animarl_envs.importing.readers.parquet import is_parquet, parquet_names
+from animarl_envs.importing.readers.tables import Table, open_table
+from animarl_envs.importing.readers.text_layout import UNIT_NAMES, bare_unit
 
 # Names without blanks, underscores, points and capitals; those of an earlier rank are preferred,
 # two of one rank are unclear.
-HABITS: dict[str, tuple[tuple[str, ...], ...]] = {
+USUAL_NAMES: dict[str, tuple[tuple[str, ...], ...]] = {
     "frame": (
         ("frame", "frames", "framenumber", "frameno", "frameid", "frameidx", "frameindex",
          "framenum", "nframe", "fnum", "imagenumber", "imageid", "bild"),
@@ -56,7 +56,7 @@ class Named:
 
     @property
     def key(self) -> str:
-        """Without what people write differently."""
+        """Name without separators and case, for matching."""
         return re.sub(r"[\s_.\-#]+", "", self.bare).lower()
 
 
@@ -77,14 +77,14 @@ class Columns:
 
     @property
     def is_long(self) -> bool:
-        """Whether rows are told apart by frame or time and by individual or recording."""
+        """Whether a row is of one frame or time, and of one individual or recording."""
         clocked = self.frame is not None or self.time is not None
         several = self.individual is not None or self.recording is not None
         return clocked and several and self.x is not None and not self.unclear
 
 
-def named(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
-    """The columns' names and units; a unit stands in brackets, behind a slash, last, or below."""
+def parsed_names(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
+    """Return names and units apart; a unit stands in brackets, behind a slash, last, or below."""
     found, pairs = [], pairs_of(names)
     letters = [who for who in pairs if len(who) == 1 and who.lower() not in UNIT_NAMES]
     for at, name in enumerate(names):
@@ -104,7 +104,7 @@ def named(names: Sequence[str], units: Sequence[str] = ()) -> list[Named]:
 
 
 def pairs_of(names: Sequence[str]) -> dict[str, list[str]]:
-    """Pairs of columns that differ in an x and a y, by what else is in their names."""
+    """Return pairs of columns that differ in an x and a y, by what else is in their names."""
     found: dict[str, list[str]] = {}
     known = set(names)
     for name in names:
@@ -122,26 +122,26 @@ def pairs_of(names: Sequence[str]) -> dict[str, list[str]]:
     return found
 
 
-def refuse_left_over(path: Path, names: Sequence[str], habit: Columns) -> None:
-    """Refuse a table of one animal, by habit, with another pair that may be of a second one."""
-    column = {one.bare: one.column for one in named(names)}
+def refuse_unused_pair(table: Table, found: Columns) -> None:
+    """Refuse a table of one animal with another pair of columns that may be of a second one."""
+    column = {one.bare: one.column for one in parsed_names(table.names)}
     for who, (x, y) in pairs_of(list(column)).items():
-        if column[x] != habit.x and not who.lower().startswith(MOTION):
+        if column[x] != found.x and not who.lower().startswith(MOTION):
             raise InputError(
-                f"{path}: columns {column[x]!r} and {column[y]!r} are left over beside "
-                f"{habit.x!r} and {habit.y!r}: name the pair of each individual by --source "
-                f"wide-table --option 'columns={{a: [{habit.x}, {habit.y}], "
+                f"{table.path}: columns {column[x]!r} and {column[y]!r} are left over beside "
+                f"{found.x!r} and {found.y!r}: name the pair of each individual by --source "
+                f"wide-table --option 'columns={{a: [{found.x}, {found.y}], "
                 f"b: [{column[x]}, {column[y]}]}}', or of the only one"
             )
 
 
-def columns_by_habit(names: Sequence[str], units: Sequence[str] = ()) -> Columns:
-    """The part of each column, from its name."""
-    known = named(names, units)
+def find_columns(table: Table) -> Columns:
+    """Return the part that each column plays, from its name."""
+    known = parsed_names(table.names, table.layout.units)
     unclear: list[str] = []
 
     def one(part: str) -> Named | None:
-        for rank in HABITS[part]:
+        for rank in USUAL_NAMES[part]:
             fitting = [name for name in known if name.key in rank]
             if len(fitting) > 1:
                 unclear.append(part)
@@ -192,36 +192,30 @@ def _common_unit(x: Named | None, y: Named | None) -> str:
     return x.unit
 
 
-def what_to_type(path: Path) -> str | None:
-    """The columns of a table whose parts are not clear, and the command; ``None`` for no table."""
+def suggested_command(path: Path) -> str | None:
+    """Return a table's columns and the command to type; ``None`` for no table."""
     try:
-        if is_parquet(path):
-            names: Sequence[str] = parquet_names(path)
-            units: Sequence[str] = ()
-            words = "Parquet"
-        else:
-            layout = layout_of(path)
-            names, units, words = layout.names, layout.units, layout.words
+        table = open_table(path)
+        found = find_columns(table)
     except InputError as error:
         return str(error).removeprefix(f"{path}: ")
-    if len(names) < 2:
+    if len(table.names) < 2:
         return None
-    by_habit = columns_by_habit(names, units)
-    used = {name for name in vars(by_habit).values() if isinstance(name, str)}
-    rest = [name for name in names if name and name not in used]
+    used = {name for name in vars(found).values() if isinstance(name, str)}
+    rest = [name for name in table.names if name and name not in used]
     parts = {}
     for part in ("frame", "individual", "x", "y"):
-        clock = by_habit.frame or by_habit.time
-        known = clock if part == "frame" else getattr(by_habit, part)
+        clock = found.frame or found.time
+        known = clock if part == "frame" else getattr(found, part)
         if known is None and rest:
             known = rest.pop(0)
-        option = "time" if part == "frame" and by_habit.frame is None and by_habit.time else part
+        option = "time" if part == "frame" and found.frame is None and found.time else part
         parts[option] = known or "COLUMN"
     options = " ".join(f"--option {shlex.quote(f'{part}={name}')}" for part, name in parts.items())
-    fps = "" if by_habit.time else " --fps RATE"
-    shown = ", ".join(name or "(no name)" for name in names[:30])
+    fps = "" if found.time else " --fps RATE"
+    shown = ", ".join(name or "(no name)" for name in table.names[:30])
     return (
-        f"its columns are {shown} ({words}), and which is which is not clear: put the right names "
-        f"into: animarl import {shlex.quote(str(path))} --source long-table {options}{fps} "
-        "--target auto --out demos.npz"
+        f"its columns are {shown} ({table.description}), and which is which is not clear: put the "
+        f"right names into: animarl import {shlex.quote(str(path))} --source long-table {options}"
+        f"{fps} --target auto --out demos.npz"
     )

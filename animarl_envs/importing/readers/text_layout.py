@@ -1,0 +1,257 @@
+"""How a text table is laid out, found by a look at its beginning.
+
+Encoding, separator, decimal sign, lines before the header, names of the columns (of several header
+rows where one does not tell columns apart), their units, and the line of the first row. Every line
+from there on is checked again when it is read; nothing here decides about a number.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from animarl_envs.errors import InputError, MissingExtraError
+
+UTF_8 = "utf-8-sig"
+WESTERN = "cp1252"  # Latin-1 as Windows has it
+SIGNS = "°µ²³±·"
+CODE_PAGES = ["cp1250", "cp1251", "mac_roman", "shift_jis", "gb18030"]
+SAMPLE = 2**16  # [bytes] by which an encoding is guessed
+LINES_GUESSED = 1000  # most lines by which an encoding is guessed
+WIDE = 0.4  # share of nothing among every second byte that makes UTF-16
+HEADER_LINES = 120  # most lines before the first row
+LOOKED_AT = 40  # rows that tell the number of cells
+BLANK = " "
+SEPARATORS = ",;\t|" + BLANK
+UNIT_NAMES = {
+    "pixel": "px", "pixels": "px", "pix": "px", "px": "px", "mm": "mm", "millimeter": "mm",
+    "millimetre": "mm", "cm": "cm", "centimeter": "cm", "centimetre": "cm", "m": "m", "meter": "m",
+    "metre": "m", "µm": "um", "um": "um", "micron": "um", "inch": "inch", "in": "inch",
+    "s": "s", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "ms": "ms",
+    "millisecond": "ms", "milliseconds": "ms", "msec": "ms", "min": "min", "us": "us", "µs": "us",
+}  # fmt: skip
+OTHER_UNITS = {
+    "", "-", "deg", "°", "degrees", "rad", "cm/s", "mm/s", "m/s", "px/s", "cm²", "mm²", "px²",
+    "cm2", "mm2", "cm^2", "%", "frame", "frames", "counts", "quality", "n", "a.u.", "au", "1/s",
+    "deg/s", "°/s", "pixel²",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of a text are, and what they are called.
+
+    ``before`` are the cells of the lines above the header, ``first`` is the number of lines before
+    the first row. ``words_in`` are columns whose first entry is no number. ``unclear`` is a number
+    whose sign may part thousands or decimals.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    separator: str = ","
+    decimal: str = "."
+    first: int = 1
+    before: tuple[tuple[str, ...], ...] = ()
+    words_in: tuple[str, ...] = ()
+    unclear: str = ""
+
+
+def encoding_of(path: Path) -> str:
+    """Return Python's name of the encoding of a text file.
+
+    A byte order mark decides; else UTF-8 if the whole file is; else UTF-16 where every second byte
+    is nothing; else Latin-1 if it reads as that. Other code pages are guessed, and the guess is
+    only said: numbers are the same in all of them, but names would be misspelt.
+    """
+    with path.open("rb") as file:
+        start = file.read(SAMPLE)
+    if start.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        return "utf-32"
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    nothing = np.frombuffer(start, dtype=np.uint8) == 0
+    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+        other = nothing[1 - first :: 2]
+        if len(other) and nothing[first::2].mean() > WIDE and not other.any():
+            return name
+    with path.open("rb") as file:
+        try:
+            for _ in codecs.iterdecode(iter(partial(file.read, SAMPLE), b""), "utf-8"):
+                pass
+        except UnicodeDecodeError:
+            file.seek(0)
+            lines = (line for line in file if not line.isascii())
+            return _guessed_encoding(path, b"".join(islice(lines, LINES_GUESSED))[:SAMPLE])
+    return UTF_8
+
+
+def _guessed_encoding(path: Path, sample: bytes) -> str:
+    try:
+        from charset_normalizer import from_bytes
+    except ImportError as error:
+        raise MissingExtraError("reading tables that are not UTF-8", "data") from error
+    try:
+        sample.decode("utf-8", errors="surrogatepass")
+    except UnicodeDecodeError:
+        pass
+    else:
+        raise InputError(f"{path}: it is UTF-8 with characters that do not exist: save it again")
+    text = sample.decode(WESTERN, errors="replace")
+    western = all(c.isascii() or c.isalpha() or c in SIGNS for c in text)
+    if western and not re.search(r"[^\x00-\x7f]{3}", text):
+        return WESTERN
+    best = from_bytes(sample, cp_isolation=CODE_PAGES).best()
+    guess = "" if best is None else f" (it may be {best.encoding})"
+    raise InputError(
+        f"{path}: its encoding is not clear{guess}: save it as UTF-8, or say what it is by "
+        "--source long-table --option encoding=NAME"
+    )
+
+
+def layout_of_lines(lines: Sequence[str]) -> Layout:
+    """Return the layout under the separator that makes most numbers."""
+    score, layout = max((_under(lines, one) for one in SEPARATORS), key=lambda found: found[0])
+    if score > 0:
+        return layout
+    separator = max(SEPARATORS[:-1], key=lambda one: len(split_cells(lines[0], one)))
+    names = tuple(split_cells(lines[0], separator))  # a header alone
+    return Layout(names, ("",) * len(names), separator)
+
+
+def split_cells(line: str, separator: str) -> list[str]:
+    """Return the cells of one line."""
+    if separator == BLANK:
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    except csv.Error:
+        return []
+
+
+def is_number(cell: str, decimal: str = ".") -> bool:
+    """Whether a cell is a number to the parser."""
+    if decimal == ",":
+        if "." in cell:  # it might part thousands
+            return False
+        cell = cell.replace(",", ".")
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell and cell.isascii()
+
+
+def bare_unit(cell: str) -> str:
+    """Return the usual short form of a unit, empty if it is none of a length or time."""
+    return UNIT_NAMES.get(re.sub(r"[\[\]()]", "", cell).strip().lower(), "")
+
+
+def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
+    """Return the numbers in a usual row under this separator, and the layout that would have."""
+    none = (0.0, Layout((), ()))
+    rows = [split_cells(line, separator) for line in lines[: HEADER_LINES + LOOKED_AT]]
+    counts = Counter(len(row) for row in rows[-LOOKED_AT:] if any(row))
+    width = max(counts, key=lambda n: (counts[n], n), default=0)
+    if width < 2:
+        return none
+    decimal = _decimal_sign(rows[-LOOKED_AT:], separator)
+
+    def numbers(row: Sequence[str]) -> int:
+        return sum(is_number(cell, decimal) for cell in row)
+
+    is_row = [len(row) == width and _may_be_header(row) and numbers(row) > 0 for row in rows]
+    first = next((i for i, found in enumerate(is_row) if found), len(rows))
+    if first > HEADER_LINES or first == len(rows):
+        return none
+    if first + 1 < len(rows) and _is_xy(rows[first + 1], width):  # animals that are called 1, 2
+        first = next((i for i in range(first + 2, len(rows)) if numbers(rows[i])), len(rows))
+    top = first
+    while top > 0 and len(rows[top - 1]) == width and _may_be_header(rows[top - 1]):
+        top -= 1
+    if top == first:  # the first row is damaged, or there is no header
+        above = [i for i in range(first) if len(rows[i]) == width and not numbers(rows[i])]
+        top, first = (above[-1], above[-1] + 1) if above else (first, first + 1)
+    names, units = _names_and_units(rows[top:first], width)
+    usual = [row for row in rows[first:] if len(row) == width]
+    score = sum(map(numbers, usual)) / max(len(usual), 1)
+    share = len(usual) / max(sum(map(any, rows[first:])), 1)
+    words = [next((row[i] for row in usual if row[i]), "0") for i in range(width)]
+    layout = Layout(
+        names, units, separator, decimal, first, tuple(map(tuple, rows[:top])),
+        tuple(n for n, word in zip(names, words, strict=False) if not is_number(word, decimal)),
+        _unclear_number(usual, decimal),
+    )  # fmt: skip
+    return score * share + 1e-3 * (first > top) - 1e-6 * SEPARATORS.index(separator), layout
+
+
+def _decimal_sign(rows: Sequence[Sequence[str]], separator: str) -> str:
+    """A comma where more cells are numbers only with it than only with a point."""
+    if separator == ",":
+        return "."
+    cells = [cell for row in rows for cell in row]
+    comma, point = (
+        sum(bool(re.fullmatch(rf"[-+]?\d*[{sign}]\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+        for sign in ",."
+    )
+    return "," if comma > point else "."
+
+
+def _unclear_number(rows: Sequence[Sequence[str]], decimal: str) -> str:
+    """A number such as 1,000 whose sign may part thousands, where no other shows that it does not.
+
+    A point is only doubted where whole numbers stand in the same column: 1.000 below 996.
+    """
+    thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}([{decimal}]\d{{3}})+")
+    doubted = ""
+    for cells in zip(*rows, strict=True):
+        signed = [cell for cell in cells if decimal in cell and is_number(cell, decimal)]
+        if any(not thousands.fullmatch(cell) for cell in signed):
+            return ""
+        whole = any(re.fullmatch(r"[-+]?\d+", cell) for cell in cells)
+        if signed and (whole or decimal == ","):
+            doubted = doubted or signed[0]
+    return doubted
+
+
+def _names_and_units(
+    header: Sequence[Sequence[str]], width: int
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Of several header rows those that together tell the columns apart."""
+    rows, units = [list(row) for row in header], [""] * width
+    if len(rows) > 1 and _is_units(rows[-1]):
+        units = [bare_unit(cell) for cell in rows.pop()]
+    if not rows:
+        return (), tuple(units)
+    filled = [cell for cell in rows[0] if cell]
+    if len(set(filled)) == len(filled) > 1 and not (len(rows) > 1 and _is_xy(rows[-1], width)):
+        return tuple(rows[0]), tuple(units)
+    for row in rows[:-1]:  # a merged cell of a spreadsheet stands for those to its right
+        for i in range(1, width):
+            if not row[i] and rows[-1][i].lower() not in ("time", "frame"):
+                row[i] = row[i - 1]
+    return tuple("_".join(filter(None, cells)) for cells in zip(*rows, strict=True)), tuple(units)
+
+
+def _may_be_header(row: Sequence[str]) -> bool:
+    """Whether a row of the right length may be one of names: a remark fills one or two cells."""
+    return any(row[2:]) if len(row) > 3 else any(row)
+
+
+def _is_xy(row: Sequence[str], width: int) -> bool:
+    named = [cell.lower() for cell in row if cell]
+    return len(row) == width and {"x", "y"} <= set(named) and len(named) > len(set(named))
+
+
+def _is_units(row: Sequence[str]) -> bool:
+    bare = [re.sub(r"[\[\]()]", "", cell).strip().lower() for cell in row]
+    known = [cell in UNIT_NAMES or cell in OTHER_UNITS for cell in bare]
+    return all(known) and any(cell in UNIT_NAMES for cell in bare)
