@@ -81,12 +81,12 @@ def test_the_custom_species_needs_no_heavy_package(tmp_path: Path, numbas_own: s
 # -- the sentence of a missing extra --------------------------------------------------------------
 
 WITHOUT = """
-import sys
-class Absent:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {"pygame", "imageio", "pandas", "yaml", "h5py", "typer"}:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Absent())
+import pathlib, sys, tempfile
+folder = tempfile.TemporaryDirectory()  # also seen by processes that this one starts
+for name in ("pygame", "imageio", "pandas", "yaml", "h5py", "typer"):
+    said = f"raise ModuleNotFoundError('No module named {name!r}', name={name!r})"
+    (pathlib.Path(folder.name) / f"{name}.py").write_text(said.replace(repr(name), name, 1))
+sys.path.insert(0, folder.name)
 import gymnasium as gym, animarl_envs
 from animarl_envs.errors import MissingExtraError
 """
