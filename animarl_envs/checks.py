@@ -1,4 +1,4 @@
-"""What counts as a number where options are checked, and as a name where files are read."""
+"""Tests of numbers where options are checked, and of names where files are read."""
 
 from collections.abc import Iterable
 

@@ -36,7 +36,7 @@ _CONSTANT = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 
 
 class FirstCompilation(event.Listener):  # type: ignore[misc]
-    """Says on a terminal, once in a process, that kernels are compiled and why one waits."""
+    """Print on a terminal, once in a process, that kernels are being compiled."""
 
     said = False
 
@@ -84,7 +84,7 @@ def _cache_folder(package: str) -> Iterator[None]:
 
 @functools.cache
 def _folder(package: str, of_user: str) -> Path:
-    """Where the machine code of a package is kept; ``NUMBA_CACHE_DIR`` is kept to if it is set."""
+    """Return the folder for a package's machine code; in ``NUMBA_CACHE_DIR`` if that is set."""
     name = f"kernels-{source_key(package)}"
     usual = (_HERE / "__pycache__", Path(_user_cache_dir("animarl", appauthor=False)))
     for root in (Path(of_user),) if of_user else usual:

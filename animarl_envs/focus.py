@@ -49,7 +49,7 @@ def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> N
 
 
 def foci(roles: Sequence[str]) -> list[list[int] | None]:
-    """Of each individual those of whom the nearest is its focus; ``None`` for a searcher."""
+    """Return, for each individual, those whose nearest is its focus; ``None`` for a searcher."""
     last = len(roles) - 1
     one, many = [last], list(range(last))
     if "target" in roles:
@@ -59,7 +59,7 @@ def foci(roles: Sequence[str]) -> list[list[int] | None]:
     return [[j for j in range(len(roles)) if j != i] for i in range(len(roles))]
 
 
-def foremost(roles: Sequence[str]) -> int:
+def first_pursuer(roles: Sequence[str]) -> int:
     """The first individual that is no target."""
     return next(i for i, role in enumerate(roles) if role != "target")
 

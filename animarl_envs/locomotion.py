@@ -64,7 +64,7 @@ def next_velocity(
 ) -> Value:
     """``v' = (1 - d) v + u a dt`` (paper, eq. 1); the position follows with p' = p + v' dt.
 
-    Of one component or of whole arrays. ``acceleration`` is a multiple of the thrust.
+    Works on scalars and arrays. ``acceleration`` is a multiple of the thrust.
     """
     return (1.0 - damping) * velocity + thrust * acceleration * dt
 
@@ -119,7 +119,7 @@ class Locomotion:
 
     @property
     def smallest_thrust(self) -> float:
-        """What the weakest push accelerates by [arena unit / s^2]."""
+        """Acceleration of the weakest push [arena unit / s^2]."""
         return self.thrust * self.magnitudes[-1]
 
     def terminal_speed(self, dt: float) -> float:
@@ -249,7 +249,7 @@ def apply_actions(
 def action_directions(
     actions: NDArray[np.integer], focus: NDArray[np.floating], num_actions: int = NUM_ACTIONS
 ) -> NDArray[np.float64]:
-    """Where ``actions`` ``(...,)`` accelerate to: ``(..., 2)``, arena frame, of length 1 or 0.
+    """Return the directions of ``actions`` ``(...,)``: ``(..., 2)``, arena frame, length 1 or 0.
 
     ``focus`` ``(..., 2)`` are unit vectors towards the focus, arena frame; the last of
     ``num_actions`` actions is to coast.

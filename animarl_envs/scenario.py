@@ -84,51 +84,23 @@ class Scenario:
                 f"condition 1 is not defined for {self.species.name}, which has no conditions: "
                 "leave the option out"
             )
-        if not (is_number(self.observation_noise) and 0.0 <= self.observation_noise < np.inf):
+        noise, late = self.observation_noise, self.observation_delay
+        if not (is_number(noise) and 0.0 <= noise < np.inf):
+            raise InputError(f"observation_noise is {noise!r}: it must be zero or positive")
+        if not is_whole(late) or late < 0:
             raise InputError(
-                f"observation_noise is {self.observation_noise!r}: it must be zero or positive"
-            )
-        late = self.observation_delay
-        if isinstance(late, bool) or not isinstance(late, int | np.integer) or late < 0:
-            raise InputError(
-                f"observation_delay is {self.observation_delay!r}: it must be a whole number "
-                "of steps, zero or more"
+                f"observation_delay is {late!r}: it must be a whole number of steps, zero or more"
             )
         plainly = self.condition if self.condition == "demo" else int(self.condition)
         object.__setattr__(self, "condition", plainly)  # of NumPy's kinds or of Python's
-        object.__setattr__(self, "observation_noise", float(self.observation_noise))
+        object.__setattr__(self, "observation_noise", float(noise))
         object.__setattr__(self, "observation_delay", int(late))
         for name, driver in zip(names, self.drivers, strict=True):
             if driver not in DRIVERS:
                 raise InputError(
                     f"{name} is driven by {driver!r}: choose one of {', '.join(DRIVERS)}"
                 )
-        if isinstance(self.start, str):
-            if self.start not in ("demo", "uniform"):
-                raise InputError(
-                    f"start is {self.start!r}: choose 'demo', 'uniform' or an array of positions"
-                )
-            if self.start == "demo" and self.demos is None:
-                raise InputError("start is 'demo' but there are no demonstrations: give demos=")
-            if self.start == "uniform" and isinstance(self.species, ChaseSpecies):
-                self.species.check_uniform_starts()
-        else:
-            try:
-                start = np.array(self.start, dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(
-                    f"start is no array of numbers: give x and y of {len(names)} individuals"
-                ) from None
-            if start.shape != (len(names), 2) or not np.isfinite(start).all():
-                raise InputError(
-                    f"start has shape {start.shape}: give x and y of {len(names)} individuals"
-                )
-            if not self.species.arena.contains(start).all():
-                raise InputError(
-                    "start lies out of bounds: place every individual within "
-                    f"{self.species.arena.boundary:g} of the centre"
-                )
-            object.__setattr__(self, "start", start)
+        object.__setattr__(self, "start", self._checked_start())
         if self.demos is not None:
             if self.demos.individuals != names:
                 raise InputError(
@@ -146,6 +118,31 @@ class Scenario:
                 f"{replaying[0]} cannot replay a demonstration, since episodes start without one: "
                 "use others='scripted' or start='demo'"
             )
+
+    def _checked_start(self) -> str | NDArray[np.float64]:
+        if isinstance(self.start, str):
+            if self.start not in ("demo", "uniform"):
+                raise InputError(
+                    f"start is {self.start!r}: choose 'demo', 'uniform' or an array of positions"
+                )
+            if self.start == "demo" and self.demos is None:
+                raise InputError("start is 'demo' but there are no demonstrations: give demos=")
+            if self.start == "uniform" and isinstance(self.species, ChaseSpecies):
+                self.species.check_uniform_starts()
+            return self.start
+        wanted = f"give x and y of {self.species.num_individuals} individuals"
+        try:
+            start = np.array(self.start, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"start is no array of numbers: {wanted}") from None
+        if start.shape != (self.species.num_individuals, 2) or not np.isfinite(start).all():
+            raise InputError(f"start has shape {start.shape}: {wanted}")
+        if not self.species.arena.contains(start).all():
+            raise InputError(
+                "start lies out of bounds: place every individual within "
+                f"{self.species.arena.boundary:g} of the centre"
+            )
+        return start
 
     @property
     def paired(self) -> bool:

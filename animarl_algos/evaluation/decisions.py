@@ -15,7 +15,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
-from animarl_envs.focus import foremost
+from animarl_envs.focus import first_pursuer
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.worlds import demonstration_observations
 from animarl_envs.worlds.chase.world import demonstration_headings, observe
@@ -127,7 +127,7 @@ def decide_along(
     steps = int(one.lengths[0]) - 1
     if focal is None:
         slots = np.arange(len(one.roles))
-        who = foremost(one.roles)
+        who = first_pursuer(one.roles)
     else:
         who = one.individuals.index(focal)
         slots = np.array([who])

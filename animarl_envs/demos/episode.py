@@ -139,7 +139,7 @@ class Episodes:
 
     @property
     def label(self) -> str:
-        """What messages call these episodes."""
+        """Return the name of these episodes in messages."""
         raise NotImplementedError
 
     def _refuse(self, what: str) -> NoReturn:
@@ -252,7 +252,7 @@ def read_only(value: Any, dtype: Any) -> NDArray[Any]:
 
 @contextmanager
 def refusing_damage(
-    path: str | Path, mend: str = "make it again with 'animarl import'"
+    path: str | Path, fix: str = "make it again with 'animarl import'"
 ) -> Iterator[None]:
     """Turn what the content of a damaged file raises into one sentence."""
     try:
@@ -260,7 +260,7 @@ def refusing_damage(
     except InputError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, RecursionError, OverflowError) as e:
-        raise InputError(f"{path}: its content is damaged ({type(e).__name__}: {e}): {mend}") from e
+        raise InputError(f"{path}: its content is damaged ({type(e).__name__}: {e}): {fix}") from e
 
 
 def _plain(value: Any) -> Any:

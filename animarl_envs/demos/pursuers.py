@@ -47,7 +47,7 @@ def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrati
         return demos
     everyone = demos.num_individuals
     kept = [*range(count), *range(recorded, everyone)]  # several of a role come first
-    # Recorded actions are left out: one may have been told towards somebody who is gone now.
+    # Recorded actions are left out: their directions may refer to somebody who is gone now.
     outcome = np.where(demos.outcome > count, UNFINISHED, demos.outcome)
     signals = {
         key: value[:, kept] if value.ndim > 1 and value.shape[1] == everyone else value

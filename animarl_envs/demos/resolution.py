@@ -106,7 +106,7 @@ def _common_step(distinct: Floats, finest: float, rounding: float) -> float | No
 
 
 def _averaged(distinct: Floats, step: float) -> float:
-    """A step as told by ever longer distances, of many steps, where rounding matters less."""
+    """Return the step, estimated from ever longer distances, where rounding matters less."""
     lag = 1
     while lag < len(distinct):
         apart = distinct[lag:] - distinct[:-lag]

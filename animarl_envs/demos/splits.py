@@ -54,7 +54,7 @@ def deal(demos: Demonstrations, settings: Splitting) -> Demonstrations:
 
 
 def learnable(demos: Demonstrations) -> Demonstrations:
-    """What may be learned from: the train and val episodes; all, if none is of these.
+    """Return the train and val episodes, which may be learned from; all, if none is of these.
 
     Whatever fits, trains, tunes or chooses is handed this, which holds no test episode.
     """
@@ -65,7 +65,7 @@ def learnable(demos: Demonstrations) -> Demonstrations:
 
 
 def refuse_empty_splits(demos: Demonstrations) -> None:
-    """Training, validation and test episodes are needed, at least one each.
+    """Refuse demonstrations without at least one training, validation and test episode each.
 
     Raises
     ------
@@ -77,12 +77,12 @@ def refuse_empty_splits(demos: Demonstrations) -> None:
         return
     recordings, episodes = len(np.unique(demos.recording)), demos.num_episodes
     if recordings >= len(SPLITS):
-        mend = "deal them again with 'animarl data split'"
+        fix = "deal them again with 'animarl data split'"
     elif episodes >= len(SPLITS):
-        mend = f"it has {recordings} recordings, so deal with 'animarl data split --by episode'"
+        fix = f"it has {recordings} recordings, so deal with 'animarl data split --by episode'"
     else:
-        mend = f"it has {episodes} episodes, so record more or 'animarl import' with --piece"
-    raise InputError(f"{demos.name}: split {empty[0]!r} holds no episode: {mend}")
+        fix = f"it has {episodes} episodes, so record more or 'animarl import' with --piece"
+    raise InputError(f"{demos.name}: split {empty[0]!r} holds no episode: {fix}")
 
 
 def cross_validated(demos: Demonstrations, folds: int) -> Iterator[Demonstrations]:

@@ -36,7 +36,7 @@ def outcome_name(outcome: int, demos: Demonstrations) -> str:
 
 
 def ending_in_words(outcome: int, individuals: Sequence[str], roles: Sequence[str]) -> str:
-    """Who reached whom, or who left the arena; nothing, if neither ended the episode."""
+    """Return who reached whom, or who left the arena; empty if neither ended the episode."""
     if outcome > 0:
         name, role = individuals[outcome - 1], roles[outcome - 1]
         if role == "target":

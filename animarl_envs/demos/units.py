@@ -1,4 +1,4 @@
-"""The unit that lengths are told in: that of the recordings, where somebody knows it."""
+"""The unit in which lengths are reported: that of the recordings, if it is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PHYSICAL_UNITS = ("um", "mm", "cm", "m", "inch")
 
 @dataclass(frozen=True)
 class Unit:
-    """The unit that lengths are told in, and how many of it make one arena unit."""
+    """The unit in which lengths are reported, and how many of it make one arena unit."""
 
     name: str
     per_arena_unit: float
@@ -27,10 +27,10 @@ METRES = Unit("m", 1.0)
 
 
 def unit_of(demos: Demonstrations) -> Unit:
-    """The recordings' own unit where their provenance knows it, else the arena unit.
+    """Return the recordings' own unit if the provenance holds it, else the arena unit.
 
-    Recordings with scales of their own are told in their mean scale. Of some species the arena
-    unit is the metre.
+    If recordings have scales of their own, their mean is used. The arena unit of some species is
+    the metre.
     """
     species = SPECIES.get(demos.species)
     unscaled = METRES if species and species.length_unit == "metre" else RECORDED_SCALE

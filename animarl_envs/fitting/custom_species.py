@@ -114,7 +114,7 @@ def species_of(
 
 
 def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
-    """That of :func:`species_of`: the recorded field, with walls where its world has them."""
+    """Return the arena of :func:`species_of`: the recorded field, with walls if its world has."""
     name = base or demos.species
     return _arena(demos, get_species(name) if name in SPECIES else _plain_species(demos))
 
@@ -205,7 +205,7 @@ def _plain_species(demos: Demonstrations) -> Species:
 
 
 def _begin_alike(demos: Demonstrations) -> bool:
-    """Whether all episodes begin at the same event, so that the time since then tells something."""
+    """Return whether all episodes begin at the same event, so that the time since then matters."""
     cutting = _cutting(demos)
     kept = _seconds(cutting.get("keep_last")) < math.inf
     return cutting.get("mode") == "approach" and cutting.get("start") == "separation" and not kept

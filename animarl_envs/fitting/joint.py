@@ -316,7 +316,7 @@ def _nearest(data: Transitions, point: Floats) -> tuple[Floats, Floats]:
 
 
 def _scratch(steps: int) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """What :func:`assign` writes: squared error, vector and thrust of the nearest action."""
+    """Return empty arrays for :func:`assign`: squared error, vector, thrust of each action."""
     return np.empty(steps), np.empty((steps, 2)), np.empty(steps, dtype=np.int64)
 
 

@@ -223,7 +223,7 @@ def _intervals(data: _Data, point: Floats, shares: Floats) -> Floats | None:
 
 
 def _bias(data: _Data, point: Floats, shares: Floats) -> Floats:
-    """What merging hypotheses costs: the mean shift of fits to tracks simulated from the fit."""
+    """Return the bias of merging hypotheses: the mean shift of fits to simulated tracks."""
     rng = np.random.default_rng(0)
     shifts = []
     for _ in range(REPLICATES):

@@ -224,7 +224,7 @@ def resampling_weights(episodes: int, resamples: int, seed: int) -> NDArray[np.f
 def percentiles(
     samples: NDArray[np.float64] | None,
 ) -> tuple[Interval | None, Interval | None]:
-    """Of resampled damping and thrust, ``(resamples, 2)``."""
+    """Return intervals of damping and thrust from resampled ones ``(resamples, 2)``."""
     if samples is None or not len(samples):
         return None, None
     tail = (1 - CONFIDENCE) / 2
@@ -309,7 +309,7 @@ def braking_time(damping: float, dt: float) -> float:
 
 
 def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
-    """Who is to be believed with care, and why.
+    """Return warnings of what makes the fit doubtful, in sentences.
 
     Parameters
     ----------

@@ -62,10 +62,10 @@ def track(
     arena
         Whose walls hold, if it has ``rebound``; by default that of ``demos``.
     horizon
-        h, within how many steps a miss of the position is to be mended. 1 stays nearest; each mend
-        is a push and soon another one back, so that more leaves the pushes as smooth as recorded.
+        h, the number of steps within which a miss of the position is corrected. 1 stays nearest;
+        but each correction is a push and then one back, so a larger h keeps pushes smooth.
     random_share, seed
-        So many of all actions are drawn at random instead, which the following ones mend.
+        Share of all actions that are drawn at random instead; the following ones correct them.
 
     Raises
     ------
@@ -82,6 +82,7 @@ def track(
     drawn = rng.integers(locomotion[0].num_actions, size=shape)
     forced = np.where(rng.random(shape) < random_share, drawn, -1)
     arena = demos.arena if arena is None else arena
+    field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
     recorded, velocity = np.ascontiguousarray(demos.positions), demos.velocities()
     starts = demos.offsets.astype(np.int64)
     position_now, velocity_now = (
@@ -99,7 +100,7 @@ def track(
             float(horizon), position_now, velocity_now, paths, speeds, forced, actions,
         )  # fmt: skip
         if arena.rebound:
-            _hold_by_walls(arena, position_now, velocity_now)
+            rebound(field, position_now, velocity_now)
     return Tracking(paths, speeds, actions)
 
 
@@ -164,7 +165,7 @@ def _check(demos: Demonstrations, locomotion: Sequence[Locomotion]) -> None:
 
 
 def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
-    """Of whom the nearest is each individual's focus ``(K, K)``, and its direction without any.
+    """Return whose nearest is each individual's focus ``(K, K)``, and its direction without any.
 
     The rules of :func:`animarl_envs.focus.focus_directions`, as the kernel reads them.
     """
@@ -176,12 +177,6 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
         else:
             candidates[i, others] = True
     return candidates, otherwise
-
-
-def _hold_by_walls(arena: Arena, position: Floats, velocity: Floats) -> None:
-    """The walls of the worlds."""
-    field = (SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary))
-    rebound(field, position, velocity)
 
 
 @jit

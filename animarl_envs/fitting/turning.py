@@ -110,13 +110,12 @@ def heading_errors(
     demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int = 0
 ) -> HeadingErrors:
     """Errors of a turning, or of given headings ``(frames,)`` [rad], at all but first frames."""
-    heading, _ = _recorded(demos, individual)
-    steps = _steps(demos)
-    told, free = _foretold(demos, rule, individual)
+    heading = _recorded(demos, individual)[0][_steps(demos)]
+    one_step, free = _predicted(demos, rule, individual)
     return HeadingErrors(
-        one_step=float(np.median(np.abs(_between(told, heading[steps])))),
-        free_running=float(np.median(np.abs(_between(free, heading[steps])))),
-        sectors=float(np.mean(_sector(free) == _sector(heading[steps]))),
+        one_step=float(np.median(np.abs(_between(one_step, heading)))),
+        free_running=float(np.median(np.abs(_between(free, heading)))),
+        sectors=float(np.mean(_sector(free) == _sector(heading))),
     )
 
 
@@ -127,11 +126,11 @@ def heading_misses(
     frames: after one step from the recorded state, and running free from the first one."""
     heading = _recorded(demos, individual)[0][_steps(demos)]
     return np.stack(
-        [np.abs(_between(each, heading)) for each in _foretold(demos, rule, individual)]
+        [np.abs(_between(each, heading)) for each in _predicted(demos, rule, individual)]
     )
 
 
-def _foretold(
+def _predicted(
     demos: Demonstrations, rule: Turning | NDArray[np.float64], individual: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Headings ``(steps,)`` after one step from the recorded state, and running free."""
@@ -141,8 +140,10 @@ def _foretold(
         return rule[steps], rule[steps]
     turn = np.zeros(len(heading))
     turn[steps] = _between(heading[steps], heading[steps - 1])
-    told = heading[steps - 1] + rule.next_turn(turn[steps - 1], heading[steps - 1], velocity[steps])
-    return told, free_running(demos, rule, individual)[steps]
+    predicted = heading[steps - 1] + rule.next_turn(
+        turn[steps - 1], heading[steps - 1], velocity[steps]
+    )
+    return predicted, free_running(demos, rule, individual)[steps]
 
 
 # -- the data and the optimum -----------------------------------------------------------------

@@ -18,7 +18,7 @@ from animarl_envs.species.scales import SenseScales
 OBSERVATIONS = ("full", "paper")
 PLAIN_BODY = "animal"
 BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
-"""What an individual may look like; :mod:`animarl_envs.drawing.bodies` draws them."""
+"""Looks of an individual; :mod:`animarl_envs.drawing.bodies` draws them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +87,9 @@ class Species:
             name: m.thrusts for name, m in zip(self.individuals, self.locomotion, strict=True)
         }
         if len(set(counts.values())) > 1:
-            told = ", ".join(f"{name} {count}" for name, count in counts.items())
+            listed = ", ".join(f"{name} {count}" for name, count in counts.items())
             raise InputError(
-                f"the individuals have different numbers of thrust magnitudes ({told}): give all "
+                f"the individuals have different numbers of thrust magnitudes ({listed}): give all "
                 "the same number"
             )
         self._positive("contact_radius", "dt")
@@ -163,7 +163,7 @@ class Species:
 
     @property
     def goal(self) -> str:
-        """Whom or what the others head for, in words."""
+        """Return in words whom or what the others head for."""
         return self.individuals[-1]
 
     def _true_or_false(self, *names: str) -> None:
@@ -172,7 +172,7 @@ class Species:
                 raise InputError(f"{name} is {getattr(self, name)!r}: choose True or False")
 
     def _positive(self, *names: str, or_zero: bool = False) -> None:
-        """Refuse what is not a finite positive number (or zero, if that will do).
+        """Refuse fields that are no finite positive number (or zero, if ``or_zero``).
 
         NumPy's numbers become Python's, of which the kernels have compiled forms.
         """

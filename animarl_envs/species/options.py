@@ -7,14 +7,14 @@ from dataclasses import fields, replace
 from typing import Any
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import is_whole
+from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.species import ChaseSpecies, Species
 from animarl_envs.species.scales import Reading, check_reading
 
 MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
-"""Options that say how many there are of a role, and of whom there is one then."""
+"""Options that set how many individuals of a role there are; of the other role there is one."""
 
 
 def with_options(species: Species, **options: Any) -> Species:
@@ -55,7 +55,7 @@ def with_options(species: Species, **options: Any) -> Species:
         species = _with_individuals(species, names)
     else:
         species = _with_counts(species, **counts)
-    if isinstance(species, ChaseSpecies) and _is_size(options.get("arena")):
+    if isinstance(species, ChaseSpecies) and is_number(options.get("arena")):
         scaled = species.start_half_side * float(options["arena"]) / species.arena.size
         options.setdefault("start_half_side", scaled)
     arena = _arena(species.arena, options)
@@ -124,7 +124,7 @@ def _with_counts(species: Species, num_pursuers: Any, num_targets: Any) -> Speci
 
 
 def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
-    """With so many individuals before the last one."""
+    """Return the species with ``count`` individuals before the last one."""
     kind = species.individuals[0].rpartition("_")[0] or species.roles[0]
     last = species.num_individuals - 1
     names = (*(f"{kind}_{i}" for i in range(count)), species.individuals[last])
@@ -146,7 +146,7 @@ def _select_individuals(
 
 
 def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
-    """With so many targets, and one pursuer who comes last: the first of the pursuers."""
+    """Return the species with ``count`` targets and one pursuer, the first, who comes last."""
     if not species.lone_pursuer:
         names = (f"{species.individuals[-1]}_0", species.individuals[0])
         species = _select_individuals(species, (-1, 0), names, lone_pursuer=True)
@@ -168,7 +168,7 @@ def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
         arena = given
     elif isinstance(given, str):
         arena = replace(arena, shape=given)  # type: ignore[arg-type]
-    elif _is_size(given):
+    elif is_number(given):
         margin = arena.boundary / arena.size
         arena = replace(arena, size=float(given), boundary=float(given) * margin)
     elif given is not None:
@@ -179,33 +179,27 @@ def _arena(arena: Arena, options: dict[str, Any]) -> Arena:
     return replace(arena, **changes) if changes else arena
 
 
-def _is_size(given: Any) -> bool:
-    return isinstance(given, int | float) and not isinstance(given, bool)
-
-
 def _locomotion(species: Species, given: Any) -> tuple[Locomotion, ...]:
     if given is None:
         return species.locomotion
     if isinstance(given, Locomotion):
         return (given,) * species.num_individuals
-    if isinstance(given, Mapping):
-        unknown = set(given) - set(species.individuals)
-        if unknown:
-            raise InputError(
-                f"locomotion names {sorted(unknown)[0]!r}: choose among "
-                f"{', '.join(species.individuals)}"
-            )
-        return tuple(
-            _one_locomotion(old, given.get(name), name)
-            for name, old in zip(species.individuals, species.locomotion, strict=True)
-        )
     if isinstance(given, Sequence) and len(given) == species.num_individuals:
-        return tuple(
-            _one_locomotion(old, new, name)
-            for name, old, new in zip(species.individuals, species.locomotion, given, strict=True)
+        given = dict(zip(species.individuals, given))
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"locomotion is {given!r}: give one Locomotion, one per individual, or a mapping by "
+            "name"
         )
-    raise InputError(
-        f"locomotion is {given!r}: give one Locomotion, one per individual, or a mapping by name"
+    unknown = set(given) - set(species.individuals)
+    if unknown:
+        raise InputError(
+            f"locomotion names {sorted(unknown)[0]!r}: choose among "
+            f"{', '.join(species.individuals)}"
+        )
+    return tuple(
+        _one_locomotion(old, given.get(name), name)
+        for name, old in zip(species.individuals, species.locomotion, strict=True)
     )
 
 
@@ -216,7 +210,7 @@ def _one_locomotion(old: Locomotion, new: Any, name: str) -> Locomotion:
         return new
     if isinstance(new, Mapping) and set(new) <= {"damping", "thrust", "magnitudes"}:
         return replace(old, **new)
-    if isinstance(new, int | float) and not isinstance(new, bool):
+    if is_number(new):
         return replace(old, thrust=old.thrust * new)
     raise InputError(
         f"locomotion of {name} is {new!r}: give a Locomotion, its damping, thrust or magnitudes, "
@@ -227,7 +221,7 @@ def _one_locomotion(old: Locomotion, new: Any, name: str) -> Locomotion:
 def _with_thrusts(
     locomotion: tuple[Locomotion, ...], thrusts: Any, given: Any
 ) -> tuple[Locomotion, ...]:
-    """So many magnitudes for all; ``given`` is the option ``locomotion``, which may say none."""
+    """Set the number of magnitudes; refuse if ``given``, the option ``locomotion``, sets them."""
     if thrusts is None:
         return locomotion
     check_thrusts(thrusts)

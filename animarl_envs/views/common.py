@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from animarl_envs.checks import is_whole
 from animarl_envs.drawing.picture import Picture
 from animarl_envs.errors import InputError, also_list_options_of
-from animarl_envs.focus import foremost
+from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds import make_world
@@ -49,7 +49,7 @@ def focal_scenario(
     with also_list_options_of(view.__init__, without=("drivers",)):  # type: ignore[misc]
         scenario = make_scenario(species, **options)
     names = scenario.names
-    focal = names[foremost(scenario.species.roles)] if focal is None else focal
+    focal = names[first_pursuer(scenario.species.roles)] if focal is None else focal
     if focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
     if others is None:
