@@ -29,6 +29,6 @@ HERDING = ChaseSpecies(
 if __name__ == "__main__":
     env = gym.make("AnimaRL/Agent-v0", species=HERDING, focal="sheep", demos=None)
     observation, info = env.reset(seed=0)
-    everybody = animarl_envs.parallel_env(HERDING, demos=None)
-    observations, infos = everybody.reset(seed=0)
-    print(observation.shape, everybody.possible_agents)
+    everyone = animarl_envs.parallel_env(HERDING, demos=None)
+    observations, infos = everyone.reset(seed=0)
+    print(observation.shape, everyone.possible_agents)

@@ -272,10 +272,10 @@ observations, rewards, terminated, truncated, infos = envs.step(envs.action_spac
 All individuals act, with PettingZoo:
 
 ```python
-everybody = animarl_envs.parallel_env("{species.name}")
-observations, infos = everybody.reset(seed=0)
-actions = {{name: everybody.action_space(name).sample() for name in everybody.agents}}
-observations, rewards, terminated, truncated, infos = everybody.step(actions)
+everyone = animarl_envs.parallel_env("{species.name}")
+observations, infos = everyone.reset(seed=0)
+actions = {{name: everyone.action_space(name).sample() for name in everyone.agents}}
+observations, rewards, terminated, truncated, infos = everyone.step(actions)
 ```
 
 They are registered with PettingZoo too: `pettingzoo.make("parallel", "{env_id}")`.
