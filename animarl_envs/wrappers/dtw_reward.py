@@ -27,12 +27,19 @@ from animarl_envs.errors import InputError
 from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
 
 
-def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DTWTracker:
-    """A tracker following the world of an unwrapped view."""
+def _tracker(env: Any, view: type[Any], alpha: float, penalty: str) -> DTWTracker:
+    """Return a tracker that follows the world of an unwrapped ``view``."""
+    if not issubclass(type(env), view):
+        raise InputError(
+            f"the DTW reward for {view.__name__} does not wrap {type(env).__name__}: choose the "
+            "wrapper of that view"
+        )
     number = isinstance(alpha, int | float | np.number) and not isinstance(alpha, bool)
     if not number or not 0 <= alpha < np.inf:
         raise InputError(f"alpha is {alpha!r}: it must be zero or positive")
     world = env.world
+    everyone = list(range(world.num_individuals))
+    individuals = everyone if view is AnimalParallelEnv else [env.focal_index]
     if any(isinstance(tracker, DTWTracker) for tracker in world.trackers):
         raise InputError("the environment has a DTW reward already: wrap it once")
     demos = world.demos if world.scenario.paired else None
@@ -40,6 +47,15 @@ def _tracker(env: Any, individuals: list[int], alpha: float, penalty: str) -> DT
     tracker = DTWTracker(demos, world.num_copies, np.array(individuals), scale, penalty)
     world.trackers.append(tracker)
     return tracker
+
+
+def _shape(tracker: DTWTracker, f: int, alpha: float, reward: float, info: dict[str, Any]) -> float:
+    """Return the reward of the tracker's individual ``f``; write what it is made of to ``info``."""
+    info["task_reward"] = float(reward)
+    info["dtw_penalty"] = float(tracker.penalty[0, f])
+    info["dtw_distance"] = float(tracker.row_minimum[0, f])
+    info["aligned_step"] = int(tracker.aligned[0, f])
+    return float(reward) - alpha * float(tracker.penalty[0, f])
 
 
 class DTWReward(
@@ -71,20 +87,12 @@ class DTWReward(
     ) -> None:
         RecordConstructorArgs.__init__(self, alpha=alpha, penalty=penalty)
         gym.Wrapper.__init__(self, env)
-        inner = env.unwrapped
-        if not isinstance(inner, AnimalEnv):
-            raise InputError(f"DTWReward wraps AnimaRL environments, not {type(inner).__name__}")
         self.alpha = alpha
-        self._tracker = _tracker(inner, [inner.focal_index], alpha, penalty)
+        self._tracker = _tracker(env.unwrapped, AnimalEnv, alpha, penalty)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
-        tracker = self._tracker
-        info["task_reward"] = float(reward)
-        info["dtw_penalty"] = float(tracker.penalty[0, 0])
-        info["dtw_distance"] = float(tracker.row_minimum[0, 0])
-        info["aligned_step"] = int(tracker.aligned[0, 0])
-        shaped = float(reward) - self.alpha * info["dtw_penalty"]
+        shaped = _shape(self._tracker, 0, self.alpha, float(reward), info)
         return observation, shaped, terminated, truncated, info
 
 
@@ -98,19 +106,16 @@ class DTWRewardVector(VectorWrapper):
 
     def __init__(self, env: VectorEnv, alpha: float = 1.0, penalty: str = "closeness") -> None:
         super().__init__(env)
-        inner = env.unwrapped
-        if not isinstance(inner, AnimalVectorEnv):
-            raise InputError(f"DTWRewardVector wraps AnimaRL vectors, not {type(inner).__name__}")
         self.alpha = alpha
-        self._inner = inner
-        self._tracker = _tracker(inner, [inner.focal_index], alpha, penalty)
+        self._tracker = _tracker(env.unwrapped, AnimalVectorEnv, alpha, penalty)
 
     def step(
         self, actions: Any
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        tracker = self._tracker
-        cost = np.where(self._inner.reset_by_step, 0.0, tracker.penalty[:, 0])
+        tracker, inner = self._tracker, self.env.unwrapped
+        assert isinstance(inner, AnimalVectorEnv)
+        cost = np.where(inner.reset_by_step, 0.0, tracker.penalty[:, 0])
         told = {
             "task_reward": rewards,
             "dtw_penalty": cost,
@@ -138,21 +143,11 @@ class DTWRewardParallel(BaseParallelWrapper):  # type: ignore[type-arg]
 
     def __init__(self, env: Any, alpha: float = 1.0, penalty: str = "closeness") -> None:
         super().__init__(env)
-        inner = env.unwrapped
-        if not isinstance(inner, AnimalParallelEnv):
-            raise InputError(f"DTWRewardParallel wraps AnimaRL worlds, not {type(inner).__name__}")
         self.alpha = alpha
-        everyone = list(range(inner.world.num_individuals))
-        self._tracker = _tracker(inner, everyone, alpha, penalty)
+        self._tracker = _tracker(env.unwrapped, AnimalParallelEnv, alpha, penalty)
 
     def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        tracker = self._tracker
-        for i, agent in enumerate(rewards):
-            cost = float(tracker.penalty[0, i])
-            infos[agent]["task_reward"] = rewards[agent]
-            infos[agent]["dtw_penalty"] = cost
-            infos[agent]["dtw_distance"] = float(tracker.row_minimum[0, i])
-            infos[agent]["aligned_step"] = int(tracker.aligned[0, i])
-            rewards[agent] -= self.alpha * cost
+        for f, (agent, reward) in enumerate(rewards.items()):
+            rewards[agent] = _shape(self._tracker, f, self.alpha, reward, infos[agent])
         return observations, rewards, terminated, truncated, infos
