@@ -5,7 +5,6 @@ All distances are in arena units, after scaling; cuts and outcomes are decided a
 
 from __future__ import annotations
 
-import csv
 import math
 import warnings
 from collections.abc import Sequence
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.files import refuse_unfinished
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import runs
+from animarl_envs.importing.rows import read_rows
 
 FEWEST_PIECES = 10
 FEWEST_ENDS = 5  # recordings that say how recordings end
@@ -227,7 +226,7 @@ def _from_table(
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
-    for number, row in _event_rows(path):
+    for number, row in read_rows(path, NEEDED)[0]:
         if row["recording"] != recording:
             continue
         try:
@@ -310,26 +309,6 @@ def find_contact_distance(nearest: Sequence[NDArray[np.float64]]) -> float | Non
     return None
 
 
-def _event_rows(path: Path) -> list[tuple[int, dict[str, str]]]:
-    """The lines of a table, each with its number.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read or lacks a column.
-    """
-    refuse_unfinished(path)
-    try:
-        with path.open(newline="") as file:
-            table = csv.DictReader(file)
-            rows = [(table.line_num, row) for row in table]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: the event table cannot be read ({error}): check it") from None
-    if rows and not set(rows[0][1]) >= NEEDED:
-        raise InputError(f"{path}: it lacks a column recording, start or end: add them")
-    return rows
-
-
 def check_events(path: Path, recordings: Sequence[str]) -> None:
     """Warn of events of recordings that there are none of: misspelt, or of files left out.
 
@@ -338,7 +317,7 @@ def check_events(path: Path, recordings: Sequence[str]) -> None:
     InputError
         If all are.
     """
-    rows = _event_rows(path)
+    rows, _ = read_rows(path, NEEDED)
     strange = [(line, row["recording"]) for line, row in rows if row["recording"] not in recordings]
     if not strange:
         return

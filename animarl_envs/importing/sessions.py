@@ -6,7 +6,6 @@ It comes from a table with a row per recording (``--metadata``), or from a patte
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -21,7 +20,7 @@ from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import Splitting, split_recordings
 from animarl_envs.errors import InputError
-from animarl_envs.files import refuse_unfinished
+from animarl_envs.importing.rows import read_rows
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.patterns import search_names
 
@@ -29,7 +28,6 @@ COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "p
 GROUPS = ("condition", "split", "target")
 TARGET, PURSUER = "target", "pursuer"
 NUMBERED = {"0", "1"}
-SEPARATORS = ",;\t"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +121,7 @@ def read_sessions(path: Path) -> Sessions:
     InputError
         One sentence with the line.
     """
-    rows, names = _rows(path)
+    rows, names = read_rows(path, {"recording"})
     found: dict[str, Session] = {}
     for number, row in rows:
         place = f"{path}: line {number}"
@@ -133,7 +131,7 @@ def read_sessions(path: Path) -> Sessions:
         own = _session(row, place)
         found[name] = _united(found[name], own, f"{place} ({name})") if name in found else own
     words = conditions_of([one.condition for one in found.values()], str(path))
-    return Sessions(str(path), found, words, tuple(sorted(names - set(COLUMNS))))
+    return Sessions(str(path), found, words, tuple(sorted(set(names) - set(COLUMNS))))
 
 
 def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
@@ -183,39 +181,6 @@ def apply_session(tracks: Tracks, sessions: Sessions) -> Tracks:
         tracks.choose([session.target])  # refuses whom there is none of
     condition = sessions.number(session)
     return tracks if condition is None else replace(tracks, condition=condition)
-
-
-def _rows(path: Path) -> tuple[list[tuple[int, dict[str, str]]], set[str]]:
-    """Lines with their numbers and cells by column, and the names of the columns."""
-    from animarl_envs.importing.readers.text_layout import encoding_of  # readers import recipes
-
-    refuse_unfinished(path)
-    try:
-        with path.open(newline="", encoding=encoding_of(path)) as file:
-            header = file.readline()
-            separator = max(SEPARATORS, key=header.count)
-            file.seek(0)
-            table = [(i, row) for i, row in enumerate(csv.reader(file, delimiter=separator), 1)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: the metadata cannot be read ({error}): check it") from None
-    names = [name.strip().lower() for name in table[0][1]] if table else []
-    if "recording" not in names:
-        raise InputError(
-            f"{path}: it lacks the column recording (it has {', '.join(names) or 'none'}): name it "
-            "so"
-        )
-    if len(set(names)) < len(names):
-        raise InputError(f"{path}: two columns have one name: rename one of them")
-    rows = []
-    for number, cells in table[1:]:
-        if not any(cell.strip() for cell in cells):
-            continue
-        if len(cells) != len(names):
-            raise InputError(
-                f"{path}: line {number} has {len(cells)} cells, the header {len(names)}: correct it"
-            )
-        rows.append((number, dict(zip(names, (cell.strip() for cell in cells), strict=True))))
-    return rows, set(names)
 
 
 def _session(row: Mapping[str, str], place: str) -> Session:

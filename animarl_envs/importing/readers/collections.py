@@ -5,14 +5,14 @@ Both are an ``.npz`` of int16 arrays, one per recording, beside an ``index.csv``
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.files import npz_members, read_npz, refuse_unfinished
+from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.rows import read_rows
 from animarl_envs.importing.tracks import Tracks
 
 TERMITE_STEPS = 50.0  # stored as (pixel - offset) * 50
@@ -38,21 +38,6 @@ FLY_DEFAULTS = {
 }  # fmt: skip
 
 
-def _index(path: Path, key: str) -> dict[str, dict[str, str]]:
-    index = path.parent / "index.csv"
-    refuse_unfinished(index)
-    try:
-        with index.open(newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{index}: it cannot be read ({error}): keep it beside {path.name}"
-        ) from None
-    if not rows or key not in rows[0]:
-        raise InputError(f"{index}: it lacks the column {key!r}: keep the one of {path.name}")
-    return {row[key]: row for row in rows}
-
-
 def _scale_of(path: Path, row: dict[str, str]) -> float:
     """Millimetres per pixel, which the key's row gives."""
     try:
@@ -75,7 +60,8 @@ def read_termites(
     path: Path, kind: str | None = None, recordings: list[str] | None = None
 ) -> list[Tracks]:
     """Male and female in mm; ``kind`` ``"Cf"`` or ``"Rs"`` takes one species."""
-    index = _index(path, "key")
+    rows, _ = read_rows(path.parent / "index.csv", {"key"})
+    index = {row["key"]: row for _, row in rows}
     found = []
     for key, array in read_npz(path).items():
         if (kind and not key.startswith(kind)) or (recordings and key not in recordings):

@@ -8,18 +8,18 @@ pickle, which is opened by the restricted unpickler only.
 from __future__ import annotations
 
 import csv
-import math
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.files import refuse_unfinished
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tables import plain_table
+from animarl_envs.importing.readers.tables import Table, plain_table
+from animarl_envs.importing.readers.text_layout import Layout
 from animarl_envs.importing.readers.unpickle import load_plain
 from animarl_envs.importing.tracks import Tracks
 
@@ -61,58 +61,36 @@ def read_deeplabcut(path: Path, fps: float | None = None) -> list[Tracks]:
 
 
 def read_deeplabcut_csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
-    """Columns and values ``(frames, columns)`` of a table whose rows are frames 0, 1, 2 ..."""
-    refuse_unfinished(path)
+    """Return columns and values ``(frames, columns)`` of a table whose rows are frames 0, 1, 2."""
     with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file)
-        header: list[list[str]] = []
-        for row in rows:
-            header.append(row)
-            if (row and row[0] == "coords") or len(header) > 4:
-                break
-        levels = [row[0] if row else "" for row in header]
-        if levels not in (
-            ["scorer", "bodyparts", "coords"],
-            ["scorer", "individuals", "bodyparts", "coords"],
-        ):
-            raise InputError(
-                f"{path}: its header rows are {', '.join(levels)}, not scorer, (individuals,) "
-                "bodyparts, coords: check --source"
-            )
-        columns = _columns(path, [row[1:] for row in header[1:]])
-        values: list[list[float]] = []
-        for number, row in enumerate(rows, start=len(header) + 1):
-            if len(row) != len(columns) + 1:
-                raise InputError(
-                    f"{path}: line {number} has {len(row)} cells, the header {len(columns) + 1}: "
-                    "copy the file again"
-                )
-            try:
-                check_frame(path, number, _number(row[0]), len(values))
-                values.append([_number(cell) for cell in row[1:]])
-            except InputError:
-                raise
-            except ValueError as error:
-                raise InputError(f"{path}: line {number}: {error}: correct it") from None
-    if not values:
-        raise InputError(f"{path}: it has a header but no rows: check the file")
-    return columns, np.array(values)
-
-
-def check_frame(path: Path, line: int, frame: float, expected: int) -> None:
-    """Refuse a row that is not the next frame: a gap or a swap would shift time silently."""
-    if frame != expected:
+        rows = list(itertools.islice(csv.reader(file), 4))
+    header = rows[: 3 if len(rows) > 2 and rows[2][:1] == ["coords"] else 4]
+    levels = [row[0] if row else "" for row in header]
+    if levels not in (
+        ["scorer", "bodyparts", "coords"],
+        ["scorer", "individuals", "bodyparts", "coords"],
+    ):
         raise InputError(
-            f"{path}: line {line} is of frame {frame:g}, not {expected}: give every frame from 0, "
-            "in order, with empty cells where nothing was tracked"
+            f"{path}: its header rows are {', '.join(levels)}, not scorer, (individuals,) "
+            "bodyparts, coords: check --source"
         )
+    columns = _columns(path, [row[1:] for row in header[1:]])
+    names = ("frame", *(f"column {i}" for i in range(1, len(columns) + 1)))
+    table = Table(path, Layout(names, ("",) * len(names), first=len(header)))
+    number, _ = table.columns(names)
+    _check_frames(path, number["frame"], table.place)
+    return columns, np.column_stack([number[name] for name in names[1:]])
 
 
-def _number(cell: str) -> float:
-    """A cell's number, empty ones NaN; Python's own ``1_000`` is none."""
-    if "_" in cell:
-        raise ValueError(f"could not convert {cell!r} to a number")
-    return float(cell) if cell else math.nan
+def _check_frames(path: Path, frames: NDArray[np.float64], place: Callable[[int], str]) -> None:
+    """Refuse a row that is not the next frame: a gap or a swap would shift time silently."""
+    wrong = np.flatnonzero(frames != np.arange(len(frames)))
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"{path}: {place(row)} is of frame {frames[row]:g}, not {row}: give every frame from "
+            "0, in order, with empty cells where nothing was tracked"
+        )
 
 
 def _hdf(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
@@ -140,8 +118,7 @@ def _hdf(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
         )
     if values.dtype.kind not in "iuf":
         raise InputError(f"{path}: its table holds {values.dtype}, not numbers: check --source")
-    for row, frame in enumerate(np.asarray(table["index"], dtype=np.float64).ravel().tolist()):
-        check_frame(path, row + 1, frame, row)
+    _check_frames(path, np.asarray(table["index"], np.float64).ravel(), lambda row: f"row {row}")
     return _columns(path, levels), values.astype(np.float64)
 
 
