@@ -75,7 +75,7 @@ def read_deeplabcut_csv(path: Path) -> tuple[list[Column], NDArray[np.float64]]:
             "bodyparts, coords: check --source"
         )
     columns = _columns(path, [row[1:] for row in header[1:]])
-    names = ("frame", *(f"column {i}" for i in range(1, len(columns) + 1)))
+    names = ("frame", *map(" ".join, columns))
     table = Table(path, Layout(names, ("",) * len(names), first=len(header)))
     number, _ = table.columns(names)
     _check_frames(path, number["frame"], table.place)

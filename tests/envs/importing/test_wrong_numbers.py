@@ -30,7 +30,7 @@ SHIFTED: dict[str, tuple[Lines, str]] = {
     "swap": (lambda rows: [*rows[:5], rows[6], rows[5], *rows[7:]], "of frame 6, not 5"),
     "first": (lambda rows: rows[1:], "line 5 is of frame 1, not 0"),
     "no frame": (lambda rows: ["," + row.partition(",")[2] for row in rows], "of frame nan, not 0"),
-    "names": (lambda rows: [f"img{row}" for row in rows], "convert"),
+    "names": (lambda rows: [f"img{row}" for row in rows], "is no number"),
 }  # fmt: skip
 
 
