@@ -184,7 +184,13 @@ def _backward_loop(
     return factor, grad_hidden_n, carried
 
 
-class _StackedGRU(torch.autograd.Function):
+class GRUFunction(torch.autograd.Function):
+    """Hidden states (K, row, H) of K GRUs over sequences packed by ``packing``.
+
+    Inputs are (K, row, I), the state before the first step is (K, batch, H), the weights are
+    (K, I, 3H) and (K, H, 3H) with gates in the order r, z, n, the biases (K, 1, 3H).
+    """
+
     @staticmethod
     def forward(
         ctx: Any,
@@ -247,38 +253,6 @@ class _StackedGRU(torch.autograd.Function):
             grad_bias_hidden,
             None,
         )
-
-
-def stacked_gru(
-    inputs: torch.Tensor,
-    state: torch.Tensor,
-    weight_input: torch.Tensor,
-    weight_hidden: torch.Tensor,
-    bias_input: torch.Tensor,
-    bias_hidden: torch.Tensor,
-    packing: Packing,
-) -> torch.Tensor:
-    """Hidden states of K GRUs over packed sequences.
-
-    Parameters
-    ----------
-    inputs : Tensor (K, row, I)
-        Inputs, packed by ``packing``.
-    state : Tensor (K, batch, H)
-        Hidden state before the first step.
-    weight_input, weight_hidden : Tensor (K, I, 3H), (K, H, 3H)
-        Gates in the order r, z, n.
-    bias_input, bias_hidden : Tensor (K, 1, 3H)
-    packing : Packing
-
-    Returns
-    -------
-    Tensor (K, row, H)
-    """
-    hidden: torch.Tensor = _StackedGRU.apply(  # type: ignore[no-untyped-call]
-        inputs, state, weight_input, weight_hidden, bias_input, bias_hidden, packing
-    )
-    return hidden
 
 
 @dataclass(frozen=True)
@@ -386,15 +360,11 @@ class StackedGRU(nn.Module):
 
     def forward(self, inputs: torch.Tensor, state: torch.Tensor, packing: Packing) -> torch.Tensor:
         """Hidden states (K, row, H) of packed inputs (K, row, in)."""
-        return stacked_gru(
-            inputs,
-            state,
-            self.weight_input,
-            self.weight_hidden,
-            self.bias_input,
-            self.bias_hidden,
-            packing,
+        hidden: torch.Tensor = GRUFunction.apply(  # type: ignore[no-untyped-call]
+            *(inputs, state, self.weight_input, self.weight_hidden),
+            *(self.bias_input, self.bias_hidden, packing),
         )
+        return hidden
 
 
 class _FoldedDueling(torch.autograd.Function):

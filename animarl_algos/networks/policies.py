@@ -73,33 +73,15 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         Learning rate from remaining progress, as in stable-baselines3.
     individuals
         Names of the K individuals in slot order.
-    condition_flag
-        Whether the last observation component is the condition flag.
-    condition_input
-        Where the flag enters the network: ``"encoder"``, as any other component of the observation,
-        or ``"head"``, beside a memory that stays blind to it (DQCIL).
-    treatment_head
-        Whether to predict the treatment through gradient reversal (DQCIL).
-    reversal
-        Strength of that reversal.
     n_quantiles
         Quantiles per action (QR-DQN); None for expected values (DQN).
     td_loss
         Of expected values: the temporal-difference error ``"squared"`` (the paper), or by
         ``"huber"`` with threshold 1 (stable-baselines3).
-    hidden
-        Units of every hidden layer.
-    depth
-        Layers that encode the observation, before the memory and the head.
-    head_layers
-        Hidden layers of the head's two streams, 1 (the paper) or 0.
-    dropout
-        Share of hidden units left out of an offline update, below 1.
-    shared
-        Whether the individuals' networks differ in their biases alone, so that each learns from
-        what all did; otherwise they have nothing in common.
-    skip
-        Whether the head sees the encoded observation beside the memory (policies with one).
+    condition_flag, condition_input, treatment_head, reversal
+        See :class:`~animarl_algos.networks.networks.StackedQNetwork`.
+    hidden, depth, head_layers, dropout, skip, shared
+        See there too; ``hidden`` are its ``units``.
     previous_action
         Whether the previous action is an input; by default it is one for a policy with a memory.
     epsilon, temperature

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numba as nb
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from animarl_algos.replay.store import (
     EPISODES,
@@ -53,13 +53,6 @@ def find_leaf(trees, k, mass):  # type: ignore[no-untyped-def]
 
 
 @jit
-def set_leaves(trees, k, leaves, values):  # type: ignore[no-untyped-def]
-    """Give several leaves of tree ``k`` their priorities."""
-    for i in range(len(leaves)):
-        set_leaf(trees, k, leaves[i], values[i])
-
-
-@jit
 def draw_leaves(trees, streams, k, stratified, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` with leaves of tree ``k``, drawn in proportion to their priorities.
 
@@ -95,25 +88,6 @@ class SumTrees:
         """Priorities of all leaves, ``(K, capacity)``, a view."""
         first = self.nodes.shape[1] // 2
         return self.nodes[:, first : first + self.capacity]
-
-    @property
-    def total(self) -> NDArray[np.float64]:
-        """Sum of all priorities, ``(K,)``."""
-        return self.nodes[:, 1]
-
-    def set(self, k: int, leaves: ArrayLike, values: ArrayLike) -> None:
-        """Give ``leaves`` of tree ``k`` the priorities ``values``."""
-        set_leaves(
-            self.nodes, k, np.asarray(leaves, dtype=np.int64), np.asarray(values, dtype=np.float64)
-        )
-
-    def draw(
-        self, k: int, size: int, streams: NDArray[np.uint64], *, stratified: bool = True
-    ) -> NDArray[np.int64]:
-        """``size`` leaves of tree ``k``, in proportion to their priorities, from ``streams[k]``."""
-        out = np.empty(size, dtype=np.int64)
-        draw_leaves(self.nodes, streams, k, stratified, out)
-        return out
 
     def restore(self, leaves: NDArray[np.int64], priorities: NDArray[np.float64]) -> None:
         """Make all trees anew: ``leaves`` get ``priorities`` ``(K, len(leaves))``, others zero."""

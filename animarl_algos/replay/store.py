@@ -237,12 +237,6 @@ class SequenceBatch:
         copy.indices, copy.active = self.indices.copy(), self.active.copy()
         return copy
 
-    def individual(self, k: int) -> SequenceBatch:
-        """Individual ``k`` alone, as a batch with K = 1 (a view, padded as the whole)."""
-        alone = self._map(lambda tensor: tensor[k : k + 1])
-        alone.indices = self.indices[k : k + 1]
-        return alone
-
     def _map(self, function: Callable[[torch.Tensor], torch.Tensor]) -> SequenceBatch:
         changed: dict[str, Any] = {
             field.name: function(value)

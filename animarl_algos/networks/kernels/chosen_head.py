@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from animarl_algos.networks.kernels import as_arrays
 from animarl_envs.compiling import jit
 
 _ZERO = np.float32(0.0)
@@ -56,7 +56,7 @@ class _ChosenValues(torch.autograd.Function):
         quantiles: int,
     ) -> torch.Tensor:
         values = units.new_empty((*units.shape[:2], quantiles))
-        _forward(*map(_array, (units, weight, bias, actions, values)))
+        _forward(*as_arrays(units, weight, bias, actions, values))
         ctx.save_for_backward(units, weight, actions)
         return values
 
@@ -69,15 +69,10 @@ class _ChosenValues(torch.autograd.Function):
         grad_weight = torch.zeros_like(weight_back)
         grad_bias = weight.new_zeros((weight.shape[0], 1, weight.shape[2]))
         _backward(
-            *map(_array, (grad_outputs[0], units, weight_back, actions)),
-            *map(_array, (grad_units, grad_weight, grad_bias)),
+            *as_arrays(grad_outputs[0], units, weight_back, actions),
+            *as_arrays(grad_units, grad_weight, grad_bias),
         )
         return grad_units, grad_weight.transpose(1, 2), grad_bias, None, None
-
-
-def _array(tensor: torch.Tensor) -> NDArray[Any]:
-    array: NDArray[Any] = tensor.detach().contiguous().numpy()
-    return array
 
 
 @jit(fastmath={"contract", "nsz"})

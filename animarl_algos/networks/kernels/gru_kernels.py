@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from animarl_algos.networks.kernels import as_arrays
 from animarl_envs.compiling import jit
 
 # tanh as a quotient of polynomials in x^2, the approximation of Eigen and XLA, within a few float32
@@ -79,17 +80,9 @@ def _forward(gates, hidden_n, hidden, state, weight, bias, active, scratch):  # 
 
 @jit(fastmath={"contract", "nsz"})
 def _backward(  # type: ignore[no-untyped-def]
-    grad_hidden,
-    gates,
-    hidden_n,
-    hidden,
-    state,
-    weight_back,
-    active,
-    grad_gates,
-    grad_hidden_n,
-    carried,
-):
+    grad_hidden, gates, hidden_n, hidden, state, weight_back, active,
+    grad_gates, grad_hidden_n, carried,
+):  # fmt: skip
     individuals, rows, units = hidden.shape
     for k in range(individuals):
         end = rows
@@ -121,11 +114,6 @@ def _backward(  # type: ignore[no-untyped-def]
             end = start
 
 
-def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
-    array: NDArray[np.float32] = tensor.detach().contiguous().numpy()
-    return array
-
-
 def forward(
     gates: torch.Tensor,
     hidden_n: torch.Tensor,
@@ -137,16 +125,7 @@ def forward(
 ) -> None:
     """Fill ``hidden_n`` and ``hidden`` (K, row, H), turn ``gates`` (K, row, 3H) into r, z, n."""
     scratch = np.empty(gates.shape[-1], dtype=np.float32)
-    _forward(
-        _array(gates),
-        _array(hidden_n),
-        _array(hidden),
-        _array(state),
-        _array(weight),
-        _array(bias),
-        active,
-        scratch,
-    )
+    _forward(*as_arrays(gates, hidden_n, hidden, state, weight, bias), active, scratch)
 
 
 def backward(
@@ -162,16 +141,6 @@ def backward(
     grad_gates = torch.empty_like(gates)
     grad_hidden_n = torch.empty_like(hidden_n)
     carried = torch.zeros_like(state, memory_format=torch.contiguous_format)
-    _backward(
-        _array(grad_hidden),
-        _array(gates),
-        _array(hidden_n),
-        _array(hidden),
-        _array(state),
-        _array(weight.transpose(1, 2)),
-        active,
-        _array(grad_gates),
-        _array(grad_hidden_n),
-        _array(carried),
-    )
+    given = as_arrays(grad_hidden, gates, hidden_n, hidden, state, weight.transpose(1, 2))
+    _backward(*given, active, *as_arrays(grad_gates, grad_hidden_n, carried))
     return grad_gates, grad_hidden_n, carried

@@ -9,7 +9,7 @@ from sequences import LENGTHS, B, H, K, N, T, batch, torch_gru, valid_steps
 
 from animarl_algos.networks import layers
 from animarl_algos.networks.kernels.gru_kernels import tanh_float32
-from animarl_algos.networks.layers import Packing, stacked_gru
+from animarl_algos.networks.layers import GRUFunction, Packing
 from animarl_envs.errors import InputError
 
 
@@ -36,7 +36,7 @@ def test_gru_equals_torch_in_values_and_all_gradients(dtype, packed, device) -> 
         packing, seen = Packing.from_lengths(LENGTHS, T, device), valid_steps()
     upstream = torch.randn(K, T, B, H, dtype=torch.float64).to(device, dtype)
     upstream = upstream * seen[..., None].to(device)
-    out = packing.unpack(stacked_gru(packing.pack(inputs), *arguments, packing))
+    out = packing.unpack(GRUFunction.apply(packing.pack(inputs), *arguments, packing))
     final = packing.final(packing.pack(out), arguments[0])
     gradients = torch.autograd.grad((out * upstream).sum(), [inputs, *arguments])
     for k in range(K):
@@ -70,7 +70,7 @@ def test_gru_gradcheck() -> None:
     arguments = [
         torch.randn(s, generator=generator, dtype=torch.float64, requires_grad=True) for s in shapes
     ]
-    assert torch.autograd.gradcheck(lambda *a: stacked_gru(*a, packing), arguments)
+    assert torch.autograd.gradcheck(lambda *a: GRUFunction.apply(*a, packing), arguments)
 
 
 def test_kernels_equal_the_tensor_loop(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -80,7 +80,7 @@ def test_kernels_equal_the_tensor_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     upstream = torch.randn(K, inputs.shape[1], H)
 
     def results() -> tuple[torch.Tensor, ...]:
-        out = stacked_gru(inputs, *arguments, packing)
+        out = GRUFunction.apply(inputs, *arguments, packing)
         return (out, *torch.autograd.grad(out, [inputs, *arguments], upstream))
 
     compiled = results()
