@@ -33,7 +33,7 @@ from animarl_algos.learner.settings import (
     settings_prose,
 )
 from animarl_algos.learner.updates import UpdateSchedule
-from animarl_algos.losses.terms import OfflineLoss, Phase, Recipe
+from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase, Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
@@ -322,7 +322,16 @@ class BaseLearner(OffPolicyAlgorithm):
 
     def phase(self, name: str) -> Phase:
         """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
-        return checks.phase_of(vars(self), name)
+        online = name == "online"
+        prefix = "" if online else "offline_"
+        own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
+        return Phase(
+            name=name,
+            lambda1=self.lambda1,
+            scaled_penalties=self.offline_scaled_penalties and not online,
+            n_steps=self.n_steps if online else 1,
+            **{key: getattr(self, prefix + key) for key in own},
+        )
 
     @property
     def offline_recipe(self) -> Recipe:

@@ -10,7 +10,7 @@ A checkpoint is a folder ``checkpoint_000012`` with
 
 It is written under a temporary name, flushed to disk, then renamed; only then are older ones
 removed. A kill at any moment, a full disk or an unwritable folder leaves the last one whole.
-Checkpoints are taken between updates only (``algorithm.boundary_hooks``), never within a step.
+Checkpoints are taken between updates only (``boundary_hooks`` of a learner), never within a step.
 """
 
 from __future__ import annotations

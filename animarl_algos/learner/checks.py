@@ -9,7 +9,7 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
 from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.settings import as_frequency
-from animarl_algos.losses.terms import WEIGHTS, Phase, Recipe
+from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.ranges import refuse_unknown
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, StateMode
@@ -22,21 +22,6 @@ SET_BY_LEARNER = {
     "seed", "names", "device", "num_copies", "epsilon", "acting",
 }  # fmt: skip
 """Arguments of the policy and the replay memory that come from elsewhere than their ``kwargs``."""
-
-
-def phase_of(settings: Mapping[str, Any], name: str) -> Phase:
-    """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
-    prefix = "" if name == "online" else "offline_"
-    own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
-    scaled = name == "offline" and settings["offline_scaled_penalties"]
-    steps = settings["n_steps"] if name == "online" else 1
-    return Phase(
-        name=name,
-        lambda1=settings["lambda1"],
-        scaled_penalties=scaled,
-        n_steps=steps,
-        **{key: settings[prefix + key] for key in own},
-    )
 
 
 def check_arguments(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> None:
