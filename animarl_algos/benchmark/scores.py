@@ -14,8 +14,7 @@ from animarl_algos.benchmark.measured import AUC, ENERGY, LABELS, Measured, Scor
 from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.distances import bootstrap_distances
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
-from animarl_algos.evaluation.metrics import dtw_alignments
-from animarl_algos.evaluation.motion import MEASURES
+from animarl_algos.evaluation.metrics import ARENA_UNITS, dtw_alignments, judged_metrics
 from animarl_algos.evaluation.null import Exchanges
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -40,7 +39,7 @@ Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
 DIFFERENCES = ("reached", "duration", "path_length", "mean_speed")
-UNITS = {measure.key: measure.unit for measure in MEASURES}
+UNITS = {metric.key: metric.unit for metric in judged_metrics()}
 DISTRIBUTIONS = ("duration", "path_length")
 
 
@@ -119,7 +118,7 @@ def _score(
     for key in DIFFERENCES:
         gap = _difference(simulated[key], counted, recorded[key], draws)
         tested = exchanges.difference(np.concatenate([recorded[key], simulated[key]]))
-        unit = UNITS[key].format(length=prepared.unit.name)
+        unit = UNITS[key].replace(ARENA_UNITS, prepared.unit.name)
         measures.append(_of(key, unit, gap, null=tested.null, p=tested.p))
     for key in DISTRIBUTIONS:
         kde = bootstrap_distances(

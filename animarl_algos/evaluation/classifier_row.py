@@ -1,39 +1,41 @@
-"""The row ``auc`` of a verdict: whether a classifier distinguishes rollouts from recordings.
+"""The rows of two judges that are asked which of two is recorded, and what they are read beside.
 
-Its area is printed beside that of recordings among themselves, of the locomotion model's
-closed-loop tracking, of the same with some actions at random, and of random actions. None of these
-excuses it: the row is judged by its own interval.
+Boosted trees look at two seconds of motion (:mod:`animarl_algos.evaluation.classifier`), and at
+order in time over up to a quarter of an episode (:mod:`animarl_algos.evaluation.sequence_judge`).
+Their areas are printed beside those of recordings among themselves, of the locomotion model's
+closed-loop tracking (perfect control in this locomotion) and of random actions. None of these
+excuses a row: it is judged by its own interval.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.classifier import Telling, among_themselves, tell_apart
-from animarl_algos.evaluation.motion import Measure
-from animarl_algos.evaluation.null import Tested
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.sequence_judge import sequence_windows, window_steps
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, row_of
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, UNKNOWN, Row
 from animarl_algos.evaluation.windows import WINDOW, Windows, resting_step, window_features
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.resolution import rounded
-from animarl_envs.demos.units import RECORDED_SCALE
 from animarl_envs.errors import InputError
 
 Floats = NDArray[np.float64]
 
 LITTLE_AUC = 0.60  # up to here it differs by little: two normal curves 0.36 sd apart
+STRICTER = 2.33 / 1.96  # a row that differs by chance alone does so in 1 % of cases
 FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
 PART = 15  # windows of such a part
-AUC = "auc"
+AUC, SEQUENCE = "auc", "auc_sequence"
+AREAS = ("among", "floor", "perturbed", "ceiling")
 
 
 class Tracked(Protocol):
@@ -63,75 +65,132 @@ def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
 
 
 @dataclass(frozen=True, eq=False)
-class Classified:
-    """What the classifier makes of the rollouts and of what they are read beside."""
+class Judge:
+    """What one judge makes of the rollouts, and of what they are read beside.
 
+    Parameters
+    ----------
+    key, label
+        Of its row.
+    simulated
+        Of the rollouts against their recordings.
+    areas
+        By name (``AREAS``), areas under the curve of recordings among themselves, of closed-loop
+        tracking, of such tracking with some actions at random, and of random actions.
+    """
+
+    key: str
+    label: str
     simulated: Telling
-    among: Interval
-    floor: Interval
-    perturbed: Interval
-    ceiling: Interval
-    block: int | None
+    areas: Mapping[str, Interval] = field(default_factory=dict)
 
-    @classmethod
-    def of(
-        cls,
-        prepared: Prepared,
-        counted: Rollouts,
-        floor: Tracked | None,
-        perturbed: Tracked | None,
-        baselines: Mapping[str, Rollouts],
-        references: Demonstrations | None,
-        streams: list[np.random.Generator],
-    ) -> Classified:
-        demos = prepared.demos
-        block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
-
-        still = resting_step(prepared.recorded)
-
-        def windows(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
-            made = window_features(rollouts, demos.arena, block=block, still=still)
-            return made.by_recording(of) if block is None else made
-
-        own = windows(prepared.recorded)
-        rng, null_rng = streams
-        simulated = tell_apart(own, windows(counted), rng, importance=True)
-        ceiling = tracked = shaken = UNDEFINED
-        if (random := baselines.get("random")) is not None:
-            drawn = prepared.filtered(factual(random, demos))
-            ceiling = tell_apart(own, windows(drawn), rng, deals=1).auc
-        if floor is not None:
-            tracked = tell_apart(own, windows(prepared.filtered(followed(demos, floor))), rng).auc
-        if perturbed is not None:
-            other = windows(prepared.filtered(followed(demos, perturbed)))
-            shaken = tell_apart(own, other, rng, deals=1).auc
-        if references is None:
-            among = among_themselves(own, null_rng)
-        else:
-            others = windows(
-                prepared.filtered(Rollouts.from_demonstrations(references)), references
-            )
-            apart = replace(others, group=others.group + own.group.max() + 1)
-            among = tell_apart(own, apart, null_rng, deals=1).auc
-        return cls(simulated, among, tracked, shaken, ceiling, block)
+    def row(self) -> Row:
+        """Return its row: what tracking comes to is printed beside it, not subtracted."""
+        auc, among = self.simulated.auc, self.areas.get("among", UNDEFINED)
+        row = Row(
+            measure=self.key,
+            label=self.label,
+            recorded=among.estimate,
+            simulated=auc.estimate,
+            difference=auc.estimate - 0.5,
+            difference_low=auc.low - 0.5,
+            difference_high=auc.high - 0.5,
+            distance=abs(auc.estimate - 0.5),
+            null=abs(among.high - 0.5),
+        )
+        if not math.isfinite(auc.estimate):
+            words = f"{UNKNOWN}: {auc.reason}" if auc.reason else UNKNOWN
+            return replace(row, judgement=UNKNOWN, verdict=words, reason=auc.reason)
+        if auc.estimate - STRICTER * (auc.estimate - auc.low) <= 0.5:
+            return row
+        by = max(self.simulated.importance.items(), key=lambda item: item[1])[0]
+        if auc.estimate <= LITTLE_AUC:
+            words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
+            return replace(row, judgement=BY_LITTLE, verdict=words)
+        words = f"distinguished, most of all by {by}"
+        return replace(row, judgement=DIFFERS, verdict=words)
 
 
-def auc_row(found: Classified) -> dict[str, Any]:
-    """Return the classifier's row. What tracking comes to is printed beside it, not subtracted."""
-    auc, among = found.simulated.auc, found.among
-    measure = Measure(
-        AUC, f"Distinguished by a classifier on {WINDOW:g} s (AUC)", "", "", "", ""
-    )  # fmt: skip
-    low, high = auc.low - among.estimate, auc.high - among.estimate
-    gap = Interval(auc.estimate - among.estimate, low, high)
-    tested = Tested(abs(auc.estimate - 0.5), abs(among.high - 0.5), math.nan)
-    row = row_of(measure, RECORDED_SCALE, among.estimate, auc.estimate, gap, tested)
-    if not math.isfinite(auc.estimate):
-        return row | {"judgement": UNKNOWN, "verdict": auc.reason or UNKNOWN}
-    if auc.low <= 0.5:
-        return row | {"judgement": SAME, "verdict": SAME}
-    by = max(found.simulated.importance.items(), key=lambda item: item[1])[0]
-    if auc.estimate <= LITTLE_AUC:
-        words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
-        return row | {"judgement": BY_LITTLE, "verdict": words}
-    return row | {"judgement": DIFFERS, "verdict": f"distinguished, most of all by {by}"}
+def judge_windows(
+    prepared: Prepared,
+    counted: Rollouts,
+    sides: Mapping[str, Rollouts],
+    references: Demonstrations | None,
+    streams: list[np.random.Generator],
+) -> tuple[Judge, bool]:
+    """Ask about two seconds of motion; also whether parts of demonstrations were dealt.
+
+    Parameters
+    ----------
+    sides
+        What the rollouts are read beside, see ``AREAS``; smoothed as the recordings.
+    references
+        Other recordings; by default halves of the evaluated ones are compared.
+    """
+    demos = prepared.demos
+    block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
+    still = resting_step(prepared.recorded)
+
+    def windows(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
+        made = window_features(rollouts, demos.arena, block=block, still=still)
+        return made.by_recording(of) if block is None else made
+
+    label = f"Distinguished by a classifier on {WINDOW:g} s (AUC)"
+    judge, own = _judge(AUC, label, windows, prepared, counted, sides, streams[0])
+    if references is None:
+        among = among_themselves(own, streams[1])
+    else:
+        others = windows(prepared.filtered(Rollouts.from_demonstrations(references)), references)
+        apart = replace(others, group=others.group + own.group.max() + 1)
+        among = tell_apart(own, apart, streams[1], deals=1).auc
+    return replace(judge, areas={"among": among, **judge.areas}), block is not None
+
+
+def judge_sequences_of(
+    prepared: Prepared,
+    counted: Rollouts,
+    sides: Mapping[str, Rollouts],
+    group: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> Judge:
+    """Ask about order in time, by windows up to a quarter of an episode."""
+    steps, rest = window_steps(prepared.recorded), resting_step(prepared.recorded)
+    seconds = steps * prepared.recorded.dt
+
+    def windows(rollouts: Rollouts) -> Windows:
+        return sequence_windows(rollouts, prepared.demos.arena, rest, steps, group)
+
+    label = f"Distinguished by order in time over {seconds:.3g} s (AUC)"
+    judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng)
+    return replace(judge, areas={"among": among_themselves(own, rng, halves=1), **judge.areas})
+
+
+def _judge(
+    key: str,
+    label: str,
+    windows: Callable[[Rollouts], Windows],
+    prepared: Prepared,
+    counted: Rollouts,
+    sides: Mapping[str, Rollouts],
+    rng: np.random.Generator,
+) -> tuple[Judge, Windows]:
+    own = windows(prepared.recorded)
+    simulated = tell_apart(own, windows(counted), rng, importance=True)
+    areas = {name: tell_apart(own, windows(one), rng, deals=1).auc for name, one in sides.items()}
+    return Judge(key, label, simulated, areas), own
+
+
+def read_beside(
+    prepared: Prepared,
+    floor: Tracked | None,
+    perturbed: Tracked | None,
+    baselines: Mapping[str, Rollouts],
+) -> dict[str, Rollouts]:
+    """Return what rollouts are read beside, smoothed as the recordings."""
+    demos, sides = prepared.demos, {}
+    if (random := baselines.get("random")) is not None:
+        sides["ceiling"] = factual(random, demos)
+    for name, tracking in (("floor", floor), ("perturbed", perturbed)):
+        if tracking is not None:
+            sides[name] = followed(demos, tracking)
+    return {name: prepared.filtered(one) for name, one in sides.items()}

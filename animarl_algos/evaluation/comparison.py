@@ -19,7 +19,7 @@ from animarl_algos.evaluation.distances import (
     kde_floor,
 )
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_cells, pooled_score
-from animarl_algos.evaluation.metrics import DURATION, METRICS, RETURN, Metric
+from animarl_algos.evaluation.metrics import DURATION, RETURN, Metric, compared_metrics
 from animarl_algos.evaluation.null import Exchanges, NullDistances
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, copies
 from animarl_algos.evaluation.statistics import (
@@ -64,7 +64,9 @@ def factual(metrics: pd.DataFrame) -> pd.DataFrame:
 
 def counted_metrics() -> list[tuple[Metric, str]]:
     """Every metric with every rule of what counts; a share among captures would say nothing."""
-    return [(m, rule) for m in METRICS for rule in COUNTING if rule == "all" or not m.share]
+    return [
+        (m, rule) for m in compared_metrics() for rule in COUNTING if rule == "all" or not m.share
+    ]
 
 
 def _done(rows: pd.DataFrame) -> list[bytes]:
@@ -170,7 +172,9 @@ def comparison_table(
             }
             put_interval(row, "mean", bootstrap_mean(data, draws, share=metric.share))
             put_interval(row, "within", within.get(name, UNDEFINED))
-            gap = bootstrap_difference(data, reference, draws) if compared else UNDEFINED
+            gap = UNDEFINED
+            if compared:
+                gap = bootstrap_difference(data, reference, draws, share=metric.share)
             put_interval(row, "to_recorded", gap)
             energy, distances, null = UNDEFINED, Distances(UNDEFINED, UNDEFINED), NullDistances()
             floor = math.nan
@@ -222,7 +226,7 @@ def pair_table(
             energies = {n: energy_of(r, metric.key, truth, counting) for n, r in by_method.items()}
         both_ways: dict[tuple[str, str], dict[str, Any]] = {}
         for first, second in combinations(data, 2):
-            row = _pair_row(data[first], data[second], draws)
+            row = _pair_row(data[first], data[second], draws, metric.share)
             energy = UNDEFINED
             if energies:
                 energy = energy_interval(energies[first], draws, less=energies[second])
@@ -244,7 +248,7 @@ def energy_interval(scores: Cells, draws: Draws, *, less: Cells | None = None) -
     )
 
 
-def _pair_row(first: Cells, second: Cells, draws: Draws) -> dict[str, Any]:
+def _pair_row(first: Cells, second: Cells, draws: Draws, share: bool) -> dict[str, Any]:
     starts = [data.starts for data in (first, second)]
     row: dict[str, Any] = {
         "demos": int((starts[0] & starts[1]).sum()),
@@ -252,7 +256,7 @@ def _pair_row(first: Cells, second: Cells, draws: Draws) -> dict[str, Any]:
         "covers": covers(first, second),
         "reason": "",
     }
-    put_interval(row, "difference", bootstrap_difference(first, second, draws))
+    put_interval(row, "difference", bootstrap_difference(first, second, draws, share=share))
     return row
 
 

@@ -1,7 +1,8 @@
-"""What is measured of each episode, and where it is shown: all there is to say about a metric.
+"""The one registry of what is measured of each episode, and where it is shown.
 
 A new metric is one entry in ``METRICS``. The table of episodes, the comparison with the recordings,
-the report's figures, tables and sentences and the table in the terminal all follow the entries.
+the verdict, the choice of acting, the leaderboard, the report's figures, tables and sentences and
+the table in the terminal all follow the entries.
 """
 
 from __future__ import annotations
@@ -9,13 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
+from animarl_envs.demos.summary import RESTING_SHARE
+from animarl_envs.demos.units import RECORDED_SCALE
 from animarl_envs.dtw import dtw_alignment
 from animarl_envs.errors import InputError
 
@@ -25,12 +29,30 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
+ARENA_UNITS = RECORDED_SCALE.name
+SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a slow one
+REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
+
+
 @dataclass(frozen=True, eq=False)
 class Episodes:
-    """What metrics are worked out from: rollouts and the demonstrations they started from."""
+    """What metrics are worked out from: rollouts and the demonstrations they started from.
+
+    Parameters
+    ----------
+    rollouts, demos
+        ``rollouts.demo`` counts the episodes of ``demos``.
+    slow
+        ``(individuals,)`` speeds below which a step is slow [arena unit / s], see
+        :func:`slow_speeds`; by default those of the demonstrations.
+    rounding
+        Who is outside the arena by no more than this [arena unit] may have been rounded there.
+    """
 
     rollouts: Rollouts
     demos: Demonstrations
+    slow: Floats | None = None
+    rounding: float = 0.0
 
     @cached_property
     def dtw(self) -> Floats:
@@ -54,6 +76,42 @@ class Episodes:
         return np.asarray((self.rollouts.lengths - 1) * self.rollouts.dt, dtype=np.float64)
 
     @cached_property
+    def ending(self) -> NDArray[np.int64]:
+        """``(rollouts,)``: reached, target out, pursuer out, or neither."""
+        return ending(self.rollouts)
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        """``(rollouts,)``, whether somebody was outside the arena, or left it."""
+        inside = self.demos.arena.contains(self.rollouts.positions, margin=self.rounding)
+        ever = np.logical_or.reduceat(~inside.all(axis=1), self.rollouts.offsets[:-1])
+        return np.asarray(ever | np.isin(self.ending, (TARGET_OUT, PURSUER_OUT)))
+
+    @cached_property
+    def motion(self) -> Floats:
+        """``(4, rollouts)``, means over individuals.
+
+        Mean and median speed of single steps [arena unit / s], share of slow steps, and the angle
+        between successive steps summed over an episode, divided by its duration [rad/s].
+        """
+        rollouts = self.rollouts
+        slow = self.slow
+        if slow is None:
+            slow = slow_speeds(Rollouts.from_demonstrations(self.demos))
+        found = np.zeros((4, len(rollouts)))
+        for i in range(len(rollouts)):
+            moved = np.diff(rollouts.path(i), axis=0)
+            if len(moved) == 0:
+                continue
+            speed = np.linalg.norm(moved, axis=-1) / rollouts.dt
+            cross = moved[:-1, :, 0] * moved[1:, :, 1] - moved[:-1, :, 1] * moved[1:, :, 0]
+            angle = np.abs(np.arctan2(cross, (moved[:-1] * moved[1:]).sum(axis=-1)))
+            turned = angle.sum(axis=0).mean() / (len(moved) * rollouts.dt)
+            median = np.median(speed, axis=0).mean()
+            found[:, i] = speed.mean(), median, (speed < slow).mean(), turned
+        return found
+
+    @cached_property
     def _alignments(self) -> tuple[Floats, Floats]:
         return dtw_alignments(self.rollouts, self.demos)
 
@@ -74,7 +132,8 @@ class Metric:
     measure
         ``(rollouts,)`` values of some episodes.
     share
-        It is 0 or 1: shown in percent, without distribution, and over all episodes alone.
+        It is a share, 0 or 1 for most: shown in percent, without distribution, and over all
+        episodes alone.
     of_recordings
         Recordings have it too, so that it can be compared with theirs. False: it is itself a
         comparison with them.
@@ -88,6 +147,17 @@ class Metric:
         The same per step, a column in its table.
     heading
         Of its column in the terminal; without one it is not shown there.
+    compared
+        It has a column in the table of episodes, and rows in the comparison.
+    judged
+        It has a row in the verdict, where recordings have it.
+    is_ending
+        Of how an episode ended: no row in the verdict where neither side knows it.
+    too_much, too_little
+        What the verdict says where rollouts have more of it, or less.
+    noun
+        Its values, where they may be too much alike or too varied: the verdict then compares their
+        spread too, and the energy score is worked out.
     """
 
     key: str
@@ -101,6 +171,23 @@ class Metric:
     caption: str = ""
     per_step: Metric | None = None
     heading: str = ""
+    compared: bool = True
+    judged: bool = True
+    is_ending: bool = False
+    too_much: str = ""
+    too_little: str = ""
+    noun: str = ""
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """What the verdict says of too much and of too little."""
+        name = self.label[:1].lower() + self.label[1:]
+        return self.too_much or f"{name} too high", self.too_little or f"{name} too low"
+
+    @property
+    def is_length(self) -> bool:
+        """Whether its unit is one of length, or of speed, in arena units."""
+        return self.unit.startswith(ARENA_UNITS)
 
     @property
     def has_distribution(self) -> bool:
@@ -120,6 +207,7 @@ RETURN = Metric(
     unit="share of episodes",
     measure=lambda episodes: episodes.rollouts.captured.astype(float),
     share=True,
+    judged=False,  # "reached" is
     caption="Share of episodes in which a pursuer reached the target (the moth the source), all "
     "episodes.",
     heading="target\nreached, %",
@@ -127,10 +215,13 @@ RETURN = Metric(
 PATH_LENGTH = Metric(
     key="path_length",
     label="Path length",
-    unit="arena units",
+    unit=ARENA_UNITS,
     measure=lambda episodes: episodes.path_length,
     planned=True,
     more_less=("longer", "shorter"),
+    too_much="paths too long",
+    too_little="paths too short",
+    noun="path lengths",
     caption="Path length per episode, mean over the pursuers (or the moth's): all episodes, and "
     "captures only.",
     heading="path length",
@@ -142,20 +233,23 @@ DURATION = Metric(
     measure=lambda episodes: episodes.duration,
     planned=True,
     more_less=("longer", "shorter"),
+    too_much="episodes too long",
+    too_little="episodes too short",
+    noun="durations",
     caption="Duration per episode: all episodes, and captures only.",
     heading="duration, s",
 )
 DTW_PER_STEP = Metric(
     key="dtw_per_step",
     label="DTW distance per step",
-    unit="arena units",
+    unit=ARENA_UNITS,
     measure=lambda episodes: episodes.dtw_per_step,
     of_recordings=False,
 )
 DTW = Metric(
     key="dtw",
     label="DTW distance",
-    unit="arena units",
+    unit=ARENA_UNITS,
     measure=lambda episodes: episodes.dtw,
     of_recordings=False,
     planned=True,
@@ -165,8 +259,82 @@ DTW = Metric(
     heading="DTW distance",
 )
 
-METRICS = [RETURN, PATH_LENGTH, DURATION, DTW, DTW_PER_STEP]
+
+def _of_verdict(
+    key: str, label: str, unit: str, measure: Callable[[Episodes], Floats], much: str, little: str,
+    **more: Any,
+) -> Metric:  # fmt: skip
+    """A metric that the verdict judges and the comparison of methods leaves out."""
+    return Metric(
+        key=key, label=label, unit=unit, measure=measure, too_much=much, too_little=little,
+        compared=False, **more,
+    )  # fmt: skip
+
+
+def _ended(key: str, label: str, end: int, much: str, little: str) -> Metric:
+    return _of_verdict(
+        key, label, "share", lambda e: (e.ending == end).astype(float), much, little,
+        share=True, is_ending=True,
+    )  # fmt: skip
+
+
+METRICS = [
+    RETURN,
+    PATH_LENGTH,
+    DURATION,
+    DTW,
+    DTW_PER_STEP,
+    _ended("reached", "Target reached", REACHED,
+           "reaches the target too often", "reaches the target too rarely"),
+    _ended("target_out", "Ended by the target leaving", TARGET_OUT,
+           "the target leaves too often", "the target leaves too rarely"),
+    _ended("pursuer_out", "Ended by a pursuer leaving", PURSUER_OUT,
+           "a pursuer leaves too often", "a pursuer leaves too rarely"),
+    _of_verdict("leaving", "Somebody outside the arena", "share",
+                lambda e: e.outside.astype(float),
+                "leaves the arena", "leaves the arena too rarely", share=True, is_ending=True),
+    _of_verdict("mean_speed", "Mean speed", f"{ARENA_UNITS}/s", lambda e: e.motion[0],
+                "too fast", "too slow", noun="mean speeds"),
+    _of_verdict("median_speed", "Median speed", f"{ARENA_UNITS}/s", lambda e: e.motion[1],
+                "too fast", "too slow"),
+    _of_verdict("slow_steps", "Slow steps", "share", lambda e: e.motion[2],
+                "stands still too often", "stands still too rarely", share=True),
+    _of_verdict("turning", "Turning", "rad/s", lambda e: e.motion[3],
+                "turns too much", "turns too little"),
+]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
+
+
+def judged_metrics() -> list[Metric]:
+    """Return the metrics that a verdict judges: endings first."""
+    chosen = [metric for metric in METRICS if metric.judged and metric.of_recordings]
+    return sorted(chosen, key=lambda metric: not metric.is_ending)
+
+
+def compared_metrics() -> list[Metric]:
+    """Return the metrics that methods are compared by."""
+    return [metric for metric in METRICS if metric.compared]
+
+
+def slow_speeds(recorded: Rollouts) -> Floats:
+    """Return the speed below which each individual is slow, ``(individuals,)`` [arena unit / s].
+
+    It is a quarter of the median speed of those recorded steps in which it moves at all, faster
+    than 5 % of its 99th percentile.
+    """
+    speeds = recorded.speeds()
+    limit = np.zeros(speeds.shape[1])
+    for k, speed in enumerate(speeds.T):
+        moving = speed[speed > RESTING_SHARE * np.quantile(speed, 0.99)]
+        limit[k] = SLOW_SHARE * np.median(moving) if moving.size else 0.0
+    return limit
+
+
+def ending(rollouts: Rollouts) -> NDArray[np.int64]:
+    """Reached, target out, pursuer out, or neither (time-out, or the recording was cut)."""
+    outcome = rollouts.outcome
+    known = np.where(np.isin(outcome, (TARGET_OUT, PURSUER_OUT)), outcome, NEITHER)
+    return np.where(outcome > 0, REACHED, known).astype(np.int64)
 
 
 def add_metric(metric: Metric) -> None:
@@ -259,7 +427,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             "cue": rollouts.cue,
             "outcome": rollouts.outcome,
             "captured": rollouts.captured,
-            **{metric.key: metric.measure(episodes) for metric in METRICS},
+            **{metric.key: metric.measure(episodes) for metric in compared_metrics()},
         }
     )
 

@@ -136,6 +136,7 @@ def bootstrap_difference(
     *,
     same_seeds: bool = False,
     same_demos: bool = True,
+    share: bool = False,
 ) -> Interval:
     """``mean(first) - mean(second)`` with its interval.
 
@@ -147,6 +148,9 @@ def bootstrap_difference(
     same_demos
         Whether demonstration ``i`` of both is the same, so that the difference is paired. Only
         starts that both have count then, each as much as any other.
+    share
+        The values are 0 or 1: the interval is Newcombe's hybrid score interval (1998, Stat. Med.
+        17, 873, method 10) of both shares, which stays between -1 and 1 and always has a width.
     """
     if same_demos and first.sums.shape[1] != second.sums.shape[1]:
         raise InputError("paired samples need the same demonstrations")
@@ -160,7 +164,7 @@ def bootstrap_difference(
         both = first.present & second.present
         gap = np.where(both, first.cell_means - second.cell_means, 0.0)
         pair = [Cells(gap, both.astype(np.float64)).even]
-        if both.any():
+        if both.any() and not share:
             return bootstrap_mean(pair[0], rng, resamples)
     elif same_demos:
         pair = shared_starts([first, second])
@@ -173,6 +177,11 @@ def bootstrap_difference(
     estimate = pair[0].mean - pair[1].mean
     if min(data.sums.shape[1] for data in pair) < 2:
         return Interval.without_ends(estimate, ONE_DEMO)
+    if share:
+        one, other = (bootstrap_mean(data, rng, resamples, share=True) for data in pair)
+        below = math.hypot(one.estimate - one.low, other.high - other.estimate)
+        above = math.hypot(one.high - one.estimate, other.estimate - other.low)
+        return _around(estimate, np.asarray(below), np.asarray(above), least=-1.0, most=1.0)
     parts = [
         Part(
             sign * data.deviations,

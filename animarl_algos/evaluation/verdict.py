@@ -1,26 +1,35 @@
-"""Does a simulator move like the recordings? One row per question, one line of words for all.
+"""Does a simulator move like the recordings? One row per question, one judgement for all.
 
 Every row compares recordings and rollouts from the same starts, says how far apart they are, what
-chance alone would give (:mod:`animarl_algos.evaluation.null`), and puts it in words: endings and
-motion in :mod:`animarl_algos.evaluation.verdict_rows`, the classifier in
-:mod:`animarl_algos.evaluation.classifier_row`.
+chance alone would give, and puts it in words: endings, motion and order in time in
+:mod:`animarl_algos.evaluation.verdict_rows`, two judges in
+:mod:`animarl_algos.evaluation.classifier_row`. Beside them stands the realism score, how likely the
+recordings are under the rollouts (:mod:`animarl_algos.evaluation.realism`).
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.classifier_row import AUC, Classified, Tracked, auc_row
+from animarl_algos.evaluation.classifier_row import (
+    AUC,
+    SEQUENCE,
+    Tracked,
+    judge_sequences_of,
+    judge_windows,
+    read_beside,
+)
 from animarl_algos.evaluation.energy_score import energy_scores
-from animarl_algos.evaluation.prepared import Prepared, factual
+from animarl_algos.evaluation.prepared import Prepared, censored, factual
+from animarl_algos.evaluation.realism import CEILING, OTHERS, RANDOM, Realism, realism
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval, bootstrap_mean, cells
 from animarl_algos.evaluation.verdict_rows import (
@@ -29,9 +38,10 @@ from animarl_algos.evaluation.verdict_rows import (
     OUTCOMES,
     SAME,
     UNKNOWN,
-    rows_of,
+    Row,
+    verdict_rows,
 )
-from animarl_algos.evaluation.windows import comparison_smoothing
+from animarl_algos.evaluation.windows import comparison_smoothing, resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -44,7 +54,7 @@ Floats = NDArray[np.float64]
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
-AREAS = ("auc", "among", "floor", "perturbed", "ceiling")
+REFERENCES = (CEILING, OTHERS, RANDOM)  # that a realism score is read beside
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,17 +64,9 @@ class Verdict:
     Parameters
     ----------
     table
-        One row per question, columns ``measure, label, unit, recorded, simulated, difference,
-        difference_low, difference_high, distance, null, p, covers, reason, recorded_null, energy,
-        energy_pooled, judgement, verdict``. ``judgement`` is one of
-        :data:`~animarl_algos.evaluation.verdict_rows.JUDGEMENTS`, ``verdict`` says it in words.
-        ``covers`` says what the interval of the difference speaks of, ``reason`` why there is none.
-        ``distance`` is what was tested against ``null``, the 95 % quantile of exchanged recordings:
-        the Wasserstein distance where there is a ``recorded_null`` (the upper end of the central
-        95 % for recordings drawn from recordings), the absolute difference elsewhere.
-        ``energy`` is the mean energy score over starts, ``energy_pooled`` what recordings of other
-        starts score. In the row ``auc``, ``recorded`` and ``null`` are those of
-        recordings among themselves.
+        One row per question, its columns the fields of
+        :class:`~animarl_algos.evaluation.verdict_rows.Row`. In the rows of the two judges,
+        ``recorded`` and ``null`` are those of recordings among themselves.
     words
         What differs, in the order of its weight; where nothing does, what differs by little; where
         nothing does that either, ``("not distinguishable",)``.
@@ -76,10 +78,16 @@ class Verdict:
         Why there is too little data to say anything; empty where there is enough.
     smoothing
         Frames of the moving average that both sides went through.
-    auc, among, floor, perturbed, ceiling
-        Areas under the ROC curve of the classifier: of the rollouts, of recordings among
-        themselves (their central 95 %), of closed-loop tracking, of such tracking with some actions
-        at random, and of random actions (NaN where they were not given).
+    auc, sequence
+        Areas under the ROC curve of the classifier on two seconds, and of the judge of order.
+    areas
+        By the judge's key and name, the areas that these are read beside: of recordings among
+        themselves, of closed-loop tracking, of such tracking with some actions at random, and of
+        random actions.
+    realism
+        The realism score with its interval, and by name the scores it is read beside.
+    components
+        The realism score by component, one row each.
     importance
         By kind of feature, how much of the area rests on it.
     parts
@@ -94,10 +102,11 @@ class Verdict:
     too_little: str = ""
     smoothing: int = 1
     auc: Interval = UNDEFINED
-    among: Interval = UNDEFINED
-    floor: Interval = UNDEFINED
-    perturbed: Interval = UNDEFINED
-    ceiling: Interval = UNDEFINED
+    sequence: Interval = UNDEFINED
+    areas: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
+    realism: Interval = UNDEFINED
+    realism_beside: Mapping[str, float] = field(default_factory=dict)
+    components: pd.DataFrame | None = None
     importance: Mapping[str, float]
     parts: bool = False
 
@@ -114,22 +123,32 @@ class Verdict:
         found = set(self.table["judgement"])
         return next(one for one in (DIFFERS, UNKNOWN, BY_LITTLE, SAME) if one in found)
 
+    @property
+    def among(self) -> Interval:
+        """The classifier's area of recordings among themselves."""
+        return self.areas.get(AUC, {}).get("among", UNDEFINED)
+
+    @property
+    def floor(self) -> Interval:
+        """The classifier's area of closed-loop tracking."""
+        return self.areas.get(AUC, {}).get("floor", UNDEFINED)
+
     def row(self, measure: str) -> dict[str, Any]:
         """The row of one measure, by column."""
         chosen = self.table[self.table["measure"] == measure]
         return {str(column): chosen[column].iloc[0] for column in chosen}
 
     def save(self, folder: str | Path) -> None:
-        """Write ``verdict.csv`` and ``verdict.json`` into a folder."""
+        """Write ``verdict.csv``, ``verdict.json`` and ``realism.csv`` into a folder."""
         folder = Path(folder)
         with write_then_rename(folder / "verdict.csv") as part:
             self.table.to_csv(part, index=False)
-        plain = {k: v for k, v in vars(self).items() if k != "table"}
-        for key in AREAS:
-            ends = (plain[key].estimate, plain[key].low, plain[key].high)
-            plain[key] = [end if math.isfinite(end) else None for end in ends]
+        if self.components is not None:
+            with write_then_rename(folder / "realism.csv") as part:
+                self.components.to_csv(part, index=False)
+        plain = {k: _plain(v) for k, v in vars(self).items() if k not in ("table", "components")}
         with write_then_rename(folder / "verdict.json") as part:
-            part.write_text(json.dumps(plain | {"importance": dict(self.importance)}, indent=2))
+            part.write_text(json.dumps(plain, indent=2))
 
     @classmethod
     def load(cls, folder: str | Path) -> Verdict:
@@ -138,16 +157,38 @@ class Verdict:
 
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
-        for key in AREAS:
-            ends = plain.get(key, (None, None, None))  # older ones lack the perturbed
-            estimate, low, high = (math.nan if end is None else end for end in ends)
-            plain[key] = Interval(estimate, low, high)
+        for key in ("auc", "sequence", "realism"):
+            plain[key] = _interval(plain[key])
+        plain["areas"] = {
+            judge: {name: _interval(ends) for name, ends in some.items()}
+            for judge, some in plain["areas"].items()
+        }
+        plain["realism_beside"] = {
+            name: math.nan if value is None else value
+            for name, value in plain["realism_beside"].items()
+        }
         table = pd.read_csv(
             folder / "verdict.csv", float_precision="round_trip", keep_default_na=True
         )
         for words in ("unit", "covers", "reason"):
             table[words] = table[words].astype(object).fillna("")
-        return cls(table=table, **plain | {"words": tuple(plain["words"])})
+        file = folder / "realism.csv"
+        components = pd.read_csv(file, float_precision="round_trip") if file.exists() else None
+        return cls(table=table, components=components, **plain | {"words": tuple(plain["words"])})
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it: intervals as three numbers, None for what is not finite."""
+    if isinstance(value, Interval):
+        return [_plain(end) for end in (value.estimate, value.low, value.high)]
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _interval(ends: Sequence[float | None]) -> Interval:
+    estimate, low, high = (math.nan if end is None else end for end in ends)
+    return Interval(estimate, low, high)
 
 
 def verdict(
@@ -198,48 +239,81 @@ def verdict(
             f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
             "compare them with the demonstrations they started from"
         )
-    streams = np.random.default_rng(seed).spawn(4)
+    streams = np.random.default_rng(seed).spawn(7)
     if smoothing is None:
         smoothing = comparison_smoothing(recorded)
     prepared = Prepared.of(recorded, smoothing)
-    counted = prepared.filtered(factual(rollouts, recorded))
-    rows = rows_of(prepared, counted, streams[0])
-    comparison = Classified.of(
-        prepared, counted, floor, perturbed, baselines or {}, references, streams[1:3]
-    )
-    rows.append(auc_row(comparison))
+    counted = prepared.filtered(censored(factual(rollouts, recorded), recorded))
+    group = _groups(recorded)
+    rows = verdict_rows(prepared, counted, group, streams[0])
+    beside = read_beside(prepared, floor, perturbed, baselines or {})
+    windows, parts = judge_windows(prepared, counted, beside, references, streams[1:3])
+    animals = np.arange(len(recorded)) if group is None else group
+    sequences = judge_sequences_of(prepared, counted, beside, animals, streams[4])
+    rows += [windows.row(), sequences.row()]
+    scored = _realism(prepared, counted, beside, references, streams[5])
     words = _overall(rows)
     untrained = (baselines or {}).get("untrained")
     if untrained is not None and words != (SAME,):
-        other = prepared.filtered(factual(untrained, recorded))
+        other = prepared.filtered(censored(factual(untrained, recorded), recorded))
         if _farther(prepared, counted, other, streams[3]):
             words = (WORSE, *words)
+    total = scored.table.iloc[-1]
     return Verdict(
-        table=pd.DataFrame(rows),
+        table=pd.DataFrame([row.as_dict() for row in rows]),
         words=words,
         learner=rollouts.method,
         starts=len(np.unique(counted.demo)),
         rollouts=int(np.count_nonzero(~counted.copies)),
         too_little=_too_little(recorded, counted),
         smoothing=smoothing,
-        auc=comparison.simulated.auc,
-        among=comparison.among,
-        floor=comparison.floor,
-        perturbed=comparison.perturbed,
-        ceiling=comparison.ceiling,
-        importance=comparison.simulated.importance,
-        parts=comparison.block is not None,
+        auc=windows.simulated.auc,
+        sequence=sequences.simulated.auc,
+        areas={judge.key: dict(judge.areas) for judge in (windows, sequences)},
+        realism=scored.score,
+        realism_beside={name: float(total[name]) for name in REFERENCES if name in total},
+        components=scored.table,
+        importance=windows.simulated.importance,
+        parts=parts,
     )
 
 
-def _overall(rows: list[dict[str, Any]]) -> tuple[str, ...]:
+def _groups(recorded: Demonstrations) -> NDArray[np.int64] | None:
+    """Return the recording of each start, or None if every start is a recording of its own."""
+    names, group = np.unique(recorded.recording, return_inverse=True)
+    return None if len(names) in (1, len(recorded)) else group.astype(np.int64)
+
+
+def _realism(
+    prepared: Prepared,
+    counted: Rollouts,
+    beside: Mapping[str, Rollouts],
+    references: Demonstrations | None,
+    rng: np.random.Generator,
+) -> Realism:
+    others = None
+    if references is not None:
+        others = prepared.filtered(Rollouts.from_demonstrations(references))
+    return realism(
+        prepared.recorded,
+        counted,
+        prepared.demos.arena,
+        resting_step(prepared.recorded),
+        rng,
+        recording=prepared.demos.recording,
+        references=others,
+        random=beside.get("ceiling"),
+    )
+
+
+def _overall(rows: list[Row]) -> tuple[str, ...]:
     """Return what differs (else what differs by little), each thing once.
 
-    The classifier and the endings together come in only if nothing else is said.
+    The judges and the endings together come in only if nothing else is said.
     """
     for judgement in (DIFFERS, BY_LITTLE):
-        plain = {row["measure"]: row["verdict"] for row in rows if row["judgement"] == judgement}
-        rest = [plain.pop(key) for key in (OUTCOMES, AUC) if key in plain]
+        plain = {row.measure: row.verdict for row in rows if row.judgement == judgement}
+        rest = [plain.pop(key) for key in (OUTCOMES, AUC, SEQUENCE) if key in plain]
         if "leaving" in plain:  # who left is in the table
             plain = {k: v for k, v in plain.items() if k not in ("target_out", "pursuer_out")}
         if plain or rest:

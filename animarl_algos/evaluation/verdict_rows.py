@@ -1,23 +1,36 @@
-"""The rows of a verdict: endings and motion, each beside what chance alone would give.
+"""The rows of a verdict: every metric and every kind of order, judged by one test for all.
 
-Every row is judged in one of four ways: it is not distinguishable from the recordings (chance gives
-as much), it differs by little (``LITTLE``, ``LITTLE_SHARE``), it differs, or there is too little
-data to say.
+Rows have one type, :class:`Row`. A row is not distinguishable from the recordings, differs by
+little (``LITTLE``, ``LITTLE_SHARE``), differs, or has too little data to say. What is chance and
+what is not is decided by :func:`~animarl_algos.evaluation.exchange_test.exchange_test` over all
+measures of all rows together, so that more rows are no more false alarms.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.distances import null_distances
+from animarl_algos.evaluation.distances import null_distances, wasserstein
 from animarl_algos.evaluation.energy_score import energy_scores, pooled_score
-from animarl_algos.evaluation.motion import MEASURES, Measure, ending
-from animarl_algos.evaluation.null import Exchanges, Tested
+from animarl_algos.evaluation.exchange_test import ExchangeTest, exchange_test
+from animarl_algos.evaluation.metrics import DURATION, Metric, ending, judged_metrics
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.order_in_time import (
+    INTERACTIVE,
+    KINEMATIC,
+    ORDER,
+    PLACE,
+    EpisodeMeasures,
+    lags_for,
+    median_steps,
+    order_measures,
+)
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -27,110 +40,333 @@ from animarl_algos.evaluation.statistics import (
     cells,
     covers,
 )
-from animarl_envs.demos.units import RECORDED_SCALE, Unit
+from animarl_algos.evaluation.survival import log_rank_scores, mean_survival
+from animarl_algos.evaluation.windows import resting_step
+from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
     "not distinguishable", "differs, but by little", "differs", "too little data to say",
 )  # fmt: skip
+LEVEL = 0.03  # of all measures together
+ENDINGS_LEVEL = 0.01  # of the endings together
 LITTLE = 0.10  # of the recorded mean: a gap that is called little where chance does not explain it
-LITTLE_SHARE = 0.05  # the same for a share of episodes or steps
+LITTLE_SHARE = 0.05  # the same for a share of episodes or steps, and for a correlation
 OUTCOMES = "outcomes"
+KINDS = {
+    KINEMATIC: "Motion of individuals",
+    ORDER: "Order in time",
+    INTERACTIVE: "Reactions to others",
+    PLACE: "Place",
+}
+"""Rows of several measures each; the one that differs most stands for them."""
+PHRASES = {
+    "windings": ("walks in circles", "winds too little"),
+    "turn autocorrelation": ("walks in circles", "forgets its turns too soon"),
+    "displacement": ("gets too far", "does not get far enough"),
+    "speed autocorrelation": ("keeps its speed too long", "forgets its speed too soon"),
+    "turning to the left": ("turns too much to the left", "turns too much to the right"),
+    "share at rest": ("rests too much", "rests too little"),
+    "longest rest": ("rests too long", "rests too briefly"),
+    "nearest neighbour": ("keeps too far apart", "keeps too close"),
+    "course towards the focus": ("heads too straight for its focus", "heads too little for it"),
+    "share at the wall": ("keeps too much to the wall", "keeps too little to the wall"),
+}
+"""What too much and too little of a measure are called; of others its name with too high or low."""
 
 
-def rows_of(
-    prepared: Prepared, counted: Rollouts, rng: np.random.Generator
-) -> list[dict[str, Any]]:
-    """The rows of endings and of motion."""
-    starts = np.unique(counted.demo)
-    num_demos = prepared.demos.num_episodes
-    exchanges = Exchanges.draw(counted.demo, num_demos, rng, copies=counted.copies)
-    true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
-    ends = [ending(one) for one in (prepared.recorded, counted)]
-    known = np.unique(np.concatenate(ends))
-    shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
-    moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
-    rows = [_outcome_row(exchanges.chi_squared(np.concatenate(ends)), moved)]
-    for measure in MEASURES:
-        a, b = true[measure.key], simulated[measure.key]
-        if measure.is_outcome and not (a.any() or b.any()):
-            continue
-        both = np.concatenate([a, b])
-        tested = exchanges.wasserstein(both) if measure.spread else exchanges.difference(both)
-        one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
-        many = cells(b, counted.seed, counted.demo, len(a))
-        gap = bootstrap_difference(many, one, rng)
-        row = row_of(measure, prepared.unit, one.mean, many.even.mean, gap, tested)
-        row["covers"] = covers(many)
-        if measure.spread:
-            null = null_distances(a[starts], len(b), rng).wasserstein
-            scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
-            row |= {
-                "recorded_null": null.high,
-                "energy": float(np.mean(scores)),
-                "energy_pooled": pooled_score(a[starts]),
-            }
-        row["judgement"], row["verdict"] = judge_row(measure, row, tested, a[starts], b)
-        rows.append(row)
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One row of a verdict.
+
+    Parameters
+    ----------
+    measure, label, unit
+        Key, name and unit of the numbers.
+    recorded, simulated
+        Means.
+    difference, difference_low, difference_high
+        Of the means, with its 95 % interval.
+    distance, null, p
+        What was tested, what chance stays below over all rows together, and the p that is adjusted
+        for their number.
+    judgement, verdict
+        One of ``JUDGEMENTS``, and the same in words.
+    covers, reason
+        What the interval speaks of, and why there is none.
+    wasserstein, recorded_null
+        Distance of the distributions, and what recordings drawn from recordings come to.
+    energy, energy_pooled
+        Mean energy score over starts, and what recordings of other starts score.
+    """
+
+    measure: str
+    label: str
+    unit: str = ""
+    recorded: float = math.nan
+    simulated: float = math.nan
+    difference: float = math.nan
+    difference_low: float = math.nan
+    difference_high: float = math.nan
+    distance: float = math.nan
+    null: float = math.nan
+    p: float = math.nan
+    judgement: str = SAME
+    verdict: str = SAME
+    covers: str = ""
+    reason: str = ""
+    wasserstein: float = math.nan
+    recorded_null: float = math.nan
+    energy: float = math.nan
+    energy_pooled: float = math.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the row by column."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Values of both sides that are tested together, ``(episodes, columns)``."""
+
+    names: tuple[str, ...]
+    values: Floats
+
+    @classmethod
+    def of(cls, prepared: Prepared, counted: Rollouts) -> tuple[Columns, EpisodeMeasures]:
+        """Metrics, the spread of those that have one, and the measures of order in time."""
+        sides = (prepared.recorded, counted)
+        true, simulated = (prepared.measures(side) for side in sides)
+        names, columns = [], []
+        for metric in judged_metrics():
+            both = np.concatenate([true[metric.key], simulated[metric.key]])
+            if metric is DURATION and (prepared.recorded.outcome == UNFINISHED).any():
+                outcome = np.concatenate([side.outcome for side in sides])
+                both = -log_rank_scores(both, ~np.isin(outcome, (UNFINISHED, TIME_OUT)))
+            names.append(metric.key)
+            columns.append(both)
+            if metric.noun:
+                names.append(_spread(metric))
+                columns.append(np.abs(both - np.median(both)))
+        arena, rest = prepared.demos.arena, resting_step(prepared.recorded)
+        lags = lags_for(median_steps(prepared.recorded), prepared.recorded.dt)
+        ordered = [order_measures(side, arena, lags, rest) for side in sides]
+        order = EpisodeMeasures(
+            ordered[0].names, ordered[0].kinds, np.concatenate([o.values for o in ordered])
+        )
+        values = np.concatenate([np.stack(columns, axis=1), order.values], axis=1)
+        return cls((*names, *order.names), values), order
+
+    def place(self, name: str) -> int:
+        """Return the column of a measure."""
+        return self.names.index(name)
+
+
+def verdict_rows(
+    prepared: Prepared, counted: Rollouts, group: Ints | None, rng: np.random.Generator
+) -> list[Row]:
+    """Return the rows of endings, of motion and of order.
+
+    Parameters
+    ----------
+    counted
+        Rollouts that count, smoothed as the recordings.
+    group
+        ``(starts,)`` the recording of each start, where several starts are of one.
+    """
+    columns, order = Columns.of(prepared, counted)
+    starts = len(prepared.recorded)
+    exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
+    start = np.concatenate([np.arange(starts), counted.demo])
+    test = exchange_test(
+        columns.values, exchanges, level=LEVEL, start=start, group=group, rng=rng
+    )  # fmt: skip
+    rows = [_endings_row(prepared, counted, exchanges)]
+    rows += _metric_rows(prepared, counted, columns, test, rng)
+    first = len(columns.names) - len(order.names)
+    rows += (_kind_row(kind, order, test, first) for kind in KINDS if kind in order.kinds)
     return rows
 
 
-def row_of(
-    measure: Measure, unit: Unit, recorded: float, simulated: float, gap: Interval, tested: Tested
-) -> dict[str, Any]:
-    return {
-        "measure": measure.key,
-        "label": measure.label,
-        "unit": measure.unit.format(length=unit.name),
-        "recorded": recorded,
-        "simulated": simulated,
-        "difference": gap.estimate,
-        "difference_low": gap.low,
-        "difference_high": gap.high,
-        "distance": tested.value,
-        "null": tested.null,
-        "p": tested.p,
-        "covers": "",
-        "reason": gap.reason,
-        "recorded_null": math.nan,
-        "energy": math.nan,
-        "energy_pooled": math.nan,
-    }
-
-
-def judge_row(
-    measure: Measure, row: Mapping[str, Any], tested: Tested, recorded: Floats, simulated: Floats
-) -> tuple[str, str]:
-    """Return the judgement of a row, and the words for it."""
-    if tested.inside:
-        return SAME, SAME
-    if abs(row["difference"]) < tested.value / 2:  # means agree more than the values do
-        wrong = (
-            f"{measure.noun} too much alike"
-            if simulated.std() < recorded.std()
-            else f"{measure.noun} too varied"
+def _metric_rows(
+    prepared: Prepared,
+    counted: Rollouts,
+    columns: Columns,
+    test: ExchangeTest,
+    rng: np.random.Generator,
+) -> Iterator[Row]:
+    starts = np.unique(counted.demo)
+    true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
+    for metric in judged_metrics():
+        a, b = true[metric.key], simulated[metric.key]
+        if metric.is_ending and not (a.any() or b.any()):
+            continue
+        many = cells(b, counted.seed, counted.demo, len(a))
+        one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
+        gap = bootstrap_difference(many, one, rng, share=metric.share)
+        recorded, drawn = one.mean, many.even.mean
+        if metric is DURATION and (prepared.recorded.outcome == UNFINISHED).any():
+            recorded, drawn = _mean_durations(prepared.recorded, counted, starts)
+        place = columns.place(metric.key)
+        judgement, words, worst = _judge_metric(
+            metric, columns, test, recorded, drawn - recorded, place
         )
-    else:
-        wrong = measure.too_much if row["difference"] > 0 else measure.too_little
-    allowed = LITTLE_SHARE if measure.is_share else LITTLE * abs(row["recorded"])
-    if tested.value > allowed:
-        return DIFFERS, wrong
-    much = (
-        f"{100 * tested.value:.2g} percentage points"
-        if measure.is_share
-        else f"{100 * tested.value / abs(row['recorded']):.2g} %"
+        null, distances, energies = math.nan, math.nan, (math.nan, math.nan)
+        if metric.noun:
+            null = null_distances(a[starts], len(b), rng).wasserstein.high
+            distances = wasserstein(b, a[starts])
+            scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
+            energies = float(np.mean(scores)), pooled_score(a[starts])
+        yield Row(
+            measure=metric.key,
+            label=metric.label,
+            unit=metric.unit.replace("arena units", prepared.unit.name),
+            recorded=recorded,
+            simulated=drawn,
+            difference=gap.estimate,
+            difference_low=gap.low,
+            difference_high=gap.high,
+            distance=abs(float(test.simulated[worst] - test.recorded[worst])),
+            null=float(test.null[worst]),
+            p=_least(test.adjusted_p[[place, worst]]),
+            judgement=judgement,
+            verdict=words,
+            covers=covers(many),
+            reason=gap.reason,
+            wasserstein=distances,
+            recorded_null=null,
+            energy=energies[0],
+            energy_pooled=energies[1],
+        )
+
+
+def _judge_metric(
+    metric: Metric,
+    columns: Columns,
+    test: ExchangeTest,
+    recorded: float,
+    difference: float,
+    place: int,
+) -> tuple[str, str, int]:
+    """Return the judgement, its words, and the column that it rests on: mean or spread."""
+    worst = place
+    if metric.noun:
+        spread = columns.place(_spread(metric))
+        if _at(test.adjusted_p, spread) < _at(test.adjusted_p, place):
+            worst = spread
+    if not test.differs[worst]:
+        return SAME, SAME, worst
+    more = bool(test.statistic[worst] > 0)
+    much, little = metric.words
+    wrong, size = much if more else little, abs(difference)
+    if worst != place:
+        wrong = f"{metric.noun} {'too varied' if more else 'too much alike'}"
+        size = abs(float(test.simulated[worst] - test.recorded[worst]))
+    if size > (LITTLE_SHARE if metric.share else LITTLE * abs(recorded)):
+        return DIFFERS, wrong, worst
+    points = f"{100 * size:.2g} percentage points"
+    by = points if metric.share else f"{100 * size / abs(recorded):.2g} %"
+    return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}", worst
+
+
+def _kind_row(kind: str, order: EpisodeMeasures, test: ExchangeTest, first: int) -> Row:
+    """Return the row of all measures of a kind; the one that differs most speaks for it."""
+    members = first + np.flatnonzero(np.array(order.kinds) == kind)
+    size = np.abs(test.statistic[members])
+    known = np.isfinite(size)
+    if not known.any():
+        return Row(measure=kind, label=KINDS[kind])
+    worst = int(members[np.argmax(np.where(known, size, -1.0))])
+    name = order.names[worst - first]
+    recorded, simulated = float(test.recorded[worst]), float(test.simulated[worst])
+    judgement, words = SAME, SAME
+    differing = members[test.differs[members]]
+    if len(differing):
+        phrase = phrase_of(name, more=simulated > recorded)
+        words = f"{phrase} ({name}: {simulated:.2g}, recorded {recorded:.2g})"
+        gaps = np.abs(test.simulated[differing] - test.recorded[differing])
+        slack = _slack(order, differing, first)
+        allowed = np.maximum(LITTLE * np.abs(test.recorded[differing]), slack)
+        judgement = DIFFERS if (gaps > allowed).any() else BY_LITTLE
+        words = words if judgement == DIFFERS else f"{BY_LITTLE}: {words}"
+    return Row(
+        measure=kind,
+        label=f"{KINDS[kind]}: {name}",
+        recorded=recorded,
+        simulated=simulated,
+        difference=simulated - recorded,
+        distance=abs(simulated - recorded),
+        null=float(test.null[worst]),
+        p=_least(test.adjusted_p[members]),
+        judgement=judgement,
+        verdict=words,
+        reason="one of several measures: no interval",
     )
-    return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {much}"
 
 
-def _outcome_row(tested: Tested, moved: float) -> dict[str, Any]:
-    """Return the row of all endings; ``moved``: the share of episodes that end in another way."""
-    outcomes = Measure(OUTCOMES, "Endings together (chi-squared)", "", "endings differ", "", "")
-    row = row_of(outcomes, RECORDED_SCALE, math.nan, math.nan, UNDEFINED, tested)
-    if tested.inside:
-        return row | {"judgement": SAME, "verdict": SAME}
-    if moved <= LITTLE_SHARE:
-        words = f"{BY_LITTLE}: {outcomes.too_much} in {100 * moved:.2g} % of episodes"
-        return row | {"judgement": BY_LITTLE, "verdict": words}
-    return row | {"judgement": DIFFERS, "verdict": outcomes.too_much}
+def phrase_of(name: str, *, more: bool) -> str:
+    """Return what too much, or too little, of a measure of order is called."""
+    for begins, (much, little) in PHRASES.items():
+        if name.startswith(begins):
+            return much if more else little
+    return f"{name} too {'high' if more else 'low'}"
+
+
+def _slack(order: EpisodeMeasures, columns: Ints, first: int) -> Floats:
+    """Return what is little of a share or a correlation, which may be zero."""
+    words = ("share", "correlation", "course", "polarisation", "speed with", "speed ahead",
+             "speed before")  # fmt: skip
+    names = [order.names[column - first] for column in columns.tolist()]
+    return np.array([LITTLE_SHARE * any(word in name for word in words) for name in names])
+
+
+def _endings_row(prepared: Prepared, counted: Rollouts, exchanges: Exchanges) -> Row:
+    ends = [ending(one) for one in (prepared.recorded, counted)]
+    tested = exchanges.chi_squared(np.concatenate(ends))
+    row = Row(measure=OUTCOMES, label="Endings together (chi-squared)", distance=tested.value,
+              null=tested.null, p=tested.p)  # fmt: skip
+    if tested.p > ENDINGS_LEVEL:
+        return row
+    known, starts = np.unique(np.concatenate(ends)), np.unique(counted.demo)
+    shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
+    moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
+    if moved > LITTLE_SHARE:
+        return _with(row, judgement=DIFFERS, verdict="endings differ")
+    words = f"{BY_LITTLE}: endings differ in {100 * moved:.2g} % of episodes"
+    return _with(row, judgement=BY_LITTLE, verdict=words)
+
+
+def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tuple[float, float]:
+    """Return the mean survival of both sides, up to the longest time that both know."""
+    sides = (recorded.select(starts), counted)
+    lasted = [(side.lengths - 1) * side.dt for side in sides]
+    limit = float(min(one.max() for one in lasted))
+    ended = [~np.isin(side.outcome, (UNFINISHED, TIME_OUT)) for side in sides]
+    first, second = (mean_survival(d, e, limit) for d, e in zip(lasted, ended))
+    return first, second
+
+
+def _with(row: Row, **changes: Any) -> Row:
+    return Row(**{**row.as_dict(), **changes})
+
+
+def _spread(metric: Metric) -> str:
+    return f"spread of {metric.key}"
+
+
+def _at(values: Floats, place: int) -> float:
+    return float(values[place]) if math.isfinite(values[place]) else 1.0
+
+
+def _least(values: Floats) -> float:
+    return float(np.nanmin(values)) if np.isfinite(values).any() else math.nan
+
+
+def interval_of(row: Row | dict[str, Any]) -> Interval:
+    """Return the difference of a row with its interval."""
+    plain = row.as_dict() if isinstance(row, Row) else row
+    if not math.isfinite(plain["difference"]):
+        return UNDEFINED
+    return Interval(plain["difference"], plain["difference_low"], plain["difference_high"])

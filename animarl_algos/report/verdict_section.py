@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.classifier_row import AUC
-from animarl_algos.evaluation.motion import MEASURES
-from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.evaluation.verdict import Verdict
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN
+from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.evaluation.verdict import REFERENCES, Verdict
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, LEVEL, SAME, UNKNOWN
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
 from animarl_algos.report.blocks import Block, Gallery, Group, Row, Table, Text
@@ -27,10 +26,14 @@ COLUMNS = (
     "Question", "Recorded", "Simulated", "Difference\n[95 %]", "Distance", "Null\n(95 %)",
     "Verdict",
 )  # fmt: skip
-SHARES = frozenset(measure.key for measure in MEASURES if measure.is_share)
 COLOURS = {SAME: "green", BY_LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
 MARKS = {SAME: "\u2248", BY_LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
 SIZE = " at this sample size"
+SHARE = "share"  # the unit of what is told in percent
+BESIDE = {
+    "floor": "closed-loop tracking of the recordings (perfect control in this locomotion)",
+    "ceiling": "random actions",
+}
 HEADLINES = {
     SAME: "{learner} is not distinguishable from the recordings" + SIZE + " ({size})",
     BY_LITTLE: "{learner} differs from the recordings, but by little ({size})",
@@ -39,7 +42,6 @@ HEADLINES = {
 }
 DEMONSTRATED = Words(synthetic=True)
 """Where nobody says what the demonstrations are, they are called that."""
-SPREADS = tuple(measure.key for measure in MEASURES if measure.spread)
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,8 @@ def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -
     details = [f"{word[:1].upper()}{word[1:]}." for word in _differences(verdict)]
     if math.isfinite(verdict.auc.estimate):
         details.append(f"{_classifier(verdict)}.")
+    if math.isfinite(verdict.realism.estimate):
+        details.append(f"{_realism(verdict)}.")
     return Lead(
         verdict.judgement,
         words.say(f"{_headline(verdict)}."),
@@ -96,10 +100,11 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
     columns = [say(column) for column in COLUMNS]
     yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
     yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
+    yield from _realism_blocks(verdict, say)
     energies = [
         Row([_asked(row), number(row["energy"]), number(row["energy_pooled"])])
-        for key in SPREADS
-        if math.isfinite((row := verdict.row(key))["energy"])
+        for _, row in verdict.table.iterrows()
+        if math.isfinite(row["energy"])
     ]
     if energies:
         yield Table(
@@ -113,12 +118,42 @@ def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Bl
         )
 
 
+def _realism_blocks(verdict: Verdict, say: Callable[[str], str]) -> Iterator[Block]:
+    """The realism score by component, beside what it is read by."""
+    table = verdict.components
+    if table is None or table.empty:
+        return
+    lines = []
+    for _, row in table.iterrows():
+        name = str(row["component"]) if isinstance(row["component"], str) else ""
+        score = Interval(row["score"], row["low"], row["high"])
+        cells = [name or str(row["kind"]), number(row["weight"], 2), with_interval(score)]
+        cells += [number(row[one]) if one in row else NOTHING for one in REFERENCES]
+        lines.append(Row(cells, strong=not name))
+    yield Table(
+        "Realism",
+        ["Component", "Weight", "Score\n[95 %]", *(say(name).capitalize() for name in REFERENCES)],
+        [Group("", lines[::-1])],
+        say(
+            "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
+            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
+            "recording itself in place of its rollouts, other recordings, and random actions."
+        ),
+    )
+
+
 def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
     """The verdict in one sentence, with the intervals that it rests on."""
     differences = ", ".join(_differences(verdict))
     found = f"{_headline(verdict)}{f': {differences}' if differences else ''}"
     auc = f". {_classifier(verdict)}" if math.isfinite(verdict.auc.estimate) else ""
-    return words.say(f"{found}{auc}.")
+    score = f". {_realism(verdict)}" if math.isfinite(verdict.realism.estimate) else ""
+    return words.say(f"{found}{auc}{score}.")
+
+
+def _realism(verdict: Verdict) -> str:
+    beside = ", ".join(f"{name} {number(v)}" for name, v in verdict.realism_beside.items())
+    return f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
 
 
 def _classifier(verdict: Verdict) -> str:
@@ -185,7 +220,7 @@ def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTabl
 
 def _scale(row: Any) -> tuple[float, str]:
     """By what the row's numbers are multiplied, and the unit they then have."""
-    return (100.0, "%") if row["measure"] in SHARES else (1.0, str(row["unit"]))
+    return (100.0, "%") if row["unit"] == SHARE else (1.0, str(row["unit"]))
 
 
 def _asked(row: Any) -> str:
@@ -207,9 +242,10 @@ def verdict_lines(verdict: Verdict, words: Words) -> Iterator[tuple[Any, list[st
             number(scale * row["null"]),
             words.say(str(row["verdict"])),
         ]
-        if row["measure"] == AUC:
-            cells[2] = with_interval(verdict.auc)
-            cells[4], cells[5] = NOTHING, number(verdict.among.high)
+        if row["measure"] in (AUC, SEQUENCE):
+            among = verdict.areas.get(str(row["measure"]), {}).get("among", UNDEFINED)
+            cells[2] = with_interval(verdict.auc if row["measure"] == AUC else verdict.sequence)
+            cells[4], cells[5] = NOTHING, number(among.high)
         yield row, cells
 
 
@@ -221,26 +257,26 @@ def _caption(verdict: Verdict) -> str:
         else ""
     )
     return (
-        "Means over episodes and their difference [95 % interval]. Distance: the Wasserstein "
-        f"distance of {', '.join(key.replace('_', ' ') for key in SPREADS)}, the absolute "
-        "difference elsewhere. Null: what it stays below in 95 % of cases if the recorded episode "
-        "of each start is exchanged with one of its rollouts. For the classifier: recordings among "
-        f"themselves.{_floor(verdict)}{filtered}"
+        "Means over episodes and their difference [95 % interval]. Distance: the difference that "
+        "is tested, of means or of spreads. Null: what all distances together stay below in "
+        f"{100 * (1 - LEVEL):.0f} % of cases if the recorded episode of each start is exchanged "
+        "with one of its rollouts. For the classifiers: recordings among themselves. Of each kind "
+        f"of order the measure that differs most is told.{_floor(verdict)}{filtered}"
     )
 
 
 def _floor(verdict: Verdict) -> str:
-    """What the classifier makes of tracking and of random actions, as a sentence; none if neither.
-
-    The first is its floor: what is left where every action is the best that there is.
-    """
-    areas = {
-        "the recordings as the fitted locomotion follows them in closed loop (its floor)":
-            verdict.floor,
-        "random actions": verdict.ceiling,
-    }  # fmt: skip
-    said = [f"{with_interval(v)} for {k}" for k, v in areas.items() if math.isfinite(v.estimate)]
-    return f" Its AUC is {' and '.join(said)}." if said else ""
+    """What the judges make of tracking and of random actions, as sentences; none if neither."""
+    said = ""
+    for key, name in ((AUC, "classifier's AUC"), (SEQUENCE, "AUC of order")):
+        areas = verdict.areas.get(key, {})
+        told = [
+            f"{with_interval(areas[one])} for {what}"
+            for one, what in BESIDE.items()
+            if one in areas and math.isfinite(areas[one].estimate)
+        ]
+        said += f" The {name} is {' and '.join(told)}." if told else ""
+    return said
 
 
 def _classifier_caption(verdict: Verdict) -> str:
@@ -261,12 +297,13 @@ def _classifier_caption(verdict: Verdict) -> str:
 
 
 def _pictures(verdict: Verdict) -> Iterator[Image]:
+    beside = verdict.areas.get(AUC, {})
     areas = {
         method_label(verdict.learner): verdict.auc,
-        "demonstrations among themselves": verdict.among,
-        "closed-loop tracking": verdict.floor,
-        "... one action in ten at random": verdict.perturbed,
-        "random": verdict.ceiling,
+        "demonstrations among themselves": beside.get("among", UNDEFINED),
+        "closed-loop tracking": beside.get("floor", UNDEFINED),
+        "... one action in ten at random": beside.get("perturbed", UNDEFINED),
+        "random": beside.get("ceiling", UNDEFINED),
     }
     shown = {name: area for name, area in areas.items() if math.isfinite(area.estimate)}
     if shown:

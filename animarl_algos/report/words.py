@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from animarl_algos.evaluation.comparison import interval
-from animarl_algos.evaluation.metrics import Metric
+from animarl_algos.evaluation.metrics import ARENA_UNITS, Metric
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report.style import is_recorded, method_label
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -62,7 +62,7 @@ class Words:
         """The unit that a metric's values are told in."""
         if metric.share:
             return "%"
-        return self.unit.name if _is_length(metric) else metric.unit
+        return metric.unit.replace(ARENA_UNITS, self.unit.name)
 
     def axis(self, metric: Metric) -> str:
         """Of a figure."""
@@ -71,7 +71,7 @@ class Words:
 
     def factor(self, metric: Metric) -> float:
         """By which the tables' values are multiplied, where they are not shares."""
-        return self.unit.per_arena_unit if _is_length(metric) else 1.0
+        return self.unit.per_arena_unit if metric.is_length else 1.0
 
     def interval(self, row: Any, key: str, metric: Metric) -> Interval:
         """An estimate of a table with its interval, in the unit told (shares as shares)."""
@@ -85,7 +85,3 @@ class Words:
 def scaled(value: Interval, factor: float) -> Interval:
     """The same in another unit."""
     return Interval(value.estimate * factor, value.low * factor, value.high * factor)
-
-
-def _is_length(metric: Metric) -> bool:
-    return metric.unit == RECORDED_SCALE.name

@@ -12,14 +12,17 @@ import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
 
 from animarl_algos.evaluation.collect import collect_rollouts
-from animarl_algos.evaluation.motion import MEASURES, SlowSpeeds, episode_measures
-from animarl_algos.evaluation.null import Exchanges, Tested
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.metrics import METRICS, Episodes, judged_metrics, slow_speeds
+from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.prepared import Prepared, censored
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.survival import log_rank_scores, mean_survival
 from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, verdict
-from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, judge_row
+from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, phrase_of
+from animarl_algos.report.blocks import Table
 from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
@@ -92,21 +95,21 @@ def test_a_headline_says_no_more_than_the_weakest_row() -> None:
 
 
 def test_what_differs_by_little_is_said_with_how_much() -> None:
-    measure = MEASURES[[m.key for m in MEASURES].index("mean_speed")]
-    row = {"recorded": 2.0, "difference": -0.1}
-    values = np.array([2.0, 2.1, 1.9])
-    little = judge_row(measure, row, Tested(0.1, 0.05, 0.001), values, values - 0.1)
-    assert little == (BY_LITTLE, "differs, but by little: too slow by 5 %")
-    much = judge_row(measure, row | {"difference": -0.5}, Tested(0.5, 0.05, 0.001), values, values)
-    assert much == (DIFFERS, "too slow")
-    chance = judge_row(measure, row, Tested(0.1, 0.2, 0.4), values, values)
-    assert chance == (SAME, SAME)
-    share = MEASURES[0]
-    row = {"recorded": 0.5, "difference": 0.04}
-    found = judge_row(share, row, Tested(0.04, 0.02, 0.01), values, values)
-    assert found[1] == (
-        "differs, but by little: reaches the target too often by 4 percentage points"
-    )
+    demos = recorded_pairs()
+    replayed = replace(Rollouts.from_demonstrations(demos), method="replay")
+    first = np.repeat(replayed.positions[replayed.offsets[:-1]], replayed.lengths, axis=0)
+    faster = replace(replayed, positions=first + 1.06 * (replayed.positions - first))
+    row = verdict(demos, faster, seed=0).row("mean_speed")
+    assert row["judgement"] == BY_LITTLE
+    assert row["verdict"] == "differs, but by little: too fast by 6 %"
+    much = replace(replayed, positions=first + 1.3 * (replayed.positions - first))
+    row = verdict(demos, much, seed=0).row("mean_speed")
+    assert (row["judgement"], row["verdict"]) == (DIFFERS, "too fast")
+
+
+def test_circles_are_said_in_words() -> None:
+    assert phrase_of("turn autocorrelation at 5 s, moth", more=True) == "walks in circles"
+    assert phrase_of("polarisation", more=False) == "polarisation too low"
 
 
 def test_tracking_excuses_nothing() -> None:
@@ -183,12 +186,14 @@ def test_floor_ceiling_and_references_stand_beside_the_area() -> None:
     shaken = replace(demos, positions=demos.positions + rough)
     found = verdict(demos, slow, seed=0, floor=demos, perturbed=shaken, baselines={"random": still})
     below = str(verdict_table(found).caption)
-    assert "Its AUC is 0.500 [0.500, 0.500] for the" in below
-    assert "] for random actions." in below
-    assert "floor" not in str(verdict_table(judged("slow")).caption)
-    assert found.perturbed.estimate > 0.9
+    assert "The classifier's AUC is 0.500 [0.500, 0.500] for closed-loop tracking" in below
+    assert "] for random actions." in below and "The AUC of order is" in below
+    assert "tracking" not in str(verdict_table(judged("slow")).caption)
+    assert found.areas["auc"]["perturbed"].estimate > 0.9
     assert found.floor.estimate == 0.5  # tracked without any error
-    assert found.ceiling.estimate > 0.95
+    assert found.areas["auc"]["ceiling"].estimate > 0.95
+    assert set(found.areas["auc_sequence"]) == {"among", "floor", "perturbed", "ceiling"}
+    assert 0 < found.realism.estimate < found.realism_beside["ceiling"]
     assert found.among.low < 0.5 < found.among.high
     with pytest.raises(InputError, match="track the evaluated ones"):
         verdict(demos, slow, seed=0, floor=others)
@@ -210,7 +215,7 @@ def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
     found.save(tmp_path)
     again = Verdict.load(tmp_path)
     assert again.table.equals(found.table)
-    for key in ("words", "learner", "starts", "rollouts", "auc", "among", "importance"):
+    for key in ("words", "learner", "starts", "rollouts", "auc", "areas", "realism", "importance"):
         assert getattr(again, key) == getattr(found, key)
     assert np.isnan(again.floor.estimate)
     sentence = verdict_sentence(found)
@@ -218,7 +223,57 @@ def test_it_is_saved_and_loaded_and_told(tmp_path: Path) -> None:
     assert "60 rollouts from 30 starts" in sentence
     table, blocks = verdict_table(found), list(verdict_blocks(found))
     assert table.row_count == len(found.table)
-    assert not any("nan" in cell for row in blocks[1].groups[0].rows for cell in row.cells)
+    tables = [block for block in blocks if isinstance(block, Table)]
+    assert [table.label for table in tables] == ["Verdict", "Realism", "Energy score"]
+    rows = [row for table in tables for group in table.groups for row in group.rows]
+    assert not any("nan" in cell for row in rows for cell in row.cells)
+
+
+# -- recordings that merely end ------------------------------------------------------------------
+
+
+def cut_pairs() -> Demonstrations:
+    """Recordings of which the film stops after three seconds, as a rule before anything ends."""
+    demos = recorded_pairs()
+    short = np.minimum(demos.lengths, 25)
+    paths = [demos.episode(i).positions[:n] for i, n in enumerate(short.tolist())]
+    ends = np.where(demos.lengths > 25, UNFINISHED, demos.outcome)
+    return replace(demos, positions=np.concatenate(paths), lengths=short, outcome=ends)
+
+
+def test_rollouts_stop_where_their_recording_merely_stops() -> None:
+    demos = cut_pairs()
+    cut = demos.outcome == UNFINISHED
+    made = simulated_pairs(demos, "true")
+    stopped = censored(made, demos)
+    limit = demos.lengths[made.demo]
+    assert (
+        stopped.lengths == np.where(cut[made.demo], np.minimum(made.lengths, limit), made.lengths)
+    ).all()
+    assert (stopped.outcome[cut[made.demo] & (made.lengths > limit)] == UNFINISHED).all()
+    for i in range(len(made)):
+        assert np.array_equal(stopped.path(i), made.path(i)[: stopped.lengths[i]])
+    whole = recorded_pairs()
+    assert censored(simulated_pairs(whole, "true"), whole).lengths.sum() > 0
+
+
+def test_an_end_of_the_film_is_no_difference_and_an_early_death_is() -> None:
+    demos = cut_pairs()
+    assert (demos.outcome == UNFINISHED).sum() > 20
+    found = verdict(demos, simulated_pairs(demos, "true"), seed=0)
+    for key in ("duration", "path_length", "slow_steps"):
+        assert found.row(key)["judgement"] == SAME
+    row = verdict(demos, simulated_pairs(demos, "dead"), seed=0).row("duration")
+    assert row["judgement"] == DIFFERS and row["verdict"] == "episodes too short"
+
+
+def test_survival_of_known_durations() -> None:
+    duration, ended = [1.0, 2.0, 2.0, 4.0], [True, True, False, True]
+    hazard = np.array([1 / 4, 1 / 4 + 1 / 3, 1 / 4 + 1 / 3, 1 / 4 + 1 / 3 + 1])
+    assert log_rank_scores(duration, ended) == pytest.approx(np.array(ended) - hazard)
+    curve = 1.0 + 3 / 4 + 2 * (3 / 4 * 2 / 3)
+    assert mean_survival(duration, ended, 4.0) == pytest.approx(curve)
+    assert mean_survival([3.0, 3.0], [False, False], 3.0) == 3.0
 
 
 # -- measures and nulls ---------------------------------------------------------------------------
@@ -232,8 +287,9 @@ def test_measures_of_a_known_path() -> None:
     one = replace(
         recorded.select(np.array([0])), positions=both, lengths=np.array([5]), outcome=[-2]
     )
-    found = episode_measures(one, demos.arena, SlowSpeeds(np.array([5.0, 5.0])))
-    assert list(found) == [m.key for m in MEASURES]
+    episodes = Episodes(one, demos, slow=np.array([5.0, 5.0]))
+    found = {metric.key: metric.measure(episodes) for metric in judged_metrics()}
+    assert set(found) < {metric.key for metric in METRICS}
     assert found["duration"][0] == pytest.approx(0.4)
     assert found["path_length"][0] == pytest.approx(4.0)  # of the pursuer
     assert found["mean_speed"][0] == found["median_speed"][0] == pytest.approx(5.0)
@@ -266,7 +322,7 @@ def test_slow_is_a_quarter_of_the_median_moving_speed() -> None:
     path[:, :, 0] = line[:, None]
     recorded = Rollouts.from_demonstrations(demos).select(np.array([0]))
     one = replace(recorded, positions=path, lengths=np.array([101]))
-    assert SlowSpeeds.of(one).limit == pytest.approx([0.25, 0.25])  # moving at 1 arena unit / s
+    assert slow_speeds(one) == pytest.approx([0.25, 0.25])  # moving at 1 arena unit / s
 
 
 def test_lengths_are_told_in_the_recordings_unit_where_it_is_known() -> None:
@@ -339,7 +395,7 @@ def test_the_null_of_a_verdict_does_not_count_copies() -> None:
     once = simulated_pairs(demos, "true", each=1)
     again = [replace(once, repetition=once.repetition + i) for i in range(5)]
     tables = [verdict(demos, one, seed=0).table for one in (once, Rollouts.concatenate(again))]
-    motion = tables[0]["measure"] != "auc"
+    motion = ~tables[0]["measure"].str.startswith("auc")
     for column in ("distance", "null", "p"):
         one, five = (table.loc[motion, column].to_numpy(float) for table in tables)
         np.testing.assert_allclose(five, one, rtol=1e-12)
