@@ -15,27 +15,23 @@ from typing import Any
 from animarl_algos.benchmark.cells import Cell, Scoring
 from animarl_algos.benchmark.clones import Clone
 from animarl_algos.benchmark.leaderboard_page import leaderboard_page
-from animarl_algos.benchmark.measured import LABELS, Measured, Score
+from animarl_algos.benchmark.measured import Measured, Score, differences, labels
 from animarl_algos.benchmark.pieces import code, recorded_error, write_json
 from animarl_algos.benchmark.plan import Plan
 from animarl_algos.benchmark.ranks import ranked
 from animarl_algos.runs.machine import machine
 from animarl_envs.files import write_then_rename
 
-PARTS = (
-    ("auc", "energy", "energy_duration", "energy_path_length", "energy_mean_speed"),
-    ("outcomes", "reached", "duration", "path_length", "mean_speed"),
-    ("dtw_per_step", "dtw_first_second", "kde_duration", "kde_path_length"),
-)
 HOW = """\
 Test split; rollouts from its starts. In brackets the 95 % interval over demonstrations and seeds,
 of the AUC over demonstrations alone. With several seeds the others are of training runs like these,
 with one of this network only. **Bold**: no larger than its null, so chance alone gives as much (for
-the AUC: recordings among themselves, and at least one half; for energy scores and DTW: other
-recordings of the same condition). Outcome, duration, path length and speed are differences to the
-recordings; lower is better everywhere else. Ranks go by the energy score of duration, path length
-and speed together, as far as paired intervals tell two methods apart; recordings and tracking know
-where the recordings go and are not ranked. Parameters and processor time stand in `costs.md`.
+both AUC: recordings among themselves, and at least one half; for realism, energy scores and DTW:
+other recordings of the same condition). Outcome, duration, path length and speed are differences to
+the recordings; realism is higher the better, and lower is better everywhere else. Ranks go by the
+energy score of duration, path length and speed together, as far as paired intervals tell two
+methods apart; recordings and tracking know where the recordings go and are not ranked. Parameters
+and processor time stand in `costs.md`.
 """
 
 
@@ -88,7 +84,7 @@ def measure_rows(scored: Score) -> Iterator[tuple[str, str, str, str]]:
     """Label, value with interval, null and remark of every measure, as texts."""
     for one in scored.measures:
         unit = f" ({one.unit})" if one.unit else ""
-        yield LABELS[one.measure] + unit, shown(one), _number(one.null), one.reason
+        yield labels()[one.measure] + unit, shown(one), _number(one.null), one.reason
 
 
 def shown(one: Measured) -> str:
@@ -136,7 +132,7 @@ def _markdown(
     kind = "synthetic demonstrations, recorded from no animal" if synthetic else "recordings"
     text = f"\n## {name}\n\n{starts}, of {kind}; "
     text += "beside each method seeds × rollouts.\n"
-    for number, keys in enumerate(PARTS):
+    for number, keys in enumerate(_parts()):
         heads = [_heading(most.of(key)) for key in keys]
         first = ["rank", "method"] if number == 0 else ["method"]
         lines = [[*first, *heads], ["---"] * (len(first) + len(keys))]
@@ -148,8 +144,19 @@ def _markdown(
     return text
 
 
+def _parts() -> tuple[tuple[str, ...], ...]:
+    """The columns of each table: what a simulator is judged by, its differences, its closeness."""
+    names, of_metrics = list(labels()), tuple(metric.key for metric in differences())
+    first = names.index("outcomes")
+    return (
+        tuple(names[:first]),
+        ("outcomes", *of_metrics),
+        tuple(names[first + 1 + len(of_metrics) :]),
+    )
+
+
 def _heading(one: Measured) -> str:
-    return LABELS[one.measure] + (f" ({one.unit})" if one.unit else "")
+    return labels()[one.measure] + (f" ({one.unit})" if one.unit else "")
 
 
 def _marked(one: Measured) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from animarl_algos.benchmark.measured import LABELS, Measured, Score
+from animarl_algos.benchmark.measured import Measured, Score, differences, labels
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report.blocks import Block, Gallery, Group, Pairs, Row, Section, Sentences, Table
 from animarl_algos.report.figures import interval_rows
@@ -14,9 +14,6 @@ from animarl_algos.report.page import Page, render_page
 from animarl_algos.report.provenance import flattened
 from animarl_algos.report.style import Image, to_image
 
-DRAWN = ("auc", "energy", "reached", "duration", "path_length", "mean_speed", "dtw_per_step",
-         "dtw_first_second")  # fmt: skip
-DIFFERENCES = ("reached", "duration", "path_length", "mean_speed")
 READING = (
     "Rollouts from the starts of the test split, which training, tuning and choosing never see.",
     "Outcome, duration, path length and speed are differences to the recordings; lower is better "
@@ -80,13 +77,16 @@ def leaderboard_page(
 
 
 def _blocks(scores: Sequence[Score], ranks: Mapping[str, Any]) -> Iterator[Block]:
-    yield Gallery([one for key in DRAWN if (one := _picture(key, scores))], CAPTION)
+    yield Gallery([one for key in _drawn() if (one := _picture(key, scores))], CAPTION)
     rows = [
-        Row([one.method, str(ranks.get(one.method, "–")), *(_cell(one.of(key)) for key in LABELS)])
+        Row(
+            [one.method, str(ranks.get(one.method, "–")), *(_cell(one.of(key)) for key in labels())]
+        )
         for one in scores
     ]
     heads = [
-        LABELS[key] + (f"\n({unit})" if (unit := scores[0].of(key).unit) else "") for key in LABELS
+        labels()[key] + (f"\n({unit})" if (unit := scores[0].of(key).unit) else "")
+        for key in labels()
     ]
     yield Table(
         "All measures",
@@ -95,6 +95,11 @@ def _blocks(scores: Sequence[Score], ranks: Mapping[str, Any]) -> Iterator[Block
         "Estimates; intervals and nulls of every one are in leaderboard.csv. Endings to path "
         "length are distances and differences to the recordings.",
     )
+
+
+def _drawn() -> tuple[str, ...]:
+    own = (metric.key for metric in differences())
+    return ("realism", "auc", "auc_sequence", "energy", *own, "dtw_per_step", "dtw_first_second")
 
 
 def _cell(one: Measured) -> str:
@@ -108,13 +113,18 @@ def _picture(key: str, scores: Sequence[Score]) -> Image | None:
         return None
     means = {name: Interval(one.value, one.low, one.high) for name, one in found.items()}
     bands, reference = None, 0.0
-    if key in DIFFERENCES:
+    if key in {metric.key for metric in differences()}:
         bands = {name: Interval(0.0, -one.null, one.null) for name, one in found.items()}
     else:
         nulls = [one.null for one in found.values() if math.isfinite(one.null)]
         reference = sum(nulls) / len(nulls) if nulls else math.nan
-    unit = next(iter(found.values())).unit
+    unit, label = next(iter(found.values())).unit, labels()[key]
     figure = interval_rows(
-        means, unit or LABELS[key], title=LABELS[key], reference=reference, bands=bands, label=str
+        means,
+        unit or labels()[key],
+        title=labels()[key],
+        reference=reference,
+        bands=bands,
+        label=str,
     )
-    return to_image(figure, f"{LABELS[key]} of every method, with intervals")
+    return to_image(figure, f"{label} of every method, with intervals")

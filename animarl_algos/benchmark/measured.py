@@ -10,28 +10,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
+from animarl_algos.evaluation.metrics import Metric, judged_metrics
 from animarl_algos.evaluation.statistics import Cells
 
 Floats = NDArray[np.float64]
 
-AUC, ENERGY = "auc", "energy"
-LABELS = {
-    AUC: "classifier AUC",
-    ENERGY: "energy score",
-    "energy_duration": "energy score of duration",
-    "energy_path_length": "energy score of path length",
-    "energy_mean_speed": "energy score of speed",
-    "outcomes": "endings (chi-squared)",
-    "reached": "target reached",
-    "duration": "duration",
-    "path_length": "path length",
-    "mean_speed": "mean speed",
-    "dtw_per_step": "DTW per step",
-    "dtw_first_second": "DTW per step, first second",
-    "kde_duration": "KDE distance of durations",
-    "kde_path_length": "KDE distance of path lengths",
-}
-"""The measures in their order: what a simulator is judged by first."""
+REALISM, ENERGY = "realism", "energy"
+
+
+def differences() -> list[Metric]:
+    """Return the metrics whose difference to the recordings stands on the board."""
+    return [metric for metric in judged_metrics() if metric.on_board]
+
+
+def labels() -> dict[str, str]:
+    """Return the measures in their order, what a simulator is judged by first, with their names."""
+    return {
+        REALISM: "realism",
+        AUC: "classifier AUC",
+        SEQUENCE: "AUC of order in time",
+        ENERGY: "energy score",
+        "energy_duration": "energy score of duration",
+        "energy_path_length": "energy score of path length",
+        "energy_mean_speed": "energy score of speed",
+        "outcomes": "endings (chi-squared)",
+        **{one.key: one.label[:1].lower() + one.label[1:] for one in differences()},
+        "dtw_per_step": "DTW per step",
+        "dtw_first_second": "DTW per step, first second",
+        "kde_duration": "KDE distance of durations",
+        "kde_path_length": "KDE distance of path lengths",
+    }
 
 
 @dataclass(frozen=True)
@@ -55,8 +64,12 @@ class Measured:
 
     @property
     def inside(self) -> bool:
-        """Whether it is no larger than its null; an area of one half always is."""
-        return abs(self.value) <= (max(self.null, 0.5) if self.measure == AUC else self.null)
+        """Whether it is no larger than its null (realism: no smaller); one half always is."""
+        if self.measure == REALISM:
+            return self.value >= self.null
+        return abs(self.value) <= (
+            max(self.null, 0.5) if self.measure in (AUC, SEQUENCE) else self.null
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,13 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.measured import AUC, ENERGY, LABELS, Measured, Score
+from animarl_algos.benchmark.measured import (
+    ENERGY,
+    REALISM,
+    Measured,
+    Score,
+    differences,
+    labels,
+)
 from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
+from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
 from animarl_algos.evaluation.distances import bootstrap_distances
 from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
-from animarl_algos.evaluation.metrics import ARENA_UNITS, dtw_alignments, judged_metrics
+from animarl_algos.evaluation.metrics import ARENA_UNITS, dtw_alignments
 from animarl_algos.evaluation.null import Exchanges
-from animarl_algos.evaluation.prepared import Prepared, factual
+from animarl_algos.evaluation.prepared import Prepared, censored, factual
+from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     UNDEFINED,
@@ -38,8 +47,6 @@ from animarl_envs.species import SPECIES
 Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
-DIFFERENCES = ("reached", "duration", "path_length", "mean_speed")
-UNITS = {metric.key: metric.unit for metric in judged_metrics()}
 DISTRIBUTIONS = ("duration", "path_length")
 
 
@@ -96,12 +103,13 @@ def _score(
     rng_verdict, rng_draws, rng_null, rng_kde = np.random.default_rng(SEED).spawn(4)
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared.of(test, comparison_smoothing(test))
-    counted = factual(rollouts, test)
+    counted = censored(factual(rollouts, test), test)
     seen = prepared.filtered(counted)
     simulated, recorded = prepared.measures(seen), prepared.measures(prepared.recorded)
     draws = Draws.by(rng_draws, resamples)
     same = others is None and rollouts.method == RECORDINGS
-    energies, measures = {}, [_auc(found, same)]
+    energies = {}
+    measures = [_realism(found), _area(AUC, found, same), _area(SEQUENCE, found, same)]
     for name, keys in {ENERGY: SUMMARY, **{f"energy_{key}": (key,) for key in SUMMARY}}.items():
         spread = [float(np.std(recorded[k])) or 1.0 for k in keys]
         drawn, true = (
@@ -115,10 +123,11 @@ def _score(
     measures += _closeness(counted, test, beside, draws)
     copies = counted.copies
     exchanges = Exchanges.draw(counted.demo, len(test), rng_null, resamples, copies=copies)
-    for key in DIFFERENCES:
-        gap = _difference(simulated[key], counted, recorded[key], draws)
+    for metric in differences():
+        key = metric.key
+        gap = _difference(simulated[key], counted, recorded[key], draws, metric.share)
         tested = exchanges.difference(np.concatenate([recorded[key], simulated[key]]))
-        unit = UNITS[key].replace(ARENA_UNITS, prepared.unit.name)
+        unit = metric.unit.replace(ARENA_UNITS, prepared.unit.name)
         measures.append(_of(key, unit, gap, null=tested.null, p=tested.p))
     for key in DISTRIBUTIONS:
         kde = bootstrap_distances(
@@ -134,7 +143,7 @@ def _score(
         rollouts=len(counted),
         covers=covers(cells(simulated["duration"], counted.seed, counted.demo, len(test))),
         words=found.overall,
-        measures=tuple(ordered[key] for key in LABELS),
+        measures=tuple(ordered[key] for key in labels()),
         energies=energies[ENERGY],
     )
 
@@ -199,23 +208,31 @@ def _closeness(
     return found
 
 
-def _difference(values: Floats, counted: Rollouts, recorded: Floats, draws: Draws) -> Interval:
+def _difference(
+    values: Floats, counted: Rollouts, recorded: Floats, draws: Draws, share: bool
+) -> Interval:
     """Mean of the rollouts less that of the recordings."""
     starts = np.arange(len(recorded))
     many = cells(values, counted.seed, counted.demo, len(recorded))
     one = cells(recorded, np.full(len(recorded), -1), starts, len(recorded))
-    return bootstrap_difference(many, one, draws)
+    return bootstrap_difference(many, one, draws, share=share)
 
 
-def _auc(found: Verdict, same: bool) -> Measured:
+def _realism(found: Verdict) -> Measured:
+    """The realism score beside that of other recordings."""
+    null = found.realism_beside.get(OTHERS, math.nan)
+    return _of(REALISM, "", found.realism, null=null)
+
+
+def _area(judge: str, found: Verdict, same: bool) -> Measured:
     """That of recordings among themselves, where the ``same`` recordings stand on both sides.
 
     Over all folds each is on one side itself and on the other as another's: the classifier would
     learn to call it by the side on which it met it.
     """
-    if same:
-        return _of(AUC, "", found.among, null=found.among.high)
-    return _of(AUC, "", found.auc, null=found.among.high)
+    among = found.areas[judge]["among"]
+    own = found.auc if judge == AUC else found.sequence
+    return _of(judge, "", among if same else own, null=among.high)
 
 
 def _endings(found: Verdict) -> Measured:

@@ -4,8 +4,9 @@ Candidates are Boltzmann sampling at temperature 1, which a clone's logits mean,
 the temperatures that fit the demonstrated actions best, and the greedy rule; where none of them
 comes near, also sampling at one share for how hard and another for which way. Each is rolled out
 from the starts of training and validation episodes and compared with these episodes by outcome,
-duration, path length and speed: neither by the DTW distance, which hardly tells good simulators
-from bad ones, nor on any test episode. The first stays unless another is better by more than
+duration, path length, speed, rest and the memory of turns: neither by the DTW distance, which
+hardly tells good simulators from bad ones, nor on any test episode. Rollouts stop where their
+recording merely stops. The first stays unless another is better by more than
 rollouts of one rule differ: the others were fitted to few validation animals, and the best of a
 dozen is lucky. Where sampling at 1 is clearly wrong, the best is taken.
 """
@@ -21,7 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.order_in_time import lags_for, median_steps, rest_and_turns
+from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.windows import resting_step
 from animarl_algos.networks.acting_rule import Acting
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
@@ -39,6 +43,7 @@ NEAR = 0.3
 MARGIN = 0.1
 """Mismatch by which another must beat the first: rollouts anew move it by some hundredths."""
 MOST_STARTS, ROLLOUTS = 200, 400
+WEIGHT = 4.0  # of rest and order: .05 of either weighs as a fifth of the duration
 SPEEDS = 400  # quantiles by which two distributions of speed are compared
 
 
@@ -48,7 +53,8 @@ class Candidate:
 
     ``outcome`` is the total variation distance of the shares of outcomes; the others are
     Wasserstein distances in units of the recorded mean, ``speed`` that of all steps, as the mean
-    over individuals.
+    over individuals. ``rest`` is the difference of the shares of steps at rest and ``order`` that
+    of the autocorrelation of turns (circles have one), each times ``WEIGHT``.
     """
 
     acting: str
@@ -56,11 +62,13 @@ class Candidate:
     duration: float
     path_length: float
     speed: float
+    rest: float = 0.0
+    order: float = 0.0
 
     @property
     def mismatch(self) -> float:
         """Their sum: the lower, the more alike."""
-        return self.outcome + self.duration + self.path_length + self.speed
+        return self.outcome + self.duration + self.path_length + self.speed + self.rest + self.order
 
 
 @dataclass(frozen=True)
@@ -158,6 +166,7 @@ def choose_acting(
 
 def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     """How far rollouts are from recordings, by what an acting rule is chosen for."""
+    simulated = censored(simulated, recorded)
     # A recording that was cut went on, as a rollout does that time ends.
     ends = [np.where(r.outcome == UNFINISHED, TIME_OUT, r.outcome) for r in (simulated, recorded)]
     known = np.union1d(*ends)
@@ -166,12 +175,17 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     path = [path_lengths(r)[:, r.movers].mean(axis=1) for r in (simulated, recorded)]
     levels = (np.arange(SPEEDS) + 0.5) / SPEEDS
     speeds = [np.quantile(r.speeds(), levels, axis=0) for r in (simulated, recorded)]
+    still = resting_step(recorded)
+    lags = lags_for(median_steps(recorded), recorded.dt)
+    rest, turns = zip(*(rest_and_turns(r, still, lags) for r in (simulated, recorded)))
     return Candidate(
         acting=name,
         outcome=float(0.5 * np.abs(shares[0] - shares[1]).sum()),
         duration=relative_distance(duration[0], duration[1]),
         path_length=relative_distance(path[0], path[1]),
         speed=float(np.mean([relative_distance(a, b) for a, b in zip(speeds[0].T, speeds[1].T)])),
+        rest=WEIGHT * float(np.abs(rest[0] - rest[1]).mean()),
+        order=WEIGHT * float(np.nan_to_num(np.abs(turns[0] - turns[1])).mean()),
     )
 
 

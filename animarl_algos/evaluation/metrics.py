@@ -151,6 +151,8 @@ class Metric:
         It has a column in the table of episodes, and rows in the comparison.
     judged
         It has a row in the verdict, where recordings have it.
+    on_board
+        The leaderboard shows its difference to the recordings.
     is_ending
         Of how an episode ended: no row in the verdict where neither side knows it.
     too_much, too_little
@@ -173,6 +175,7 @@ class Metric:
     heading: str = ""
     compared: bool = True
     judged: bool = True
+    on_board: bool = True
     is_ending: bool = False
     too_much: str = ""
     too_little: str = ""
@@ -267,7 +270,7 @@ def _of_verdict(
     """A metric that the verdict judges and the comparison of methods leaves out."""
     return Metric(
         key=key, label=label, unit=unit, measure=measure, too_much=much, too_little=little,
-        compared=False, **more,
+        compared=False, on_board=key in ("reached", "mean_speed"), **more,
     )  # fmt: skip
 
 

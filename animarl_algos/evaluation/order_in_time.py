@@ -144,6 +144,25 @@ def order_measures(
     return EpisodeMeasures(tuple(names), tuple(kinds), np.concatenate(parts))
 
 
+def rest_and_turns(
+    rollouts: Rollouts, rest: Floats, lags: tuple[int, ...]
+) -> tuple[Floats, Floats]:
+    """Return the share of steps at rest and the autocorrelation of turns, over all episodes.
+
+    ``(individuals,)`` and ``(lags, individuals)``.
+    """
+    longest = int(rollouts.lengths.max()) * len(rollouts.individuals)
+    per_chunk = max(1, CHUNK // max(1, longest))
+    still, turns = [], []
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for first in range(0, len(rollouts), per_chunk):
+            chosen = np.arange(first, min(first + per_chunk, len(rollouts)))
+            series = Series.of(rollouts, chosen, rest)
+            still.append(_share(~series.moving, np.isfinite(series.speed)))
+            turns.append(np.stack([_turn_autocorrelation(series.turn, lag) for lag in lags]))
+        return _mean(np.concatenate(still), axis=0), _mean(np.concatenate(turns, axis=1), axis=1)
+
+
 def _measures(
     series: Series, rollouts: Rollouts, arena: Arena, lags: tuple[int, ...]
 ) -> Iterator[tuple[str, str, Floats]]:

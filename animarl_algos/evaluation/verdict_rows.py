@@ -140,6 +140,7 @@ class Columns:
         sides = (prepared.recorded, counted)
         true, simulated = (prepared.measures(side) for side in sides)
         names, columns = [], []
+        alone = np.concatenate([np.ones(len(sides[0]), dtype=bool), ~counted.copies])
         for metric in judged_metrics():
             both = np.concatenate([true[metric.key], simulated[metric.key]])
             if metric is DURATION and (prepared.recorded.outcome == UNFINISHED).any():
@@ -149,7 +150,7 @@ class Columns:
             columns.append(both)
             if metric.noun:
                 names.append(_spread(metric))
-                columns.append(np.abs(both - np.median(both)))
+                columns.append(np.abs(both - np.median(both[alone])))
         arena, rest = prepared.demos.arena, resting_step(prepared.recorded)
         lags = lags_for(median_steps(prepared.recorded), prepared.recorded.dt)
         ordered = [order_measures(side, arena, lags, rest) for side in sides]
@@ -342,8 +343,10 @@ def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tupl
     """Return the mean survival of both sides, up to the longest time that both know."""
     sides = (recorded.select(starts), counted)
     lasted = [(side.lengths - 1) * side.dt for side in sides]
-    limit = float(min(one.max() for one in lasted))
     ended = [~np.isin(side.outcome, (UNFINISHED, TIME_OUT)) for side in sides]
+    whole = [bool(e[d == d.max()].all()) for d, e in zip(lasted, ended)]  # the curve ends at zero
+    known = [d.max() for d, all_ended in zip(lasted, whole) if not all_ended]
+    limit = float(min(known) if known else max(d.max() for d in lasted))
     first, second = (mean_survival(d, e, limit) for d, e in zip(lasted, ended))
     return first, second
 
