@@ -9,6 +9,11 @@ what it senses, its own search in the changed world.
 Two shifts stand beside it in which no effect of the condition was learned: that of untrained
 networks, which answer to any input somehow, and that of the trained networks with the flag zeroed,
 asked twice with random numbers of their own, which is chance alone.
+
+An untrained network answers to its flag as to any other input, so the answers of one network, or of
+two, always differ somehow. A claim therefore speaks of training seeds. It is worded only if there
+are at least three, their mean shift excludes zero over seeds and over starts, and it differs from
+that of networks that learned nothing.
 """
 
 from __future__ import annotations
@@ -21,11 +26,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.claims import Claim, claim
 from animarl_algos.evaluation.comparison import put_interval
 from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes, Metric
-from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
+from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
+    CONFIDENCE,
     RESAMPLES,
     UNDEFINED,
     Cells,
@@ -98,6 +103,21 @@ class Effects:
 
     table: pd.DataFrame
     claims: pd.DataFrame
+
+
+def answers_of(rollouts: Rollouts, demos: Demonstrations) -> Asked | None:
+    """Return what a method was asked, of all its rollouts; None if no cue was flipped."""
+    own = demos.condition[rollouts.demo]
+    told = np.where(rollouts.cue == NO_CUE, rollouts.condition, rollouts.cue)
+    factual, flipped, world = (
+        (rollouts.condition == own) & (told == own),
+        (rollouts.condition == own) & (told != own),
+        (rollouts.condition != own) & (told == rollouts.condition),
+    )
+    if not (factual.any() and flipped.any()):
+        return None
+    trained = Answers(rollouts.select(factual), rollouts.select(flipped))
+    return Asked(trained=trained, world=rollouts.select(world) if world.any() else None)
 
 
 def cue_effects(
@@ -289,3 +309,53 @@ def minus(first: Cells, second: Cells) -> Cells:
     means: NDArray[np.float64] = first.cell_means - second.cell_means
     present = np.isfinite(means)
     return Cells(np.where(present, means, 0.0), present.astype(np.float64))
+
+
+# -- claims ----------------------------------------------------------------------------------------
+
+FEWEST_SEEDS = 3
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Whether a shift is worded as an effect, and if not, why not."""
+
+    worded: bool
+    reason: str = ""
+
+
+def claim(
+    shift: Cells,
+    untrained: Cells | None,
+    rng: np.random.Generator,
+    resamples: int = RESAMPLES,
+) -> Claim:
+    """Judge the shift of a method by seed and start beside that of untrained networks."""
+    seeds = len(shift.sums)
+    if seeds < FEWEST_SEEDS:
+        return Claim(
+            False, f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
+        )
+    if untrained is None or len(untrained.sums) < FEWEST_SEEDS:
+        return Claim(False, "there are too few untrained networks to tell it apart from")
+    if not over_seeds(shift).excludes_zero:
+        return Claim(False, "the training seeds do not agree")
+    if not bootstrap_mean(shift, rng, resamples).excludes_zero:
+        return Claim(False, "the interval includes zero")
+    if not bootstrap_difference(shift, untrained, rng, resamples).excludes_zero:
+        return Claim(False, "it is not told apart from that of untrained networks")
+    return Claim(True)
+
+
+def over_seeds(data: Cells, confidence: float = CONFIDENCE) -> Interval:
+    """Mean of the seeds' means with Student's interval; undefined for fewer than two."""
+    from scipy.stats import t
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        means = data.sums.sum(axis=1) / data.counts.sum(axis=1)
+    means = means[np.isfinite(means)]
+    if len(means) < 2:
+        return Interval(float(means.mean()) if len(means) else np.nan, np.nan, np.nan)
+    half = t.ppf(0.5 + confidence / 2, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
+    centre = float(means.mean())
+    return Interval(centre, centre - float(half), centre + float(half))

@@ -139,8 +139,6 @@ class Metric:
         comparison with them.
     planned
         The planned contrasts are worked out for it.
-    more_less
-        What the mean is when above and below that of the recordings; it has a sentence then.
     caption
         Of its figure in the report; without one it has no part of its own there.
     per_step
@@ -169,7 +167,6 @@ class Metric:
     share: bool = False
     of_recordings: bool = True
     planned: bool = False
-    more_less: tuple[str, str] | None = None
     caption: str = ""
     per_step: Metric | None = None
     heading: str = ""
@@ -221,7 +218,6 @@ PATH_LENGTH = Metric(
     unit=ARENA_UNITS,
     measure=lambda episodes: episodes.path_length,
     planned=True,
-    more_less=("longer", "shorter"),
     too_much="paths too long",
     too_little="paths too short",
     noun="path lengths",
@@ -235,7 +231,6 @@ DURATION = Metric(
     unit="s",
     measure=lambda episodes: episodes.duration,
     planned=True,
-    more_less=("longer", "shorter"),
     too_much="episodes too long",
     too_little="episodes too short",
     noun="durations",

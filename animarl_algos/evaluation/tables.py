@@ -17,8 +17,8 @@ from animarl_algos.evaluation.comparison import (
     pair_table,
 )
 from animarl_algos.evaluation.contrasts import contrast_table
-from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
+from animarl_algos.evaluation.effects import answers_of, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
@@ -136,7 +136,7 @@ def evaluate(
     floor, perturbed, references, smoothing
         See :func:`~animarl_algos.evaluation.verdict.verdict`.
     planned_flip
-        See :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
+        The flip ``(from, to)`` of the condition that was planned in advance.
     """
     import pandas as pd
 
@@ -158,7 +158,8 @@ def evaluate(
                 "condition='demo' and the actual cue"
             )
     streams = np.random.default_rng(seed).spawn(4)
-    flipped = has_flips(metrics)
+    asked = {name: answers_of(one, demos) for name, one in rollouts.items()}
+    flipped = {name: one for name, one in asked.items() if one is not None}
     return Evaluation(
         metrics=metrics,
         comparison=comparison_table(
@@ -170,9 +171,9 @@ def evaluate(
         ),
         pairs=pair_table(metrics, demos.num_episodes, streams[3], resamples=resamples),
         contrasts=contrast_table(metrics, demos.num_episodes, streams[1], resamples=resamples),
-        counterfactual=counterfactual_table(
-            metrics, demos.condition, streams[2], planned=planned_flip, resamples=resamples
-        )
+        counterfactual=cue_effects(
+            flipped, demos, planned=planned_flip, seed=seed, resamples=resamples
+        ).table
         if flipped
         else pd.DataFrame(),
         verdict=verdict(

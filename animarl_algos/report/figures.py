@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.distances import kde_rule, kde_weighted
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import style
-from animarl_algos.report.words import Words, scaled
+from animarl_algos.report.words import Words
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -194,46 +192,6 @@ def draw_interval(
 
 
 # -- counterfactual -------------------------------------------------------------------------------
-
-
-def counterfactual_lengths(
-    table: pd.DataFrame, method: str, conditions: Sequence[str], words: Words, *, counting: str
-) -> Figure:
-    """Mean path length by condition: recorded, simulated, and with the cue flipped.
-
-    ``table`` is that of :func:`~animarl_algos.evaluation.counterfactual.counterfactual_table`.
-    """
-    means = table[(table["quantity"] == "mean") & (table["counting"] == counting)]
-    rows: list[tuple[str, Interval, str, str]] = []
-    for c in (0, 1):
-        recorded = means[(means["method"] == "recorded") & (means["condition"] == c)]
-        asked = means[(means["method"] == method) & (means["condition"] == c)]
-        asked = asked[asked["world"] == c]
-        for _, row in recorded.iterrows():
-            label = words.say(f"recorded: {conditions[c]}")
-            rows.append((label, interval(row, "value"), "recorded", "s"))
-        for _, row in asked.sort_values("cue", ascending=c == 0).iterrows():
-            told = int(row["cue"])
-            label = conditions[c] if told == c else f"{conditions[c]} \u2192 {conditions[told]}"
-            rows.append((label, interval(row, "value"), method, "o" if told == c else "D"))
-    with style.figure_style():
-        figure, panel = style.new_figure(4.6, 0.8 + 0.36 * len(rows))
-        style.light_grid(panel)
-        for i, (_, value, name, marker) in enumerate(rows):
-            base, colour = float(len(rows) - 1 - i), style.method_colour(name)
-            value = scaled(value, words.unit.per_arena_unit)
-            draw_interval(panel, value, base, colour, marker)
-            if marker == "D":
-                panel.plot(
-                    value.estimate, base, "o", color=style.GROUND, markersize=2.6, zorder=3.3,
-                    markeredgewidth=0,
-                )  # fmt: skip
-        panel.set_yticks(range(len(rows)), [row[0] for row in reversed(rows)])
-        panel.tick_params(axis="y", length=0)
-        panel.spines["left"].set_visible(False)
-        panel.set_ylim(-0.6, len(rows) - 0.4)
-        panel.set(xlabel=f"Mean path length ({words.unit.name})", title=style.method_label(method))
-    return figure
 
 
 # -- small things ---------------------------------------------------------------------------------

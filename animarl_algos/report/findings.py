@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from animarl_algos.evaluation.comparison import BASELINE, COUNTING, find_method
-from animarl_algos.evaluation.counterfactual import DIFFERENCE, ERROR, SHIFT, WORLD_SHIFT
+from animarl_algos.evaluation.effects import ERROR, PREDICTED, TRUE
 from animarl_algos.evaluation.metrics import METRICS, PATH_LENGTH, Metric
 from animarl_algos.report import panels
 from animarl_algos.report import sentences as wording
-from animarl_algos.report.blocks import Block, Gallery, Group, Heading, Row, Sentences, Table, Text
+from animarl_algos.report.blocks import Block, Gallery, Group, Heading, Row, Table, Text
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.sentences import (
     NOTHING,
@@ -22,14 +22,6 @@ from animarl_algos.report.sentences import (
 )
 from animarl_algos.report.style import method_label
 from animarl_algos.report.words import scaled
-
-
-def summary(inputs: ReportInputs) -> Iterator[Block]:
-    """What the tables say, in sentences."""
-    evaluation = inputs.evaluation
-    yield Sentences(
-        wording.headline(evaluation.comparison, evaluation.pairs, inputs.learner, inputs.words)
-    )
 
 
 def metrics(inputs: ReportInputs) -> Iterator[Block]:
@@ -176,53 +168,31 @@ def counterfactual(inputs: ReportInputs) -> Iterator[Block]:
     yield Text(
         "The policy is told the other condition; the world stays as it is. The shift is the path "
         "length with the flipped cue minus that with the true one, on the same starts and the "
-        "same networks."
+        "same networks. The page of 'animarl counterfactual' shows it beside its truth and beside "
+        "networks that learned nothing."
     )
-    yield Gallery(
-        panels.counterfactual_panels(inputs, names),
-        words.say(
-            "Mean path length with 95 % interval, all episodes: recorded (square), simulated "
-            "(dot), and simulated with the cue flipped (arrow, ringed diamond)."
-        ),
-    )
-    quantities = {
-        DIFFERENCE: f"{names[0]} {wording.MINUS} {names[1]}",
-        ERROR: "absolute error",
-        SHIFT: "cue flipped",
-        WORLD_SHIFT: "world changed",
-    }
+    quantities = {ERROR: "minus recorded", PREDICTED: "cue flipped", TRUE: "world changed"}
     groups = []
     for counting in COUNTING:
         lines = []
         for _, row in table[table["counting"] == counting].iterrows():
-            if row["quantity"] not in quantities:
+            if row["quantity"] not in quantities or not math.isfinite(row["value"]):
                 continue
-            of, told = names[int(row["condition"])], names[int(row["cue"])]
-            where = {
-                DIFFERENCE: "",
-                ERROR: of,
-                SHIFT: f"{of} \u2192 {told}",
-                WORLD_SHIFT: f"{of} \u2192 {told}",
-            }[row["quantity"]]
-            lines.append(
-                Row(
-                    [
-                        words.label(str(row["method"])),
-                        quantities[row["quantity"]],
-                        where,
-                        with_interval(words.interval(row, "value", PATH_LENGTH)),
-                        "planned" if row["planned"] else "",
-                    ],
-                    strong=bool(row["planned"]),
-                )
-            )
+            of, told = names[int(row["condition"])], names[int(row["told"])]
+            cells = [
+                words.label(str(row["method"])),
+                words.say(quantities[row["quantity"]]),
+                of if of == told else f"{of} \u2192 {told}",
+                with_interval(words.interval(row, "value", PATH_LENGTH)),
+                "planned" if row["planned"] and of != told else "",
+            ]
+            lines.append(Row(cells, strong=bool(cells[-1])))
         groups.append(Group(COUNTING[counting].capitalize(), lines))
     yield Table(
         "Counterfactual path lengths",
         ["Method", "Quantity", "Condition", f"Path length\n({words.unit_of(PATH_LENGTH)})", ""],
         groups,
-        "Differences and errors of the mean path length [95 % interval]. An absolute error is "
-        "never negative, so its interval cannot include zero.",
+        "Differences of the mean path length [95 % interval].",
         left=3,
     )
 

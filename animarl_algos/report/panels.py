@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import COUNTING, factual, interval
+from animarl_algos.evaluation.comparison import COUNTING, factual
 from animarl_algos.evaluation.decisions import Decisions
-from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
+from animarl_algos.evaluation.metrics import DTW, Metric
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import figures, interpretation
@@ -18,7 +18,7 @@ from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.learning_curves import chosen_curves, learning_curve
 from animarl_algos.report.path_figures import trajectory_pair
 from animarl_algos.report.sentences import comparison_row, number
-from animarl_algos.report.style import Image, method_label, to_image
+from animarl_algos.report.style import Image, to_image
 from animarl_algos.report.words import scaled
 
 if TYPE_CHECKING:
@@ -102,42 +102,6 @@ def metric_panels(inputs: ReportInputs, metric: Metric) -> list[Image]:
             label=words.label,
         )
         images.append(to_image(figure, f"{metric.label} by method, {COUNTING[counting]}"))
-    return images
-
-
-def distance_panels(inputs: ReportInputs) -> list[Image]:
-    """Kernel-density distance by method with its null band, a panel per metric."""
-    images = []
-    for metric in (metric for metric in METRICS if metric.has_distribution):
-        values, nulls = {}, {}
-        for name in inputs.rollouts:
-            row = comparison_row(inputs.evaluation.comparison, name, metric)
-            if row is not None and np.isfinite(row["kde"]):
-                values[name], nulls[name] = interval(row, "kde"), interval(row, "kde_null")
-        if not values:
-            continue
-        figure = figures.interval_rows(
-            values,
-            inputs.words.say("Kernel-density distance to the recordings"),
-            title=metric.label,
-            bands=nulls,
-            limits=(0.0, 2.0),
-        )
-        images.append(to_image(figure, f"Kernel-density distance of {metric.label} by method"))
-    return images
-
-
-def counterfactual_panels(inputs: ReportInputs, conditions: Sequence[str]) -> list[Image]:
-    """One panel per method that was asked with a flipped cue."""
-    table = inputs.evaluation.counterfactual
-    asked = table.loc[table["quantity"] == "cue shift", "method"].unique()
-    images = []
-    for name in asked:
-        figure = figures.counterfactual_lengths(
-            table, str(name), conditions, inputs.words, counting="all"
-        )
-        alt = f"Mean path length by condition and cue, {method_label(str(name))}"
-        images.append(to_image(figure, alt))
     return images
 
 

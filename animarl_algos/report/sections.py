@@ -19,7 +19,6 @@ from animarl_algos.report.blocks import (
     Section,
     Table,
 )
-from animarl_algos.report.distance_section import distances
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.provenance import provenance, to_paste
 from animarl_algos.report.sentences import NOTHING, number, with_interval
@@ -53,14 +52,11 @@ def lead(inputs: ReportInputs) -> Lead:
 def build_sections(inputs: ReportInputs) -> list[Section]:
     """All sections that have something to show, in order."""
     words = inputs.words
-    findings_first = findings.summary(inputs)
     candidates = [
-        Section("found", "What was found", list(findings_first)),
         Section("verdict", "Verdict", list(verdict_blocks(inputs.evaluation.verdict, words))),
         Section("trajectories", "Trajectories", list(_trajectories(inputs))),
         Section("speeds", "Speeds", list(_speeds(inputs))),
         Section("metrics", "Metrics", list(findings.metrics(inputs))),
-        Section("distances", words.say("Distance to the recordings"), list(distances(inputs))),
         Section("contrasts", "Planned contrasts", list(findings.contrasts(inputs))),
         Section("counterfactual", "Counterfactual", list(findings.counterfactual(inputs))),
         Section("locomotion", "Locomotion", list(_locomotion(inputs))),

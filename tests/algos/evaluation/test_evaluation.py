@@ -11,8 +11,10 @@ import pytest
 from report_inputs import make_demos, make_rollouts, report_inputs, report_page
 from rich.console import Console
 
+from animarl_algos.benchmark.measured import labels
 from animarl_algos.evaluation import Evaluation, evaluate, measure
 from animarl_algos.evaluation.metrics import METRICS, Metric, add_metric
+from animarl_algos.evaluation.verdict_rows import SAME
 from animarl_algos.report import evaluation_table
 from animarl_algos.report.examples import factual_rollouts
 from animarl_algos.report.report import render_report
@@ -82,10 +84,10 @@ def pace() -> Iterator[Metric]:
     metric = Metric(
         key="pace",
         label="Pace",
-        unit="arena units / s",
+        unit="arena units/s",
         measure=lambda episodes: episodes.path_length / (episodes.rollouts.lengths - 1),
         planned=True,
-        more_less=("faster", "slower"),
+        too_much="paces too fast",
         caption="Path length over duration.",
         heading="pace",
     )
@@ -116,7 +118,9 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
     assert rows[["to_recorded", "kde", "wasserstein"]].notna().all(axis=None)
     page = render_report(dataclasses.replace(inputs, evaluation=again))
     assert page.count("Path length over duration.") == 1
-    assert "Pace by method" in page and "Pace, all episodes: " in page and "Pace: gate" in page
+    assert "Pace by method" in page and "Pace: gate" in page
+    assert again.verdict.row("pace")["verdict"] in (SAME, "paces too fast", "pace too low")
+    assert "pace" in labels() and "pace" not in before.verdict.table["measure"].to_list()
     columns = [str(column.header) for column in evaluation_table(again).columns]
     assert columns[-3:] == ["pace", "KDE", "within starts"]
     # An evaluation from before it was added still makes its page.

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
-from metric_tables import metrics_rows, row
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.counterfactual import counterfactual_table, has_flips
 from animarl_algos.evaluation.metrics import (
     dtw_alignments,
     dtw_distances,
@@ -155,63 +152,3 @@ def test_foreign_rollouts_are_refused(demos: Demonstrations) -> None:
     made = rollouts(demos, [2], [chase(3, 0.1)])
     with pytest.raises(InputError, match="were not made from"):
         measure(made, demos.select(episodes=[0, 1]))
-
-
-# -- counterfactual ------------------------------------------------------------
-
-
-@pytest.fixture
-def flips() -> tuple[pd.DataFrame, NDArray[np.int64]]:
-    """Condition 1 adds 2 to the recordings; the policy adds 1.5 when it is told so."""
-    rng = np.random.default_rng(3)
-    condition = np.repeat([0, 1], 15)
-    caught = np.ones(30, dtype=bool)
-    base = rng.normal(5.0, 1.0, 30)
-    parts = [metrics_rows("recorded", -1, base + 2.0 * condition, caught, condition=condition)]
-    for seed in range(3):
-        for told in (condition, 1 - condition):
-            value = base + seed + 1.5 * told
-            parts.append(metrics_rows("DQCIL", seed, value, caught, condition=condition, cue=told))
-        changed = metrics_rows(
-            "DQCIL", seed, base + seed + 3.0 * (1 - condition), caught,
-            condition=1 - condition, cue=1 - condition,
-        )  # fmt: skip
-        parts.append(changed)
-    return pd.concat(parts), condition
-
-
-def test_counterfactual_known_answers(flips: tuple[pd.DataFrame, NDArray[np.int64]]) -> None:
-    metrics, condition = flips
-    assert has_flips(metrics)
-    table = counterfactual_table(
-        metrics, condition, np.random.default_rng(0), planned=(0, 1), resamples=400
-    )
-    table = table[table["counting"] == "all"]
-    shifts = table[table["quantity"] == "cue shift"].set_index("condition")
-    # The same networks on the same starts: what the seed and the start add cancels.
-    assert shifts.loc[0, ["value", "value_low", "value_high"]].tolist() == pytest.approx([1.5] * 3)
-    assert shifts.loc[1, ["value", "value_low", "value_high"]].tolist() == pytest.approx([-1.5] * 3)
-    assert shifts["planned"].to_dict() == {0: True, 1: False}
-    world = row(table, quantity="world shift", condition=0)
-    assert world["value"] == pytest.approx(3.0)
-    # Seeds 0, 1, 2 add one on average.
-    assert row(table, quantity="absolute error", condition=0)["value"] == pytest.approx(1.0)
-    assert row(table, quantity="absolute error", condition=1)["value"] == pytest.approx(0.5)
-    gap = row(table, quantity="condition 0 - condition 1", method="recorded")
-    assert gap["value_low"] < gap["value"] < gap["value_high"] < 0.0
-
-
-def test_counterfactual_counts_captures_apart(
-    flips: tuple[pd.DataFrame, NDArray[np.int64]],
-) -> None:
-    metrics, condition = flips
-    metrics = metrics.assign(captured=metrics["demo"] % 2 == 0)
-    table = counterfactual_table(metrics, condition, np.random.default_rng(0), resamples=100)
-    recorded = metrics[(metrics["method"] == "recorded") & (metrics["condition"] == 0)]
-    for counting, chosen in (("all", recorded), ("captures", recorded[recorded["captured"]])):
-        mean = row(table, method="recorded", quantity="mean", condition=0, counting=counting)
-        assert mean["value"] == pytest.approx(chosen["path_length"].mean())
-
-
-def test_no_flips_without_another_cue(demos: Demonstrations) -> None:
-    assert not has_flips(measure_recordings(demos))

@@ -22,9 +22,9 @@ def test_the_page_has_every_section() -> None:
     page = Page(report_page())
     assert not page.open
     for heading in (
-        "A run", "What was found", "Verdict", "Trajectories", "Speeds", "Metrics",
+        "A run", "Verdict", "Trajectories", "Speeds", "Metrics",
         "Target reached", "Path length", "Duration", "DTW distance",
-        "Distance to the demonstrations", "Planned contrasts", "Counterfactual", "Locomotion",
+        "Planned contrasts", "Counterfactual", "Locomotion",
         "Learning", "To paste", "For the methods section", "How this was made", "Glossary",
     ):  # fmt: skip
         assert heading in page.headings

@@ -18,51 +18,21 @@ from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import DIFFERS, SAME
 from animarl_algos.report import ReportInputs
 from animarl_algos.report.report import render_report
-from animarl_algos.report.sentences import cautions, headline, number, with_interval
+from animarl_algos.report.sentences import cautions, number, with_interval
 from animarl_algos.report.verdict_section import verdict_lead, verdict_sentence
 from animarl_algos.report.words import Words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
 
-def comparison(mean: float, low: float, high: float) -> pd.DataFrame:
-    """A table of one method, its difference to the recordings, and random actions beside it."""
-    rows = []
-    for method, metric in [("bc", "path_length"), ("bc", "dtw"), ("random", "dtw")]:
-        row = {"method": method, "metric": metric, "counting": "all", "rollouts": 5, "seeds": 1}
-        keys = ("mean", "to_recorded", "kde", "kde_null", "wasserstein")
-        for key in keys:
-            row |= {key: mean, f"{key}_low": low, f"{key}_high": high}
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def pairs(low: float, high: float) -> pd.DataFrame:
-    """Random actions minus BC in DTW distance."""
-    row = {"metric": "dtw", "counting": "all", "first": "random", "second": "bc"}
-    ends = {"difference": (low + high) / 2, "difference_low": low, "difference_high": high}
-    return pd.DataFrame([row | ends])
-
-
-@pytest.mark.parametrize(
-    ("mean", "low", "high", "other", "said"),
-    [
-        (2.0, 1.0, 3.0, (1.0, 2.0), ["longer than recorded", "closer than random"]),
-        (-2.0, -3.0, -1.0, (-2.0, -1.0), ["2.0 [1.0, 3.0] arena units shorter", "farther than"]),
-        (0.5, -1.0, 2.0, (-1.0, 3.0), ["not told apart", "not told apart from random"]),
-    ],
-)
-def test_claims_follow_the_numbers(
-    mean: float, low: float, high: float, other: tuple[float, float], said: list[str]
-) -> None:
-    table = comparison(mean, low, high)
-    text = " ".join(headline(table, pairs(*other), "bc", Words()))
-    for words in said:
-        assert words in text
+def comparison() -> pd.DataFrame:
+    """A table of one method."""
+    row = {"method": "bc", "metric": "dtw", "counting": "all", "rollouts": 5, "seeds": 1}
+    return pd.DataFrame([row])
 
 
 def test_cautions_say_what_limits_the_conclusions() -> None:
-    table = comparison(1.0, 0.0, 2.0)
+    table = comparison()
     one = cautions(table, "bc", synthetic=True)
     assert "synthetic" in one[0] and "One training seed" in one[1]
     assert cautions(table.assign(seeds=3), "bc", synthetic=False)[0].startswith("Only 3")
