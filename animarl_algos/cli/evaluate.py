@@ -6,12 +6,15 @@ What they look with is imported when they run: their help waits for none of it.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from animarl_algos.cli.screen import PlainConsole
 from animarl_envs.errors import InputError
+
+if TYPE_CHECKING:
+    from animarl_envs.demos.demonstrations import Demonstrations
 
 Runs = Annotated[list[Path], typer.Argument(help="Run folders, of methods and seeds.")]
 Out = Annotated[Path, typer.Option(help="Folder for tables, figures and report.html.")]
@@ -30,6 +33,13 @@ def evaluate_command(
             "epsilon:SHARE; by default as the run says."
         ),
     ] = None,
+    demos: Annotated[
+        str | None,
+        typer.Option(
+            help="With --out: other recordings of the same animals to judge the trained policies "
+            "on, an .npz of 'animarl import' or the name of a packaged set."
+        ),
+    ] = None,
 ) -> None:
     """Compare runs with the recordings that they share: methods and seeds together.
 
@@ -42,6 +52,8 @@ def evaluate_command(
       animarl evaluate runs/agents
 
       animarl evaluate runs/bc-0 runs/bc-1 runs/dqdil-pt-0 runs/dqdil-pt-1 --out out/eval
+
+      animarl evaluate runs/agents --demos later.npz --out out/later
     """
     from animarl_algos.report.terminal import evaluation_table
     from animarl_algos.report.verdict_section import verdict_table
@@ -57,9 +69,12 @@ def evaluate_command(
                 "--acting does not go with --out, which compares rollouts that are there: give it "
                 "to 'animarl evaluate RUN'"
             )
-        found = evaluate_runs(runs, out)
+        given = None if demos is None else _recordings(demos)
+        found = evaluate_runs(runs, out, demos=given)
         evaluation, missing = found.evaluation, list(found.lacking)
     else:
+        if demos is not None:
+            raise InputError("--demos needs --out: name a folder for the new evaluation")
         if len(runs) > 1:
             raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
         run = Run(runs[0], acting)
@@ -67,6 +82,16 @@ def evaluate_command(
     console.print(evaluation_table(evaluation))
     console.print(verdict_table(evaluation.verdict))
     _say(console, missing, out)
+
+
+def _recordings(given: str) -> Demonstrations:
+    """The file or the packaged set of a name."""
+    from animarl_envs.demos.demonstrations import Demonstrations
+    from animarl_envs.demos.packaged import load_packaged, packaged_names
+
+    if given in packaged_names():
+        return load_packaged(given)
+    return Demonstrations.load(given)
 
 
 def counterfactual_command(

@@ -32,6 +32,7 @@ Floats = NDArray[np.float64]
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
 FEWEST_RESAMPLED = 8  # demonstrations; of fewer, resamples often have no spread to divide by
+FEWEST_ALONE = 20  # ... and of fewer than these a margin is at least that of Student's t
 
 
 def draw_weights(rng: np.random.Generator, count: int, resamples: int = RESAMPLES) -> Floats:
@@ -109,6 +110,8 @@ def demo_margins(
     if number >= FEWEST_RESAMPLED:
         quantiles = _studentised_quantiles(values, draws.of(number), confidence)
         defined = np.isfinite(quantiles).all(axis=0)
+        if number < FEWEST_ALONE:
+            quantiles = np.stack([np.minimum(quantiles[0], low), np.maximum(quantiles[1], high)])
         low, high = np.where(defined, quantiles, [low, high])
     return np.maximum(high, 0.0) * error, np.maximum(-low, 0.0) * error
 

@@ -4,34 +4,41 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from animarl_algos.evaluation.collect import Cue
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.tables import TABLES, Evaluation
 from animarl_algos.evaluation.tidy import write_tables
+from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.report import render_report
 from animarl_algos.report.sections import build_sections
 from animarl_algos.runs.rolling_out import (
     DECISIONS,
+    RANDOM,
     UNTRAINED,
     evaluate_rollouts,
     lacking,
     stored_rollouts,
+    test_policies,
 )
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_algos.runs.run_warnings import run_warnings
 from animarl_algos.runs.run_world import world_in_words
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
+from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
 
@@ -48,7 +55,12 @@ class EvaluatedRuns:
     lacking: tuple[str, ...]
 
 
-def compare_runs(folders: Sequence[str | Path], *, resamples: int = RESAMPLES) -> EvaluatedRuns:
+def compare_runs(
+    folders: Sequence[str | Path],
+    *,
+    demos: Demonstrations | None = None,
+    resamples: int = RESAMPLES,
+) -> EvaluatedRuns:
     """Methods times seeds against the recordings of the test split that all started from.
 
     The methods are those of the runs; beside them stand those that the runs hold to compare with
@@ -58,22 +70,75 @@ def compare_runs(folders: Sequence[str | Path], *, resamples: int = RESAMPLES) -
     ----------
     folders
         Run folders, with their rollouts.
+    demos
+        Other recordings of the same animals to judge the trained policies on, which are then rolled
+        out from all of their starts; by default the test split of the runs.
 
     Raises
     ------
     InputError
-        If a folder is no run or has no rollouts, or the runs differ in what is compared.
+        If a folder is no run or has no rollouts, the runs differ in what is compared, or ``demos``
+        are of other individuals, another time step or another arena.
     """
     runs = RunSet.open(folders)
-    rollouts = joined_rollouts(runs)
+    test = None if demos is None else new_recordings(runs, demos)
+    rollouts = joined_rollouts(runs) if test is None else rolled_out_on(runs, test)
     learner = next(iter(runs.methods))
     evaluation = evaluate_rollouts(
-        runs.first, rollouts, learner=learner, seed=0, resamples=resamples
+        runs.first, rollouts, learner=learner, seed=0, demos=test, resamples=resamples
     )
     return EvaluatedRuns(runs, rollouts, evaluation, tuple(_absent(runs, rollouts)))
 
 
-def evaluate_runs(folders: Sequence[str | Path], out: str | Path) -> EvaluatedRuns:
+def new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
+    """Return recordings to judge runs on, all of them as a test split.
+
+    Of the very set that the runs were trained on, only the test split is new.
+
+    Raises
+    ------
+    InputError
+        If they are of other individuals, another time step or another arena than the runs.
+    """
+    known = runs.demos
+    if demos.fingerprint() == known.fingerprint():
+        return known.select(split="test")
+    for what, here, there in (
+        ("individuals", demos.individuals, known.individuals),
+        ("roles", demos.roles, known.roles),
+        ("time step", demos.dt, known.dt),
+        ("arena", demos.arena, known.arena),
+        ("unit", unit_of(demos).name, unit_of(known).name),
+    ):
+        if here != there:
+            raise InputError(
+                f"--demos {demos.name}: its {what} ({here}) differs from that of the runs "
+                f"({there}): give recordings of the same animals, imported in the same way"
+            )
+    return replace(demos, split=np.full(demos.num_episodes, "test"))
+
+
+def rolled_out_on(runs: RunSet, test: Demonstrations) -> dict[str, Rollouts]:
+    """Return rollouts of every method of the runs from all starts of other recordings."""
+    parts: dict[str, list[Rollouts]] = {name: [] for name in runs.methods}
+    for run in runs.runs:
+        own = method_name(run.settings.algo)
+        policies = test_policies(run)
+        learner = policies[own]
+        assert isinstance(learner, SequenceQLearning)
+        for name, policy in policies.items():
+            if name == own or name not in runs.methods:
+                flagged = learner.layout.condition_flag and name != RANDOM
+                scenario = run.starting_from("test", demos=test)
+                cue: Cue | None = "actual" if flagged else None
+                made = run.roll_out(policy, name, cue, scenario=scenario)
+                parts.setdefault(name, []).append(made)
+    return {name: Rollouts.concatenate(some, name) for name, some in parts.items()}
+
+
+def evaluate_runs(
+    folders: Sequence[str | Path], out: str | Path, *, demos: Demonstrations | None = None
+) -> EvaluatedRuns:
     """What :func:`compare_runs` finds, written to ``out``: all of it or nothing.
 
     ``out`` gets every table of the evaluation as CSV and Parquet, ``figures/`` as SVG, PNG and PDF,
@@ -85,14 +150,19 @@ def evaluate_runs(folders: Sequence[str | Path], out: str | Path) -> EvaluatedRu
         As :func:`compare_runs`, or if ``out`` cannot be written or is a run folder.
     """
     refuse_run_folder(out)
-    found = compare_runs(folders)
+    found = compare_runs(folders, demos=demos)
     records = {
         f"{name} {key}": value
         for name, some in found.runs.methods.items()
         for key, value in (("learner", some[0].record["learner"]), ("acting", _acting(some)))
     }
     inputs = report_inputs(
-        found.runs, found.rollouts, found.evaluation, records, command("evaluate", folders)
+        found.runs,
+        found.rollouts,
+        found.evaluation,
+        records,
+        command("evaluate", folders),
+        test=None if demos is None else new_recordings(found.runs, demos),
     )
     sections = build_sections(inputs)
     evaluation = found.evaluation
@@ -134,6 +204,7 @@ def report_inputs(
     settings: Mapping[str, Any],
     command: str,
     created: str = "",
+    test: Demonstrations | None = None,
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
     demos, species, first = runs.demos, runs.species, runs.first
@@ -141,12 +212,12 @@ def report_inputs(
     return ReportInputs(
         title=f"{species.title}: {', '.join(runs.methods)}",
         learner=next(iter(runs.methods)),
-        demos=demos.select(split="test"),
+        demos=demos.select(split="test") if test is None else test,
         rollouts=rollouts,
         evaluation=evaluation,
         conditions=species.conditions,
         fit=first.fit,
-        decisions=Decisions.load(along) if along.exists() else None,
+        decisions=Decisions.load(along) if test is None and along.exists() else None,
         learning_curves=pd.concat([run.learning_curves() for run in runs.runs], ignore_index=True),
         settings={
             "world": world_in_words(species),

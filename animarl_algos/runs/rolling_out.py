@@ -13,6 +13,7 @@ from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.tables import Evaluation, evaluate
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.runs.run import Run, method_name
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import track
 
@@ -94,15 +95,19 @@ def evaluate_rollouts(
     *,
     learner: str,
     seed: int,
+    demos: Demonstrations | None = None,
     resamples: int = RESAMPLES,
 ) -> Evaluation:
     """Return rollouts measured and compared with the test recordings of a run.
 
     Beside them stand the recordings as the fitted locomotion follows them, as they are and with one
-    action in ten at random.
+    action in ten at random. ``demos`` are others to compare with, whose starts ``rollouts`` had.
     """
-    demos, species = run.demos, run.species
-    test = demos.select(split="test")
+    known, species = run.demos, run.species
+    test = known.select(split="test") if demos is None else demos
+    others = (
+        known if demos is not None else known.select(episodes=np.flatnonzero(known.split != "test"))
+    )
     moving = test, species.locomotion, species.arena
     return evaluate(
         rollouts,
@@ -112,6 +117,6 @@ def evaluate_rollouts(
         floor=track(*moving),
         perturbed=track(*moving, random_share=0.1, seed=seed),
         learner=learner,
-        references=demos.select(episodes=np.flatnonzero(demos.split != "test")),
+        references=others,
         resamples=resamples,
     )

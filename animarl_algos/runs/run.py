@@ -259,7 +259,9 @@ class Run:
         """The world of the run, with the fitted locomotion, from the starts of its test split."""
         return self.starting_from("test")
 
-    def starting_from(self, split: str, condition: Condition = "demo") -> Scenario:
+    def starting_from(
+        self, split: str, condition: Condition = "demo", demos: Demonstrations | None = None
+    ) -> Scenario:
         """Return the world of the run from the starts of ``split``: to evaluate in and to watch.
 
         Episodes start from each demonstration and in its condition, or in the one given. Those who
@@ -267,7 +269,7 @@ class Run:
         """
         return make_scenario(
             self.species,
-            demos=self.demos,
+            demos=self.demos if demos is None else demos,
             split=split,
             condition=condition,
             drivers=focal_drivers(self.species.individuals, self.settings.focal),
