@@ -224,6 +224,26 @@ def test_acting_belongs_to_a_run_that_is_rolled_out_again(
     refused(animarl("evaluate", *runs), "--out")
 
 
+def test_trained_runs_are_judged_on_new_recordings(
+    animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
+) -> None:
+    known = RunFolder(runs[0]).demos
+    later = replace(known.select(episodes=np.arange(6)), split=np.full(6, "train"))
+    later.save(tmp_path / "later.npz")
+    done = animarl("evaluate", runs[0], "--demos", "later.npz", "--out", "new")
+    assert done.returncode == 0, done.stderr
+    metrics = pd.read_csv(tmp_path / "new" / "metrics.csv")
+    assert set(metrics.loc[metrics["method"] == "DQCIL-PT", "demo"]) == set(range(6))
+    slower = replace(later, dt=2 * later.dt)
+    slower.save(tmp_path / "slower.npz")
+    refused(
+        animarl("evaluate", runs[0], "--demos", "slower.npz", "--out", "o"), "time step", "differs"
+    )
+    refused(animarl("evaluate", runs[0], "--demos", "fly", "--out", "o"), "individuals")
+    refused(animarl("evaluate", runs[0], "--demos", "later.npz"), "--out")
+    assert not (tmp_path / "o").exists()
+
+
 def test_a_full_disk_leaves_earlier_results(
     animarl: Callable[..., Done], runs: list[Path], tmp_path: Path
 ) -> None:
