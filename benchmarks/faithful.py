@@ -84,7 +84,10 @@ class Bar:
             return empty | floor | {"label": "Closed-loop tracking told apart, the floor (AUC)"}
         if self.kind == "seconds":
             return empty | {"label": "Time from file to verdict (s)", "simulated": seconds}
-        return found.row(self.measure) if self.measure in set(found.table["measure"]) else None
+        if self.measure not in set(found.table["measure"]):
+            return None
+        row = found.row(self.measure)
+        return row | {"distance": row["wasserstein_distance"]} if self.kind == "null" else row
 
     def met(self, found: Verdict, row: Mapping[str, Any]) -> bool | None:
         """Whether it holds; None where that cannot be said."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TABLES = ("metrics", "comparison", "pairs", "contrasts", "counterfactual")
-WORDS = ("reason", "gate_unit")  # columns that may be empty throughout
+WORDS = ("reason", "gate_unit", "variant", "speaks_of")  # columns that may be empty throughout
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

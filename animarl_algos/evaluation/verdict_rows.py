@@ -96,7 +96,7 @@ class Row:
         One of ``JUDGEMENTS``, and the same in words.
     covers, reason
         What the interval speaks of, and why there is none.
-    wasserstein, recorded_null
+    wasserstein_distance, recorded_null
         Distance of the distributions, and what recordings drawn from recordings come to.
     energy, energy_pooled
         Mean energy score over starts, and what recordings of other starts score.
@@ -117,7 +117,7 @@ class Row:
     verdict: str = SAME
     covers: str = ""
     reason: str = ""
-    wasserstein: float = math.nan
+    wasserstein_distance: float = math.nan
     recorded_null: float = math.nan
     energy: float = math.nan
     energy_pooled: float = math.nan
@@ -236,7 +236,7 @@ def _metric_rows(
             verdict=words,
             covers=covers(many),
             reason=gap.reason,
-            wasserstein=distances,
+            wasserstein_distance=distances,
             recorded_null=null,
             energy=energies[0],
             energy_pooled=energies[1],

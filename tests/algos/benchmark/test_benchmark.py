@@ -98,7 +98,7 @@ def test_benchmark_holds_every_row_with_nulls_and_intervals(finished: Path) -> N
     assert rows["soft-bc"]["seeds"] == [0, 1] and rows["soft-bc"]["rollouts"] == 2 * 4 * 2
     assert "training runs" in rows["soft-bc"]["covers"]
     measures = {one["measure"]: one for one in rows["soft-bc"]["measures"]}
-    assert list(measures)[:2] == ["auc", "energy"]
+    assert list(measures)[:4] == ["realism", "auc", "auc_sequence", "energy"]
     for key in ("energy", "duration", "dtw_per_step", "kde_duration"):
         one = measures[key]
         assert one["low"] <= one["value"] <= one["high"] or key.startswith("kde"), key

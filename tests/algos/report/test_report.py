@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +48,7 @@ def test_numbers_on_the_page_are_those_of_the_tables() -> None:
         (table["method"] == "dqdil") & (table["metric"] == "dtw") & (table["counting"] == "all")
     ].iloc[0]
     text = with_interval(Interval(row["mean"], row["mean_low"], row["mean_high"]))
-    assert report_page().count(text) >= 2  # in the summary and in the table
+    assert text in report_page()
 
 
 def test_hostile_names_are_harmless() -> None:
@@ -82,7 +83,7 @@ def test_a_bare_run_without_captures_leaves_out_what_it_lacks(tmp_path: Path) ->
     )
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
     html = path.read_text(encoding="utf-8")
-    assert "in 0 % [0, " in html  # none of so few starts is not never
+    assert re.search(r">0 \[0, \d+\]<", html)  # none of so few starts is not never
     headings = Page(html).headings
     for absent in ("Planned contrasts", "Counterfactual", "Locomotion", "Learning"):
         assert absent not in headings

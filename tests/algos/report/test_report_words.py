@@ -99,7 +99,7 @@ def test_only_recordings_are_called_recorded() -> None:
     assert "Demonstrated" in generated and "demonstrated" in generated
     recorded = "\n".join(page_of(False).texts)
     assert "Demonstrated" not in recorded and "Recorded" in recorded
-    assert "if the recorded episode of every start is exchanged" in recorded
+    assert "if the recorded episode of each start is exchanged" in recorded
 
 
 @pytest.mark.parametrize("synthetic", [True, False])
