@@ -16,6 +16,7 @@ from animarl_algos.evaluation.sequence_judge import judge_sequences
 from animarl_algos.evaluation.windows import resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
+from benchmarks import verdict_power
 from benchmarks.known_worlds import ARENA, FAULTS, KnownWorld, with_fault
 
 PAIR, CHASE = KnownWorld(chase=False), KnownWorld(chase=True)
@@ -153,3 +154,15 @@ def test_the_sequence_judge_is_blind_to_a_perfect_simulator_and_sees_order() -> 
     for fault in ("path reversed", "bursts reversed", "independent speeds"):
         wrong = with_fault(perfect, FAULTS[fault], np.random.default_rng(1))
         assert auc(wrong) > 0.6, fault
+
+
+def test_the_benchmark_of_false_alarms_and_power_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["verdict_power.py", "--joint", "--quick", "--faults", "perfect", "bursts reversed"]
+    monkeypatch.setattr("sys.argv", asked)
+    verdict_power.main()
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
+    shares = {(row[0].strip("| "), row[1]): float(row[2].split(" ")[0]) for row in rows}
+    assert shares["free pair", "perfect"] >= 60 and shares["free pair", "bursts reversed"] <= 40
+    assert set(shares) == {(w, f) for w in ("free pair", "chase") for f in asked[-2:]}

@@ -118,16 +118,38 @@ def test_few_demonstrations_of_one_network_get_students_t(demos: int) -> None:
 
 def test_a_studentised_bootstrap_by_hand() -> None:
     """Each resample's deviation over its own standard error; the tails change sides."""
-    values, draws = np.random.default_rng(3).lognormal(size=12), Draws(4, 400)
+    values, draws = np.random.default_rng(3).lognormal(size=20), Draws(4, 400)
     t = []
-    for weights in draws.of(12):
+    for weights in draws.of(20):
         drawn = np.repeat(values, weights.astype(int))
-        t.append((drawn.mean() - values.mean()) / (drawn.std() / np.sqrt(11)))
+        t.append((drawn.mean() - values.mean()) / (drawn.std() / np.sqrt(19)))
     low, high = np.percentile(t, [2.5, 97.5])
     below, above = demo_margins(values, draws)
     error = stats.sem(values)
     assert (below, above) == pytest.approx((high * error, -low * error))
     assert above > below  # the long tail of skewed values lies above
+
+
+@pytest.mark.parametrize("number", [8, 19])
+def test_a_margin_of_few_demonstrations_is_at_least_students_t(number: int) -> None:
+    values = np.random.default_rng(number).lognormal(size=number)
+    half = stats.t.ppf(0.975, number - 1) * stats.sem(values)
+    assert min(demo_margins(values, Draws(4, 400))) >= half * (1 - 1e-12)
+
+
+def test_the_difference_of_two_shares_is_newcombes() -> None:
+    """Method 10 of Newcombe (1998): no width of zero, and nothing beyond 100 points."""
+    every, none = (
+        Cells(np.ones((1, 12)), np.ones((1, 12))),
+        Cells(np.zeros((1, 12)), np.ones((1, 12))),
+    )
+    rng = np.random.default_rng(0)
+    same = bootstrap_difference(every, every, rng, share=True)
+    assert same.estimate == 0.0 and same.low < 0.0 < same.high
+    gap = bootstrap_difference(every, none, rng, share=True)
+    ends = [bootstrap_mean(data, rng, share=True) for data in (every, none)]
+    assert gap.high == 1.0
+    assert gap.low == pytest.approx(1.0 - np.hypot(1.0 - ends[0].low, ends[1].high))
 
 
 def test_seeds_alone_get_students_t_of_their_means() -> None:
