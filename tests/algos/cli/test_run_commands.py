@@ -227,7 +227,7 @@ def test_acting_belongs_to_a_run_that_is_rolled_out_again(
 def test_trained_runs_are_judged_on_new_recordings(
     animarl: Callable[..., Done], runs: list[Path], untouched: None, tmp_path: Path
 ) -> None:
-    known = RunFolder(runs[0]).demos
+    known = Run(runs[0]).demos
     later = replace(known.select(episodes=np.arange(6)), split=np.full(6, "train"))
     later.save(tmp_path / "later.npz")
     done = animarl("evaluate", runs[0], "--demos", "later.npz", "--out", "new")
