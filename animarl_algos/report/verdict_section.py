@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.table import Table as TerminalTable
 
 COLUMNS = (
-    "Question", "Recorded", "Simulated", "Difference\n[95 %]", "Distance", "Null\n(95 %)",
+    "Question", "Recorded", "Simulated", "Difference\n[95 %]", "Distance", "Null",
     "Verdict",
 )  # fmt: skip
 COLOURS = {SAME: "green", BY_LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
