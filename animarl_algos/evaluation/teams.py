@@ -145,8 +145,11 @@ def make_policy(
         seed=seed,
     )
     if weights is not None:
+        # Files of weights hold none of the input's scales: these networks take inputs as they are.
+        given = {name: torch.from_numpy(value) for name, value in weights.items()}
+        scales = {k: v for k, v in policy.q_net.state_dict().items() if k.startswith("input_")}
         try:
-            policy.q_net.load_state_dict({k: torch.from_numpy(v) for k, v in weights.items()})
+            policy.q_net.load_state_dict(scales | given)
         except (RuntimeError, TypeError) as error:
             first = str(error).splitlines()[0]
             raise InputError(f"the weights do not fit the agents' networks ({first})") from None
