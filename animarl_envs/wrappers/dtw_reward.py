@@ -31,8 +31,8 @@ def _tracker(env: Any, view: type[Any], alpha: float, penalty: str) -> DTWTracke
     """Return a tracker that follows the world of an unwrapped ``view``."""
     if not issubclass(type(env), view):
         raise InputError(
-            f"the DTW reward for {view.__name__} does not wrap {type(env).__name__}: choose the "
-            "wrapper of that view"
+            f"this DTW reward wraps AnimaRL environments of type {view.__name__}, not "
+            f"{type(env).__name__}: choose the wrapper of that view"
         )
     number = isinstance(alpha, int | float | np.number) and not isinstance(alpha, bool)
     if not number or not 0 <= alpha < np.inf:
