@@ -19,7 +19,7 @@ import animarl_envs
 from animarl_envs.demos.demonstrations import UNFINISHED, Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import magnitudes
+from animarl_envs.fitting import joint
 from animarl_envs.fitting.custom_species import contact_radius_of, species_of
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import Locomotion
@@ -108,7 +108,7 @@ def test_the_fit_is_made_once_per_content(monkeypatch: pytest.MonkeyPatch) -> No
     def refuse(*_: Any) -> Any:
         raise AssertionError("fitted again")
 
-    monkeypatch.setattr(magnitudes, "fit_joint", refuse)
+    monkeypatch.setattr(joint, "fit_joint", refuse)
     assert species_of(replace(demos, name="a copy")).locomotion == species_of(demos).locomotion
     with pytest.raises(AssertionError, match="again"):
         species_of(changed)
