@@ -161,6 +161,7 @@ def judge_sequences_of(
         return sequence_windows(rollouts, prepared.demos.arena, rest, steps, group)
 
     label = f"Distinguished by order in time over {seconds:.3g} s (AUC)"
+    sides = {name: one for name, one in sides.items() if name != "perturbed"}  # it takes time
     judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng)
     return replace(judge, areas={"among": among_themselves(own, rng, halves=1), **judge.areas})
 

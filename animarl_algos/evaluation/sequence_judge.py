@@ -14,10 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.classifier import Telling, among_themselves, tell_apart
 from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.windows import Windows
 from animarl_envs.arena import Arena
 
@@ -47,33 +45,6 @@ def sequence_windows(
     pieces = _pieces(rollouts, steps)
     measured = order_measures(pieces, arena, lags_for(steps, rollouts.dt), rest)
     return Windows(measured.values, group[pieces.demo], np.array(measured.kinds))
-
-
-def judge_sequences(
-    recorded: Rollouts,
-    rollouts: Rollouts,
-    arena: Arena,
-    rest: Floats,
-    rng: np.random.Generator,
-    *,
-    group: Ints | None = None,
-) -> tuple[Telling, Interval]:
-    """Return how well recordings and rollouts are told apart, and recordings among themselves.
-
-    Parameters
-    ----------
-    recorded, rollouts
-        Smoothed alike; rollouts from the recordings' starts.
-    rest
-        ``(individuals,)`` steps up to this length are at rest [arena unit].
-    group
-        ``(recordings,)`` the animal or recording of each start; by default every start is one.
-    """
-    steps = window_steps(recorded)
-    names = np.arange(len(recorded)) if group is None else group
-    own = sequence_windows(recorded, arena, rest, steps, names)
-    simulated = sequence_windows(rollouts, arena, rest, steps, names)
-    return tell_apart(own, simulated, rng, importance=True), among_themselves(own, rng)
 
 
 def _pieces(rollouts: Rollouts, steps: int) -> Rollouts:

@@ -34,8 +34,6 @@ from animarl_algos.evaluation.order_in_time import (
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
-    Interval,
     bootstrap_difference,
     cells,
     covers,
@@ -365,11 +363,3 @@ def _at(values: Floats, place: int) -> float:
 
 def _least(values: Floats) -> float:
     return float(np.nanmin(values)) if np.isfinite(values).any() else math.nan
-
-
-def interval_of(row: Row | dict[str, Any]) -> Interval:
-    """Return the difference of a row with its interval."""
-    plain = row.as_dict() if isinstance(row, Row) else row
-    if not math.isfinite(plain["difference"]):
-        return UNDEFINED
-    return Interval(plain["difference"], plain["difference_low"], plain["difference_high"])

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.exchange_test import exchange_test
 from animarl_algos.evaluation.null import Exchanges
 from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
 from animarl_algos.evaluation.realism import CEILING, OTHERS, WEIGHTS, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.sequence_judge import judge_sequences
+from animarl_algos.evaluation.sequence_judge import sequence_windows, window_steps
 from animarl_algos.evaluation.windows import resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
@@ -147,8 +148,12 @@ def test_the_sequence_judge_is_blind_to_a_perfect_simulator_and_sees_order() -> 
     truth = Rollouts.from_demonstrations(recorded)
     rest = resting_step(truth)
 
+    steps, starts = window_steps(truth), np.arange(len(truth))
+    own = sequence_windows(truth, ARENA, rest, steps, starts)
+
     def auc(rollouts: Rollouts) -> float:
-        return judge_sequences(truth, rollouts, ARENA, rest, np.random.default_rng(0))[0].auc.low
+        simulated = sequence_windows(rollouts, ARENA, rest, steps, starts)
+        return tell_apart(own, simulated, np.random.default_rng(0)).auc.low
 
     assert auc(perfect) <= 0.5
     for fault in ("path reversed", "bursts reversed", "independent speeds"):
