@@ -131,11 +131,11 @@ class Table:
                     f"{', '.join(self.names)[:200]}): name the column by an option"
                 )
         read = self._parquet if self.kind == "Parquet" else self._text
-        frame = read(list(numbers), list(words), progress)
-        if not len(frame):
+        column, rows = read(list(numbers), list(words), progress)
+        if not rows:
             raise InputError(f"{self.path}: it has a header but no rows: check the file")
-        found = {name: self._words(name, frame[name]) for name in words}
-        return {name: frame[name].to_numpy(np.float64) for name in numbers}, found
+        found = {name: self._words(name, column[name]) for name in words}
+        return {name: column[name].to_numpy(np.float64) for name in numbers}, found
 
     def _words(self, name: str, column: Any) -> Words:
         number, entries = _pandas().factorize(column)
@@ -179,7 +179,7 @@ class Table:
             file.readline(LONGEST_LINE)
         return file
 
-    def _text(self, numbers: list[str], words: list[str], progress: Progress) -> Any:
+    def _text(self, numbers: list[str], words: list[str], progress: Progress) -> tuple[Any, int]:
         pandas, layout = _pandas(), self.layout
         if layout.unclear:
             plain, decimal = (layout.unclear.replace(layout.decimal, sign) for sign in ("", "."))
@@ -208,11 +208,11 @@ class Table:
                     dtype=kinds, skipinitialspace=True, decimal=layout.decimal,
                     float_precision="round_trip",
                     na_values={at[name]: [NO_VALUE] for name in numbers},
-                ).rename(columns={i: name for name, i in at.items()})  # fmt: skip
+                )  # fmt: skip
         except InputError:
             raise
         except pandas.errors.EmptyDataError:
-            return ()  # a header without rows
+            return {}, 0  # a header without rows
         except (ValueError, pandas.errors.ParserError) as error:
             first = str(error).splitlines()[0][:200]
             if SWALLOWED in first:
@@ -221,8 +221,9 @@ class Table:
             raise InputError(f"{self.path}: a line cannot be read ({first}): correct it") from None
         told(size)
         # Columns of True and False alone are parsed as numbers.
-        self._refuse_bad_cell([name for name in numbers if frame[name].isin([0.0, 1.0]).all()])
-        return frame
+        doubted = [name for name in numbers if frame[at[name]].iloc[:1000].isin([0.0, 1.0]).all()]
+        self._refuse_bad_cell([name for name in doubted if frame[at[name]].isin([0.0, 1.0]).all()])
+        return {name: frame[i] for name, i in at.items()}, len(frame)
 
     def _refuse_bad_cell(self, numbers: Sequence[str]) -> None:
         """Name line and column of the first cell that is no number, where one should be."""
@@ -244,7 +245,7 @@ class Table:
 
     # -- Parquet -------------------------------------------------------------------------------
 
-    def _parquet(self, numbers: list[str], words: list[str], progress: Progress) -> Any:
+    def _parquet(self, numbers: list[str], words: list[str], progress: Progress) -> tuple[Any, int]:
         import pyarrow
         import pyarrow.parquet
 
@@ -281,7 +282,7 @@ class Table:
             )
         if progress is not None:
             progress(1.0)
-        return frame
+        return frame, len(frame)
 
 
 def open_table(
