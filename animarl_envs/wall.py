@@ -118,11 +118,6 @@ class _Server:
             env=os.environ | SETTINGS,
         )  # fmt: skip
 
-    @property
-    def usable(self) -> bool:
-        """Whether it runs and belongs to this process, not to the one that forked this."""
-        return self.owner == os.getpid() and self.process.poll() is None
-
     def ask(self, request: Any, progress: Callable[[float], None] | None) -> int:
         """Send a call, pass on its progress, and return the exit code of its process."""
         assert self.process.stdin is not None and self.process.stdout is not None
@@ -159,9 +154,19 @@ _lock = threading.Lock()
 _server: _Server | None = None
 
 
+def _begin_anew() -> None:
+    """In a process that was forked from the caller: the server is that one's."""
+    global _lock, _server
+    _lock, _server = threading.Lock(), None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_begin_anew)
+
+
 def _running_server() -> _Server:
     global _server
-    if _server is None or not _server.usable:
+    if _server is None or _server.process.poll() is not None:
         _server = _Server()
         atexit.register(_server.stop)
     return _server
