@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +14,13 @@ from rich.table import Table
 from animarl_algos.cli.describing import report, show, wide_console
 from animarl_algos.cli.hints import hints
 from animarl_algos.cli.lazy import SETTINGS
-from animarl_algos.cli.reading import SOURCE, load, refuse_overwriting
+from animarl_algos.cli.reading import SOURCE, load, refuse_overwriting, write_csv
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import episode_table, summarise
 from animarl_envs.drawing.summary_figure import plot_summary
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 from animarl_envs.importing.minari_io import export_minari
 from animarl_envs.importing.readers import available_readers
 from animarl_envs.importing.sessions import conditions_of
@@ -95,10 +93,7 @@ def check_command(
     if len(warnings) > SHOWN_WARNINGS:
         console.print(f"check: and {len(warnings) - SHOWN_WARNINGS} more of this kind")
     if out is not None:
-        with write_then_rename(out) as part, part.open("w", newline="") as target:
-            writer = csv.DictWriter(target, fieldnames=list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+        write_csv(out, rows)
         console.print(f"Wrote {out}", highlight=False, soft_wrap=True)
     console.print(f"{file}: {len(rows)} episodes, all valid.", highlight=False, soft_wrap=True)
 
@@ -265,12 +260,11 @@ def suspicions(demos: Demonstrations, rows: list[dict[str, Any]]) -> list[str]:
 
 
 def write_long_table(demos: Demonstrations, out: Path) -> None:
-    """A row per frame and individual, as the long-table reader takes it."""
-    with write_then_rename(out) as part, part.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["recording", "frame", "id", "x", "y"])
-        for one in demos:
-            name = f"{one.recording}/{one.index}"
-            for frame, bodies in enumerate(one.positions.tolist()):
-                for who, (x, y) in zip(demos.individuals, bodies, strict=True):
-                    writer.writerow([name, frame, who, x, y])
+    """Write a row per frame and individual, as the long-table reader takes it."""
+    rows = (
+        {"recording": f"{one.recording}/{one.index}", "frame": frame, "id": who, "x": x, "y": y}
+        for one in demos
+        for frame, bodies in enumerate(one.positions.tolist())
+        for who, (x, y) in zip(demos.individuals, bodies, strict=True)
+    )
+    write_csv(out, rows)

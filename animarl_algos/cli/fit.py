@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -11,14 +10,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from animarl_algos.cli.reading import SOURCE, load, named_split, refuse_overwriting
+from animarl_algos.cli.reading import SOURCE, load, named_split, refuse_overwriting, write_csv
 from animarl_algos.cli.screen import PlainConsole
 from animarl_algos.ranges import SEED
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method, doubts
@@ -233,26 +231,18 @@ def save_fits(fits: list[LocomotionFit], out: Path) -> None:
             raise InputError(f"{out}: a .json holds one fit: choose one --method, or save a .csv")
         fits[0].save(out)
         return
-    columns = [
-        "method", "individual", "d", "d_low", "d_high", "u", "u_low", "u_high", "velocity_rmse",
-        "top_speed", "terminal_speed", "braking_time", "steps", "onsets", "tracking_noise",
-    ]  # fmt: skip
-    with write_then_rename(out) as part, part.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        for fit in fits:
-            writer.writerows(_csv_row(fit.method, one) for one in fit.individuals)
+    write_csv(out, [_csv_row(fit.method, one) for fit in fits for one in fit.individuals])
 
 
-def _csv_row(method: str, one: IndividualFit) -> list[object]:
-    d_low, d_high = one.damping_interval or ("", "")
-    u_low, u_high = one.thrust_interval or ("", "")
-    return [
-        method, one.name, one.damping, d_low, d_high, one.thrust, u_low, u_high, one.velocity_rmse,
-        one.top_speed, one.terminal_speed, one.braking_time, one.steps,
-        "" if one.onsets is None else one.onsets,
-        "" if one.tracking_noise is None else one.tracking_noise,
-    ]  # fmt: skip
+def _csv_row(method: str, one: IndividualFit) -> dict[str, object]:
+    d_low, d_high = one.damping_interval or (None, None)
+    u_low, u_high = one.thrust_interval or (None, None)
+    interval = {"d": one.damping, "d_low": d_low, "d_high": d_high}
+    interval |= {"u": one.thrust, "u_low": u_low, "u_high": u_high}
+    others = ("velocity_rmse", "top_speed", "terminal_speed", "braking_time", "steps", "onsets",
+              "tracking_noise")  # fmt: skip
+    named = {"method": method, "individual": one.name}
+    return named | interval | {name: getattr(one, name) for name in others}
 
 
 def _with_interval(value: float, interval: tuple[float, float] | None) -> str:

@@ -1,10 +1,11 @@
-"""What commands read: files that are not to be written over, and which episodes of them."""
+"""What commands read and write: demonstrations by file or name, splits, tables."""
 
 from __future__ import annotations
 
+import csv
 import re
 import shlex
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
 from animarl_envs.importing.readers import read
 
 ALL = "all"
@@ -66,3 +68,13 @@ def refuse_overwriting(out: Path, *read_from: str | Path) -> None:
     for file in map(Path, read_from):
         if out.exists() and file.exists() and out.samefile(file):
             raise InputError(f"{out}: it is the file that is read: name another --out")
+
+
+def write_csv(out: Path, rows: Iterable[Mapping[str, object]]) -> None:
+    """Write a table of at least one row; None is an empty cell."""
+    with write_then_rename(out) as part, part.open("w", newline="") as file:
+        for number, row in enumerate(rows):
+            if number == 0:
+                writer = csv.DictWriter(file, list(row))
+                writer.writeheader()
+            writer.writerow(row)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from animarl_algos.cli.reading import write_csv
 from animarl_algos.evaluation.thrust_choice import tracking_floor
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
 from animarl_envs.fitting import LocomotionFit, track
 from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import FAST
@@ -116,9 +115,4 @@ def format_thrust_table(rows: Sequence[ThrustRow], seen: Demonstrations, which: 
 
 def save_thrust_rows(rows: Sequence[ThrustRow], out: Path) -> None:
     """Write all rows as ``.csv``."""
-    with write_then_rename(out) as part, part.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow([field.name for field in fields(ThrustRow)])
-        for row in rows:
-            multiples = " ".join(str(m) for m in row.magnitudes)
-            writer.writerow((asdict(row) | {"magnitudes": multiples}).values())
+    write_csv(out, [asdict(r) | {"magnitudes": " ".join(map(str, r.magnitudes))} for r in rows])
