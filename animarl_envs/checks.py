@@ -1,15 +1,27 @@
-"""Tests of numbers where options are checked, and of names where files are read."""
+"""Tests of numbers and names, and dataclass fields that are options of the command line."""
 
 from collections.abc import Iterable
+from dataclasses import field
+from typing import Any
 
 import numpy as np
 
 from animarl_envs.errors import InputError, printable
 
-__all__ = ["check_names", "is_number", "is_whole", "printable"]
+__all__ = ["check_names", "is_number", "is_whole", "option", "option_metadata", "printable"]
 
 LONGEST_NAME = 200  # characters
 FORMULA = "=+-@"  # with which a spreadsheet begins to compute
+
+
+def option(default: Any, name: str, prose: str) -> Any:
+    """Return a field of a dataclass that a command offers as the option ``name``."""
+    return field(default=default, metadata=option_metadata(name, prose))
+
+
+def option_metadata(name: str, prose: str) -> dict[str, str]:
+    """Return what :func:`option` notes: the option's name, ``on/off`` for two, and its help."""
+    return {"option": name, "help": prose}
 
 
 def is_number(value: object) -> bool:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import inspect
 import json
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import typer
@@ -17,10 +18,14 @@ from rich.progress import Progress
 from animarl_algos.cli.describing import report, show_rows, understood, wide_console
 from animarl_algos.cli.hints import found_by_itself, hints
 from animarl_algos.cli.options import CONTEXT, asks_for, option
+from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError
+from animarl_envs.importing.cleaning import Cleaning
+from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import Reader, default_recipe, find_reader, follow, read
 from animarl_envs.importing.roles import AUTO
+from animarl_envs.importing.scaling import Scaling
 
 SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
 NOBODY = "none"  # is the target
@@ -37,67 +42,39 @@ FILES: list[inspect.Parameter] = [
     option("recipe", Path | None, None, typer.Option(help="Repeat this saved recipe (.yaml).")),
     option("dry_run", bool, False, typer.Option(help="Only say what is understood.")),
 ]  # fmt: skip
-RECIPE: tuple[tuple[str, str, Any, str], ...] = (
-    ("fps", "frame_rate", float, "Frames a second of the recording."),
-    ("decision_rate", "decision_rate", float, "Samples a second of the demonstrations."),
-    ("individuals", "individuals", str, "Which, in order: a,b,c; rename by a=male,b=female."),
-    ("merge_individuals", "merge_individuals", bool, "One file per animal: put together."),
-    ("target", "target", str, "The pursued individual; auto (default): who is approached; none."),
-    ("pursuer", "pursuer", str, "The only pursuer: all others are its targets."),
-    ("metadata", "metadata", Path, "Table of recordings: recording, and condition, split, target, "
-     "px_per_cm, or a row for each individual and role."),
-    ("name_pattern", "name_pattern", str, r"The same by groups in names of recordings: "
-     r"(?P\<condition>sham|drug) or (?P\<split>train|test)."),
-    ("keypoint", "cleaning.keypoint", str, "Body part, or centroid."),
-    ("heading", "cleaning.heading", str,
-     "Bodies point from one keypoint to another: thorax,head."),
-    ("drop_jumps", "cleaning.drop_jumps", bool, "Make gaps of jumps, or only flag them."),
-    ("min_confidence", "cleaning.min_confidence", float,
-     "Below it: not tracked. Default: 0.6 of likelihoods; 0: all are used."),
-    ("max_gap", "cleaning.max_gap", float, "Fill gaps up to so many seconds."),
-    ("smoothing", "cleaning.smoothing_cutoff", float,
-     "Low-pass cutoff in Hz (Butterworth, zero phase); 0: none."),
-    ("arena", "scaling.shape", str, "square, disc or open."),
-    ("arena_width", "scaling.width", float,
-     "Side or diameter in the file's unit; default: extent."),
-    ("centre", "scaling.centre", str, "Of the arena, x,y in the file's unit; default: of extent."),
-    ("px_per_cm", "scaling.px_per_cm", float,
-     "The file's units to 1 cm; all lengths then are in cm."),
-    ("scale_each", "scaling.each", bool, "Each recording by its own extent, not all by one."),
-    ("boundary", "scaling.boundary", float, "Beyond it an individual is out, in arena units."),
-    ("units", "scaling.units_per_arena_unit", float,
-     "Open arena: the file's units per arena unit; default: extent."),
-    ("cut", "cutting.mode", str, "whole, approach or events."),
-    ("farther_than", "cutting.farther_than", float, "An approach starts here, in arena units."),
-    ("closer_than", "cutting.closer_than", float, "An approach ends here, in arena units."),
-    ("start", "cutting.start", str,
-     "An approach starts at the separation, or at the approach: the last time."),
-    ("contact", "cutting.contact", float,
-     "whole, events: ends within this, in arena units; 0: none."),
-    ("piece", "cutting.piece", float, "whole: cut into pieces, s."),
-    ("longest", "cutting.longest", float, "Leave longer episodes out, s."),
-    ("keep_last", "cutting.keep_last", float, "Keep the last seconds."),
-    ("shortest", "cutting.shortest", float, "Leave shorter ones out, s."),
-    ("events", "cutting.events", Path, "Table: recording, start, end [s]."),
-    ("species", "species", str, "Species they belong to."),
-    ("condition", "condition", int, "0 or 1, of all episodes."),
-    ("licence", "licence", str, "Of the recordings."),
-    ("synthetic", "synthetic", bool, "No animal was recorded: say so everywhere."),
-    ("split_by", "splitting.by", str, "auto, recording, episode or group."),
-    ("split_pattern", "splitting.pattern", str, "group: regular expression with a (group)."),
-    ("split_seed", "splitting.seed", int, "Of the splits."),
-    ("option", "options", list[str], "Of the reader: name=value, value as YAML."),
-)  # fmt: skip
-"""Options that set an entry of the recipe: name, entry, kind, help."""
+PARTS = {
+    "": ImportRecipe, "cleaning": Cleaning, "scaling": Scaling, "cutting": Cutting,
+    "splitting": Splitting,
+}  # fmt: skip
 
 
-def _recipe_option(name: str, kind: Any, prose: str) -> inspect.Parameter:
-    flag = f"--{name.replace('_', '-')}"
-    flags = {"drop_jumps": ["--drop-jumps/--keep-jumps"]}.get(name, [flag] if kind is bool else [])
-    return option(name, kind | None, None, typer.Option(*flags, help=prose))
+def _kind(hint: Any) -> Any:
+    """What an option of a field with this annotation takes."""
+    kinds = {hint, *get_args(hint)}
+    if get_origin(hint) is Mapping:
+        return list[str]
+    return next((kind for kind in (float, bool, int) if kind in kinds), str)
 
 
-@asks_for([*FILES, *(_recipe_option(name, kind, prose) for name, _, kind, prose in RECIPE)])
+def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:
+    """Return, by name, the options that set an entry of the recipe: part, entry, option."""
+    found = {}
+    for part, model in PARTS.items():
+        hints = get_type_hints(model)
+        for each in fields(model):
+            if "option" not in each.metadata:
+                continue
+            names, kind = each.metadata["option"].split("/"), _kind(hints[each.name])
+            flags = ["/".join(f"--{name.replace('_', '-')}" for name in names)]
+            info = typer.Option(*flags if kind is bool else [], help=each.metadata["help"])
+            found[names[0]] = (part, each.name, option(names[0], kind | None, None, info))
+    return found
+
+
+RECIPE = _recipe_options()
+
+
+@asks_for([*FILES, *(parameter for _, _, parameter in RECIPE.values())])
 def import_command(context: typer.Context, files: list[Path], **given: Any) -> None:
     """Turn tracker files into demonstrations; the recipe is saved beside them.
 
@@ -181,11 +158,9 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
         pairs = [entry.strip().partition("=") for entry in given["individuals"].split(",")]
         given["individuals"] = [name for name, _, _ in pairs]
         record["rename"] = {name: new for name, _, new in pairs if new} or record["rename"]
-    for name, entry, _, _ in RECIPE:
+    for name, (part, key, _) in RECIPE.items():
         if (value := given[name]) is not None:
-            *within, key = entry.split(".")
-            table = record[within[0]] if within else record
-            value = str(value) if isinstance(value, Path) else value
+            table = record[part] if part else record
             table[key] = table[key] | value if key == "options" else value
     if target == NOBODY:
         record["target"] = None

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import option
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
@@ -28,10 +29,12 @@ class Splitting:
     ``"auto"``: by recording if there are at least three, else by episode.
     """
 
-    by: Literal["auto", "recording", "episode", "group"] = "auto"
-    pattern: str | None = None
+    by: Literal["auto", "recording", "episode", "group"] = option(
+        "auto", "split_by", "auto, recording, episode or group."
+    )
+    pattern: str | None = option(None, "split_pattern", "group: regular expression with a (group).")
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)
-    seed: int = 0
+    seed: int = option(0, "split_seed", "Of the splits.")
 
     def __post_init__(self) -> None:
         fractions = tuple(float(share) for share in self.fractions)

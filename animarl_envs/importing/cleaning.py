@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import option
 from animarl_envs.demos.episode import FILLED, HEADING
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.importing.headings import direction, fill_headings, smooth_headings
@@ -48,12 +49,22 @@ class Cleaning:
         Whether frames after a jump (there and back within a frame) become gaps; else only flagged.
     """
 
-    keypoint: str = CENTROID
-    heading: tuple[str, str] | None = None
-    min_confidence: float | None = None
-    max_gap: float = 0.0
-    smoothing_cutoff: float | None = None
-    drop_jumps: bool = False
+    keypoint: str = option(CENTROID, "keypoint", "Body part, or centroid.")
+    heading: tuple[str, str] | None = option(
+        None, "heading", "Bodies point from one keypoint to another: thorax,head."
+    )
+    min_confidence: float | None = option(
+        None,
+        "min_confidence",
+        "Below it: not tracked. Default: 0.6 of likelihoods; 0: all are used.",
+    )
+    max_gap: float = option(0.0, "max_gap", "Fill gaps up to so many seconds.")
+    smoothing_cutoff: float | None = option(
+        None, "smoothing", "Low-pass cutoff in Hz (Butterworth, zero phase); 0: none."
+    )
+    drop_jumps: bool = option(
+        False, "drop_jumps/keep_jumps", "Make gaps of jumps, or only flag them."
+    )
 
     def __post_init__(self) -> None:
         if self.heading is not None:

@@ -16,6 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.checks import option
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target
@@ -65,16 +66,26 @@ class Cutting:
         Path of the table.
     """
 
-    mode: Mode = "whole"
-    farther_than: float | None = None
-    closer_than: float | None = None
-    start: Start = "separation"
-    contact: float | None = None
-    piece: float | None = None
-    longest: float = math.inf
-    keep_last: float = math.inf
-    shortest: float = 0.0
-    events: str | None = None
+    mode: Mode = option("whole", "cut", "whole, approach or events.")
+    farther_than: float | None = option(
+        None, "farther_than", "An approach starts here, in arena units."
+    )
+    closer_than: float | None = option(
+        None, "closer_than", "An approach ends here, in arena units."
+    )
+    start: Start = option(
+        "separation",
+        "start",
+        "An approach starts at the separation, or at the approach: the last time.",
+    )
+    contact: float | None = option(
+        None, "contact", "whole, events: ends within this, in arena units; 0: none."
+    )
+    piece: float | None = option(None, "piece", "whole: cut into pieces, s.")
+    longest: float = option(math.inf, "longest", "Leave longer episodes out, s.")
+    keep_last: float = option(math.inf, "keep_last", "Keep the last seconds.")
+    shortest: float = option(0.0, "shortest", "Leave shorter ones out, s.")
+    events: str | None = option(None, "events", "Table: recording, start, end [s].")
 
     def __post_init__(self) -> None:
         if self.mode not in get_args(Mode) or self.start not in get_args(Start):

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from animarl_envs.checks import option, option_metadata
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename
@@ -56,22 +57,43 @@ class ImportRecipe:
     """
 
     source: str | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    individuals: tuple[str, ...] | None = None
+    options: Mapping[str, Any] = field(
+        default_factory=dict,
+        metadata=option_metadata("option", "Of the reader: name=value, value as YAML."),
+    )
+    individuals: tuple[str, ...] | None = option(
+        None, "individuals", "Which, in order: a,b,c; rename by a=male,b=female."
+    )
     rename: Mapping[str, str] = field(default_factory=dict)
-    merge_individuals: bool = False
-    target: str | None = None
-    pursuer: str | None = None
+    merge_individuals: bool = option(
+        False, "merge_individuals", "One file per animal: put together."
+    )
+    target: str | None = option(
+        None, "target", "The pursued individual; auto (default): who is approached; none."
+    )
+    pursuer: str | None = option(None, "pursuer", "The only pursuer: all others are its targets.")
     searcher: bool = False
-    frame_rate: float | None = None
-    decision_rate: float | None = None
+    frame_rate: float | None = option(None, "fps", "Frames a second of the recording.")
+    decision_rate: float | None = option(
+        None, "decision_rate", "Samples a second of the demonstrations."
+    )
     keep_last_frame: bool = False
-    metadata: str | None = None
-    name_pattern: str | None = None
-    species: str = CUSTOM
-    condition: int | None = None
-    licence: str = NOT_STATED
-    synthetic: bool = False
+    metadata: str | None = option(
+        None,
+        "metadata",
+        "Table of recordings: recording, and condition, split, target, px_per_cm, or a row for "
+        "each individual and role.",
+    )
+    name_pattern: str | None = option(
+        None,
+        "name_pattern",
+        r"The same by groups in names of recordings: (?P\<condition>sham|drug) or "
+        r"(?P\<split>train|test).",
+    )
+    species: str = option(CUSTOM, "species", "Species they belong to.")
+    condition: int | None = option(None, "condition", "0 or 1, of all episodes.")
+    licence: str = option(NOT_STATED, "licence", "Of the recordings.")
+    synthetic: bool = option(False, "synthetic", "No animal was recorded: say so everywhere.")
     cleaning: Cleaning = field(default_factory=Cleaning)
     scaling: Scaling = field(default_factory=Scaling)
     cutting: Cutting = field(default_factory=Cutting)

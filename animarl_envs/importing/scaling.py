@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.checks import option
 from animarl_envs.errors import InputError
 from animarl_envs.importing.tracks import Tracks
 
@@ -48,13 +49,21 @@ class Scaling:
         Whether y is turned upwards; ``None``: if it grows downwards in the file.
     """
 
-    shape: Literal["square", "disc", "open"] = "square"
-    width: float | None = None
-    centre: tuple[float, float] | None = None
-    each: bool = False
-    px_per_cm: float | None = None
-    units_per_arena_unit: float | None = None
-    boundary: float = 1.1
+    shape: Literal["square", "disc", "open"] = option("square", "arena", "square, disc or open.")
+    width: float | None = option(
+        None, "arena_width", "Side or diameter in the file's unit; default: extent."
+    )
+    centre: tuple[float, float] | None = option(
+        None, "centre", "Of the arena, x,y in the file's unit; default: of extent."
+    )
+    each: bool = option(False, "scale_each", "Each recording by its own extent, not all by one.")
+    px_per_cm: float | None = option(
+        None, "px_per_cm", "The file's units to 1 cm; all lengths then are in cm."
+    )
+    units_per_arena_unit: float | None = option(
+        None, "units", "Open arena: the file's units per arena unit; default: extent."
+    )
+    boundary: float = option(1.1, "boundary", "Beyond it an individual is out, in arena units.")
     flip_y: bool | None = None
 
     def __post_init__(self) -> None:

@@ -99,7 +99,7 @@ def test_a_recording_that_is_given_twice_is_refused(tmp_path: Path) -> None:
 def test_options_without_effect_on_finished_demonstrations_are_refused(tmp_path: Path) -> None:
     native, out = write_native(tmp_path), tmp_path / "out.npz"
     words = ("--fps", 5, "--target", "male", "--keep-jumps", "--out", out)
-    with pytest.raises(InputError, match=r"no effect on them \(--fps, --target, --keep-jumps\)"):
+    with pytest.raises(InputError, match=r"no effect on them \(--target, --fps, --keep-jumps\)"):
         animarl("import", native, *words)
     assert not out.exists()
 
