@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from animarl_algos.evaluation.motion import MEASURES
+from animarl_algos.evaluation.metrics import judged_metrics
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.windows import comparison_smoothing
@@ -33,7 +33,7 @@ def split_rows(demos: Demonstrations) -> list[tuple[str, float, float, float]]:
     own = prepared.measures(prepared.recorded)
     beside = prepared.measures(prepared.filtered(Rollouts.from_demonstrations(learnable(demos))))
     rows = []
-    for measure in MEASURES:
+    for measure in judged_metrics():
         a, b = own[measure.key], beside[measure.key]
         error = float(np.hypot(*(x.std(ddof=1) / np.sqrt(len(x)) for x in (a, b))))
         if error > 0:
