@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.learner.checkpoint import in_short, load_tensors
+from animarl_algos.learner.checkpoint import load_tensors, summarise_error
 from animarl_envs.errors import InputError
 from animarl_envs.species import AGENT
 from animarl_envs.worlds.chase.layout import observation_components
@@ -138,7 +138,8 @@ def _network(file: Path) -> dict[str, Floats]:
         ) from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{file}: it is no network of the recorded agents ({in_short(error)}): copy it again"
+            f"{file}: it is no network of the recorded agents ({summarise_error(error)}): "
+            "copy it again"
         ) from None
 
 

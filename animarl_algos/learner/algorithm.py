@@ -61,7 +61,7 @@ class SequenceQLearning(BaseLearner):
     updater: Updater
 
     def check_learnable(self) -> None:
-        """Look at the environment and the demonstrations as :meth:`learn` does before it begins.
+        """Check the environment and the demonstrations as :meth:`learn` does before it begins.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class SequenceQLearning(BaseLearner):
         return self
 
     def pretrain(self, *, progress_bar: bool = False) -> OfflineProgress:
-        """Run the offline phase, or what is left of it; returns its learning curves.
+        """Run the offline phase, or what is left of it; return its learning curves.
 
         One that is over stays as it is, also if ``offline_epochs`` is raised. With ``exploration``
         ``"boltzmann"`` the temperatures are fitted to its outcome, for all steps that follow.
@@ -300,7 +300,7 @@ class SequenceQLearning(BaseLearner):
             self.train(updates, self.batch_size)
 
     def _standardise(self, buffer: SequenceReplayBuffer) -> None:
-        """Let the networks see inputs in units of what the memory holds now, once for all.
+        """Standardise the networks' inputs by what the memory holds now, once for all.
 
         What was standardised before, in the offline phase too, stays, and so do the inputs that a
         network has learned from in an offline phase as they were.

@@ -69,13 +69,13 @@ class Checkpointed(Protocol):
 
 
 def latest_checkpoint(folder: str | Path) -> Path | None:
-    """The newest whole checkpoint in ``folder``, or None."""
+    """Return the newest whole checkpoint in ``folder``, or None."""
     whole = [path for path in _written(folder) if path.suffix != ".part"]
     return max(whole, key=_number, default=None)
 
 
 def _written(folder: str | Path) -> list[Path]:
-    """All checkpoints, unfinished ones (``.part``) too, but no copies under a name of their own."""
+    """Return all checkpoints, unfinished ones (``.part``) too, but not copies of other names."""
     return [p for p in Path(folder).glob(PREFIX + "*") if OWN_NAME.fullmatch(p.name)]
 
 
@@ -84,7 +84,7 @@ def _number(checkpoint: Path) -> int:
 
 
 def steps_done(checkpoint: Path) -> int:
-    """World steps of the run until then.
+    """Return the world steps that a run had done at a checkpoint.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def save_checkpoint(model: Checkpointed, folder: str | Path) -> Path:
         part.mkdir(parents=True)
         counters, arrays, tensors = model.training_state()
         tensors = tensors | {"torch_random_state": torch.get_rng_state()}
-        _write(part / "model.pt", lambda file: file.write(serialised(tensors)))
+        _write(part / "model.pt", lambda file: file.write(serialise_tensors(tensors)))
         if model.replay_buffer is not None:
             replay = model.replay_buffer.state()
             _write(part / "replay.npz", lambda file: np.savez(file, **replay))
@@ -142,21 +142,21 @@ def save_checkpoint(model: Checkpointed, folder: str | Path) -> Path:
 
 
 def _remove_all_but(kept: Path | None, folder: Path) -> None:
-    """What a kill left of older and unfinished checkpoints; what resists is tried again later."""
+    """Remove older and unfinished checkpoints; what cannot be removed is tried again later."""
     for path in _written(folder):
         if path != kept:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def serialised(tensors: dict[str, Any]) -> bytes:
-    """As ``torch.save`` writes them; its own writing fails on a full disk with a RuntimeError."""
+def serialise_tensors(tensors: dict[str, Any]) -> bytes:
+    """Return the bytes of ``torch.save``, which itself fails with a RuntimeError on a full disk."""
     stream = io.BytesIO()
     torch.save(tensors, stream)
     return stream.getvalue()
 
 
 def load_tensors(file: Path) -> Any:
-    """What :func:`serialised` gave, unchanged: torch itself does not look at the checksums.
+    """Return the tensors in a file, whose checksums are compared (torch does not).
 
     Raises
     ------
@@ -177,8 +177,8 @@ def load_tensors(file: Path) -> Any:
     raise ValueError(f"{file.name} has changed since it was written, in {changed}")
 
 
-def in_short(error: Exception) -> str:
-    """What an error says, for the middle of a sentence: its first line, cut between words."""
+def summarise_error(error: Exception) -> str:
+    """Return an error's first line, shortened between words, for use within a sentence."""
     if isinstance(error, FileNotFoundError):
         return f"{Path(error.filename).name} is missing"
     kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
@@ -273,7 +273,7 @@ def _damage_refused(path: Path) -> Iterator[None]:
         AttributeError, OverflowError,
     ) as error:  # fmt: skip
         raise InputError(
-            f"{path}: the checkpoint is damaged ({in_short(error)}): "
+            f"{path}: the checkpoint is damaged ({summarise_error(error)}): "
             "put a copy of this folder in its place, or remove it and start the run anew"
         ) from error
 

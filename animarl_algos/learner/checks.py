@@ -25,7 +25,7 @@ SET_BY_LEARNER = {
 
 
 def check_arguments(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> None:
-    """Refuse what the model of the settings does not know: arguments of the parts.
+    """Refuse unknown arguments of the policy and of the replay memory.
 
     Raises
     ------

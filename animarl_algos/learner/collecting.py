@@ -22,7 +22,7 @@ Memory = tuple[NDArray[np.float32], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Step:
-    """What one step of all slots brought.
+    """The outcome of one step of all slots.
 
     Attributes
     ----------

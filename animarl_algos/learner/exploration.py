@@ -1,4 +1,4 @@
-"""Exploration: of which kind, epsilon's schedule, and a temperature fitted to demonstrated actions.
+"""Exploration: its kinds, epsilon's schedule, and a temperature fitted to demonstrated actions.
 
 The draws themselves are the policy's (one per slot); here is how much of them, and when.
 """
@@ -41,7 +41,7 @@ class LinearDecay:
 def boltzmann_nll(
     values: NDArray[np.floating], actions: NDArray[np.integer], temperature: float
 ) -> float:
-    """Mean negative log-likelihood [nat] of ``actions`` under ``softmax(values / temperature)``.
+    """Return the mean negative log-likelihood [nat] under ``softmax(values / temperature)``.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def boltzmann_nll(
 
 
 def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.integer]) -> float:
-    """Likeliest temperature, searched over ten decades around the values' own spread.
+    """Return the likeliest temperature, searched over ten decades around the values' own spread.
 
     A priori its logarithm is normal around 0, the temperature of a clone's logits, with standard
     deviation ``LOG_TEMPERATURE_SD``. Some hundred actions outweigh that; but of a few that are all

@@ -34,7 +34,7 @@ from animarl_algos.evaluation.acting_choice import (
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.checkpoint import in_short, latest_checkpoint, serialised
+from animarl_algos.learner.checkpoint import latest_checkpoint, serialise_tensors, summarise_error
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
@@ -329,7 +329,7 @@ class Run:
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
         """Write the final weights, tensors only."""
         with write_then_rename(self.path / "policies" / f"{name}.pt") as part:
-            part.write_bytes(serialised(model.policy.q_net.state_dict()))
+            part.write_bytes(serialise_tensors(model.policy.q_net.state_dict()))
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
         """Put the final weights into a learner of the same settings."""
@@ -344,7 +344,7 @@ class Run:
             ) from None
         except (RuntimeError, ValueError, TypeError, LookupError) as error:
             raise InputError(
-                f"{file}: it is not a policy of this run ({in_short(error)}): "
+                f"{file}: it is not a policy of this run ({summarise_error(error)}): "
                 "remove it and train again"
             ) from None
 

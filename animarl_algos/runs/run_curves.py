@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from animarl_algos.learner.checkpoint import in_short
+from animarl_algos.learner.checkpoint import summarise_error
 from animarl_envs.errors import InputError
 
 
@@ -49,5 +49,6 @@ def _read_table(file: Path) -> pd.DataFrame:
         return pd.read_csv(file)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise InputError(
-            f"{file}: the table cannot be read ({in_short(error)}): remove it, or train again"
+            f"{file}: the table cannot be read ({summarise_error(error)}): remove it, "
+            "or train again"
         ) from None

@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import ProgressBar
-from animarl_algos.learner.checkpoint import in_short
+from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.presets import learner_preset, merged
 from animarl_algos.learner.settings import default_settings
@@ -188,7 +188,7 @@ class AnimalExperimentManager(ExperimentManager):  # type: ignore[misc]
             said, place = str(error), str(self.trained_agent)
             raise InputError(said if said.startswith(place) else f"{place}: {said}") from None
         except Exception as error:  # reading damaged pickles can raise any
-            said = in_short(error) or type(error).__name__
+            said = summarise_error(error) or type(error).__name__
             raise InputError(
                 f"{self.trained_agent}: it is no model of {self.algo} ({said}): name one that "
                 "'train' saved with this --algo and --env"

@@ -19,11 +19,11 @@ from pair_learners import SETTINGS, demonstrations, weights
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import (
-    in_short,
     latest_checkpoint,
     load_checkpoint,
     save_checkpoint,
-    serialised,
+    serialise_tensors,
+    summarise_error,
 )
 from animarl_algos.networks.acting_rule import Kind
 from animarl_algos.recipes.registry import DQAAS, DQDIL, DQN, QRDQN
@@ -247,15 +247,15 @@ def test_one_flipped_bit_of_the_weights_is_seen(tmp_path: Path) -> None:
 def test_what_is_wrong_is_said_in_whole_words(tmp_path: Path) -> None:
     """Not in those of PyTorch, which explains at length how to open a pickle all the same."""
     checkpoint = save_checkpoint(make().learn(20), tmp_path)
-    (checkpoint / "model.pt").write_bytes(serialised({"torch_random_state": make}))
+    (checkpoint / "model.pt").write_bytes(serialise_tensors({"torch_random_state": make}))
     with pytest.raises(InputError) as caught:
         load_checkpoint(make(), tmp_path)
     assert str(caught.value) == (
         f"{checkpoint}: the checkpoint is damaged (model.pt is no whole archive of tensors): "
         "put a copy of this folder in its place, or remove it and start the run anew"
     )
-    assert in_short(OSError("word " * 40)) == "OSError: " + "word " * 21 + "..."
-    assert in_short(KeyError("format")) == "KeyError: 'format'"
+    assert summarise_error(OSError("word " * 40)) == "OSError: " + "word " * 21 + "..."
+    assert summarise_error(KeyError("format")) == "KeyError: 'format'"
 
 
 @pytest.mark.parametrize("name", ["checkpoint_runs", "checkpoint_1"])
