@@ -32,7 +32,6 @@ from animarl_algos.benchmark.plan import Plan, plan
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.rolling_out import told
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -191,7 +190,7 @@ def around_training(cell: Cell, out: Path) -> float:
     begun = time.process_time()
     model = pipeline.learn(run, settings.algo, progress_bar=False)
     cue = "actual" if model.layout.condition_flag else None
-    told(run, model, settings.algo, cue)
+    run.roll_out(model, settings.algo, cue)
     return time.process_time() - begun
 
 
