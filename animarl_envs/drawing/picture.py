@@ -1,4 +1,4 @@
-"""The pictures of a view: who moved is recorded step by step and drawn when asked for."""
+"""The pictures of a view: motion is recorded step by step and drawn on request."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIZE = 600  # width of a picture, or of a row of them [px]
 
 
 class Picture:
-    """Of one copy of ``world``; without a ``render_mode`` nothing is recorded or drawn.
+    """Pictures of one copy of ``world``; without a ``render_mode`` nothing is recorded or drawn.
 
     What draws is loaded when the first picture is.
 
@@ -45,11 +45,11 @@ class Picture:
         self._renderer: Renderer | None = None
 
     def start(self) -> None:
-        """A new episode begins."""
+        """Begin to record a new episode."""
         self._record().start()
 
     def follow(self) -> None:
-        """A step was taken."""
+        """Record the step that was taken."""
         self._record().follow()
 
     def draw(self) -> NDArray[np.uint8] | None:
@@ -81,7 +81,7 @@ class Picture:
 
 
 class Pictures:
-    """Of the first copies of ``world``, which reset each by itself.
+    """Pictures of the first copies of ``world``, each of which is reset by itself.
 
     Raises
     ------
@@ -104,14 +104,14 @@ class Pictures:
         self._recording = render_mode is not None
 
     def start(self, begun: NDArray[np.bool_]) -> None:
-        """New episodes begin where ``begun``."""
+        """Begin to record new episodes where ``begun`` is true."""
         if self._recording:
             for picture, new in zip(self._all, begun.tolist(), strict=False):
                 if new:
                     picture.start()
 
     def follow(self, begun: NDArray[np.bool_]) -> None:
-        """A step was taken by all but those that have ``begun`` anew in it."""
+        """Record a step of all copies but those that have ``begun`` anew in it."""
         if self._recording:
             self.start(begun)
             for picture, new in zip(self._all, begun.tolist(), strict=False):

@@ -1,4 +1,4 @@
-"""What there is to see of an episode at one moment: a :class:`Scene`, and who collects it.
+"""What there is to see of an episode at one moment: a :class:`Scene`, and its recorder.
 
 A scene is plain data in the arena frame. The renderer draws it; the views make it with a
 :class:`SceneRecorder`, which follows one copy of a world.

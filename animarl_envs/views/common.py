@@ -36,7 +36,7 @@ Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
 def focal_scenario(
     view: type, species: Species | str, focal: str | None, others: Others, options: dict[str, Any]
 ) -> tuple[Scenario, int, dict[int, PolicyFunction]]:
-    """The scenario of a ``view`` with one focal individual.
+    """Make the scenario of a ``view`` with one focal individual.
 
     Returns the scenario, the index of the focal individual, and the policies of those others that
     follow one, by index.
@@ -98,7 +98,7 @@ def action_space(world: World) -> spaces.Discrete:
 
 
 def with_limit(spec: EnvSpec | None, limit: int) -> EnvSpec | None:
-    """A spec that says the longest episode [steps], unless it says a shorter one already.
+    """Return a spec with the longest episode [steps], unless it has a shorter one already.
 
     Gymnasium's registry cannot say it, since its time limit would hold for every ``time_limit``
     that is given as an option.
@@ -130,7 +130,7 @@ def cut_after(world: World, most: int | None) -> None:
 
 
 def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDArray[np.int64]:
-    """Actions as an integer array of that shape, or one sentence.
+    """Return actions as an integer array of that shape.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def check_actions(actions: Any, shape: tuple[int, ...], num_actions: int) -> NDA
 
 
 def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> NDArray[np.int64] | None:
-    """The option ``demo`` of ``reset``: one number for all copies, or one each (-1: any).
+    """Return the option ``demo`` of ``reset``, one number for each copy (-1: any).
 
     Raises
     ------
@@ -171,7 +171,7 @@ def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> NDArray[np
 
 
 def reset_options(options: Any, *known: str, strict: bool = True) -> Mapping[str, Any]:
-    """The options of ``reset``; what is not one is refused, or warned of where not ``strict``.
+    """Check the options of ``reset``; warn of unknown ones instead where not ``strict``.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def reset_options(options: Any, *known: str, strict: bool = True) -> Mapping[str
 
 
 def stream_seed(seed: int) -> np.uint64:
-    """Of a world's random stream; of more than 64 bits all are used.
+    """Return the seed of a world's random stream; all bits count, also beyond 64.
 
     Raises
     ------
@@ -219,7 +219,7 @@ def copy_seeds(seed: int, num_copies: int) -> NDArray[np.uint64]:
 
 
 def space_of(spaces_of_all: Mapping[str, SpaceT], agent: str) -> SpaceT:
-    """The space of one individual.
+    """Return the space of one individual.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def scenario_as_data(scenario: Scenario) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Numbers, texts, lists and dictionaries that say the same; an array of frames by its shape."""
+    """Convert to numbers, texts, lists and dictionaries; an array of frames becomes its shape."""
     if isinstance(value, np.ndarray):
         return plain(value.tolist()) if value.ndim <= 2 else f"array of shape {value.shape}"
     if is_dataclass(value) and not isinstance(value, type):

@@ -12,7 +12,7 @@ from animarl_envs.worlds.base import World
 
 
 class ExecutedActions:
-    """Of one world; to be asked before the step that executes them.
+    """The executed actions of one world; call it before the step that executes them.
 
     A policy that sees its previous action must see what was done, in a simulator as in
     demonstrations: a step of the warm-up is replayed, so the action asked for was never executed.
@@ -25,13 +25,13 @@ class ExecutedActions:
 
     @cached_property
     def _demonstrated(self) -> NDArray[np.int64]:
-        """The actions of all recorded frames, ``(frames, K)``; worked out once one is replayed."""
+        """The actions of all recorded frames, ``(frames, K)``; computed when first needed."""
         assert self._world.demos is not None
         acted = demonstrated_actions(self._world.demos, self._world.scenario.species.locomotion)
         return acted.astype(np.int64)
 
     def __call__(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
-        """``actions`` ``(B, K)``, with the demonstrated ones in copies that are warming up."""
+        """Return ``actions`` ``(B, K)``, the demonstrated ones in copies that are warming up."""
         warming = self._world.warming
         if not self._replays or not warming.any():
             return actions

@@ -24,7 +24,7 @@ Cue = Literal["actual", "flipped", 0, 1]
 
 
 def cue_of(condition: NDArray[np.int8], cue: Cue) -> NDArray[np.int8]:
-    """What is told of the conditions ``(B,)``."""
+    """Return the conditions ``(B,)`` as the cue tells them."""
     if cue == "actual":
         return condition.copy()
     if cue == "flipped":
@@ -33,7 +33,7 @@ def cue_of(condition: NDArray[np.int8], cue: Cue) -> NDArray[np.int8]:
 
 
 def check_cue(cue: Any, conditions: tuple[str, ...], species: str) -> None:
-    """Refuse an unknown cue, and a flag where there is nothing to tell."""
+    """Raise InputError for an unknown cue, or for a species without conditions."""
     if cue not in ("actual", "flipped", 0, 1) or isinstance(cue, bool):
         raise InputError(f"cue is {cue!r}: choose 'actual', 'flipped', 0 or 1")
     if not conditions:
