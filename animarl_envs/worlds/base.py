@@ -75,7 +75,7 @@ class World(ABC):
     observers
         ``(K,)`` bool: whose observations are made. Those of others stay zero; nothing else differs.
     trackers
-        Are told of every start and step.
+        Objects that are called at every start and step.
     """
 
     reward_components: tuple[str, ...]
@@ -202,7 +202,7 @@ class World(ABC):
         """One step of all copies: move, decide the episode's end, reward, sense."""
 
     def _disturb(self, mask: NDArray[np.bool_]) -> None:
-        """From what is sensed now to what is handed out: late and noisy."""
+        """Apply observation delay and noise."""
         seen = self.sensed
         if len(self._history):
             self._history[:-1, mask] = self._history[1:, mask]

@@ -23,7 +23,7 @@ WALL_MARGIN = 0.25  # walls repel from this share of the arena's size inwards
 
 @nb.njit(inline="always")
 def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
-    """How far ``(x, y)`` lies in the margin along the wall, squared and in margins; 0 inside it."""
+    """Return the squared depth of ``(x, y)`` in the margin along the wall, in margins; 0 inside."""
     margin = WALL_MARGIN * size
     if shape == _SQUARE:
         depth_x = max(0.0, abs(x) - size + margin) / margin
@@ -39,7 +39,7 @@ def wall_cost(x, y, shape, size):  # type: ignore[no-untyped-def]
 def decide(  # type: ignore[no-untyped-def]
     i, position, velocity, towards, damping, thrust, pushes, dt, shape, size, lone, actions
 ):
-    """Put what the rule of individual ``i`` does in each copy into ``actions[i]``, ``(B,)``.
+    """Write the action of individual ``i``'s rule in each copy to ``actions[i]``, ``(B,)``.
 
     ``pushes`` ``(K, 2, A)`` are the actions' vectors in multiples of the thrust, ahead and left.
     ``lone``: the last individual pursues all others, else all others pursue it.

@@ -31,7 +31,7 @@ NEAR = 0.1  # added to distances before they are inverted [arena size]
 PAST = (2, 6)  # velocities before the present one are averaged over so many steps, exponentially
 HARMONICS = (2, 3, 4)  # of a direction, where it is seen as finely as actions divide the circle
 FAINT = 0.1  # a vector of this length [u dt, or u] counts half in its direction
-BODY, REACH = 0.03, 0.1  # who walks along a wall keeps so far from it [arena size]
+BODY, REACH = 0.03, 0.1  # distances kept by animals that follow a wall [arena size]
 
 
 class Group(NamedTuple):

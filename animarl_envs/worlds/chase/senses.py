@@ -314,7 +314,7 @@ def _observe_scales(i, velocity, towards, fine, coarse, log, stride, observation
 
 @part
 def _observe_direction(i, vector, towards, at, faint, observation):  # type: ignore[no-untyped-def]
-    """Whereto a vector points, by the second to fourth harmonic: powers of the unit vector."""
+    """Observe a direction by its second to fourth harmonic: powers of the unit vector."""
     for b in range(vector.shape[2]):
         ahead, left = egocentric(vector[i, 0, b], vector[i, 1, b], i, b, towards)
         length = math.sqrt(ahead * ahead + left * left)
@@ -357,7 +357,7 @@ def observe_wall(  # type: ignore[no-untyped-def]
 ):
     """The nearest wall: how far, in which direction, and the own velocity towards and along it.
 
-    Who walks along a wall keeps a small distance that does not show among distances to the centre.
+    Animals that follow a wall keep a distance too small to see in the distance from the centre.
     From the middle of a disc it lies towards the focus.
     """
     at, by, where = first[0, Seen.AT_WALL], first[0, Seen.BY_WALL], first[0, Seen.WALL_CIRCLE]
@@ -397,7 +397,7 @@ def observe_wall(  # type: ignore[no-untyped-def]
 
 @part
 def remember(velocity, past):  # type: ignore[no-untyped-def]
-    """Before a step: the present velocity moves each mean by its share."""
+    """Update the mean velocities with the present one, before a step."""
     for scale in range(past.shape[0]):
         share = 1.0 / PAST[scale]
         for i in range(velocity.shape[0]):
@@ -408,7 +408,7 @@ def remember(velocity, past):  # type: ignore[no-untyped-def]
 
 @jit
 def remembered(velocity, steps, past):  # type: ignore[no-untyped-def]
-    """Mean velocities of recorded frames ``(K, 2, frames)``, whose episodes begin at step 0."""
+    """Compute mean velocities of recorded frames ``(K, 2, frames)``; episodes begin at step 0."""
     for scale in range(past.shape[0]):
         share = 1.0 / PAST[scale]
         for i in range(velocity.shape[0]):
