@@ -140,7 +140,7 @@ def test_how_hard_and_which_way_are_cooled_apart() -> None:
     rules = further_rules([2.0, 1.0])
     assert {rule.temperature for rule in rules} == {(2.0, 1.0)}
     assert [(rule.thrust, rule.direction) for rule in rules] == list(APART)
-    assert all(rule.apart for rule in rules)
+    assert all(rule.two_stage for rule in rules)
 
 
 @pytest.mark.parametrize("near", [True, False])
