@@ -20,7 +20,7 @@ from animarl_algos.learner import checks, saving
 from animarl_algos.learner.callbacks import BoundaryCallback
 from animarl_algos.learner.checkpoint import TrainingState
 from animarl_algos.learner.collecting import Memory
-from animarl_algos.learner.presets import constructor_settings
+from animarl_algos.learner.presets import check_settings, constructor_settings
 from animarl_algos.learner.pretraining import DemonstrationData, OfflineProgress
 from animarl_algos.learner.sb3_compat import translate_policy_kwargs
 from animarl_algos.learner.settings import (
@@ -29,6 +29,7 @@ from animarl_algos.learner.settings import (
     OfflineSettings,
     as_frequency,
     declared_limit,
+    default_settings,
     longest_episode,
     settings_prose,
 )
@@ -400,8 +401,11 @@ class BaseLearner(OffPolicyAlgorithm):
         Raises
         ------
         InputError
-            If another class saved it, or ``env`` has other individuals or shows other things.
+            If another class saved it, ``env`` has other individuals or shows other things, or a
+            setting given anew is out of its range.
         """
+        given = {name: keywords[name] for name in default_settings() if name in keywords}
+        keywords |= check_settings(given)
         with saving.loading(path, cls._kind()):
             return super().load(path, *arguments, **keywords)
 

@@ -150,7 +150,7 @@ def constructor_settings(
     if not section.startswith("AnimaRL/") and asked not in (settings["policy"], None):
         section = COMMON_SECTION
         settings = constructed(learner_preset(plain, section).arguments)
-    given = _checked(given)
+    given = check_settings(given)
     if given.get("offline_epochs") and not settings["offline_epochs"] and pretrained is not None:
         settings = constructed(learner_preset(pretrained, section).arguments)
     tables = {
@@ -188,8 +188,14 @@ def section_of(env: Any) -> str:
     return COMMON_SECTION if spec is None else str(spec.id)
 
 
-def _checked(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings given in Python; the policy, which may be a class, is checked by the learner."""
+def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings given in Python, checked but for the policy, which may be a class.
+
+    Raises
+    ------
+    InputError
+        If one is unknown or out of its range.
+    """
     own = {name: value for name, value in given.items() if name != "policy"}
     if unknown := [
         name for name in own if name in RUN_KEYS or name not in LearnerFile.model_fields

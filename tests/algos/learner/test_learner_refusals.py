@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -189,6 +190,16 @@ WRONG: list[tuple[str, Any]] = [
     *(("replay_buffer_kwargs", {"beta_end": value}) for value in (-0.1, 2.0)),
     ("replay_buffer_kwargs", {"max_episodes": 0}),
 ]
+
+
+@pytest.mark.parametrize(("name", "value"), [("gamma", 1.1), ("alpha", -1.0), ("lambda2", -1.0)])
+def test_a_setting_given_to_load_is_checked_as_in_the_constructor(
+    name: str, value: float, tmp_path: Path
+) -> None:
+    DQN("MlpPolicy", toys.Pair(2), **SETTINGS).save(tmp_path / "model.zip")
+    assert DQN.load(tmp_path / "model.zip", gamma=0.5).gamma == 0.5
+    with pytest.raises(InputError, match=f"^{name} is"):
+        DQN.load(tmp_path / "model.zip", **{name: value})
 
 
 @pytest.mark.parametrize(("name", "value"), WRONG)
