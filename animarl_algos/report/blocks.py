@@ -60,6 +60,7 @@ class Table:
     groups: Sequence[Group]
     caption: str
     left: int = 1  # so many leading columns hold words
+    folded: str = ""  # what a reader clicks to see the table; empty: it is shown
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Section:
                     yield block.caption
                     yield from (image.alt for image in block.images)
                 case Table():
-                    yield from (block.caption, *block.columns)
+                    yield from (block.folded, block.caption, *block.columns)
                     for group in block.groups:
                         yield group.title
                         yield from (cell for row in group.rows for cell in row.cells)

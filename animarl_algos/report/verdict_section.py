@@ -123,22 +123,30 @@ def _realism_blocks(verdict: Verdict, say: Callable[[str], str]) -> Iterator[Blo
     table = verdict.components
     if table is None or table.empty:
         return
-    lines = []
+    kinds, components = [], []
     for _, row in table.iterrows():
         name = str(row["component"]) if isinstance(row["component"], str) else ""
         score = Interval(row["score"], row["low"], row["high"])
         cells = [name or str(row["kind"]), number(row["weight"], 2), with_interval(score)]
         cells += [number(row[one]) if one in row else NOTHING for one in REFERENCES]
-        lines.append(Row(cells, strong=not name))
+        (components if name else kinds).append(Row(cells, strong=row["kind"] == "total"))
+    columns = ["Kind", "Weight", "Score\n[95 %]", *(say(one).capitalize() for one in REFERENCES)]
     yield Table(
         "Realism",
-        ["Component", "Weight", "Score\n[95 %]", *(say(name).capitalize() for name in REFERENCES)],
-        [Group("", lines[::-1])],
+        columns,
+        [Group("", kinds[::-1])],
         say(
             "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
             "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
             "recording itself in place of its rollouts, other recordings, and random actions."
         ),
+    )
+    yield Table(
+        "Realism by component",
+        ["Component", *columns[1:]],
+        [Group("", components)],
+        "Components of a kind weigh alike.",
+        folded="Realism by component",
     )
 
 
