@@ -123,7 +123,8 @@ def _realism_blocks(verdict: Verdict, say: Callable[[str], str]) -> Iterator[Blo
     table = verdict.components
     if table is None or table.empty:
         return
-    kinds, components = [], []
+    kinds: list[Row] = []
+    components: list[Row] = []
     for _, row in table.iterrows():
         name = str(row["component"]) if isinstance(row["component"], str) else ""
         score = Interval(row["score"], row["low"], row["high"])
