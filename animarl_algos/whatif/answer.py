@@ -20,7 +20,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
-from animarl_algos.whatif.extrapolation import RED, YELLOW, InputRange, WatchedPolicy
+from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.units import Unit, unit_of
 from animarl_envs.errors import InputError
@@ -42,7 +42,6 @@ TRY_REPETITIONS = 2
 FAR_APART = 0.1  # tries of thrust, for a slope to be read off them [log]
 USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
 THRUST_LIMITS = (1 / 8, 8.0)
-GREEN_WORD, YELLOW_WORD, RED_WORD = "none", "some", "red"
 
 
 class TrainedRun(Protocol):
@@ -220,7 +219,7 @@ class _Asker:
             row["warning"] = warning
             clear = row["low"] > 0 or row["high"] < 0
             large = not abs(row["shift"]) < abs(row["gap"])
-            row["finding"] = bool(clear and large and warning != RED_WORD)
+            row["finding"] = bool(clear and large and warning != Caution.RED)
         import pandas as pd
 
         return Answer(scenario, pd.DataFrame(rows), warning, reason, thrusts, changed)
@@ -347,9 +346,9 @@ class _Asker:
         """How far to trust an answer, in a word and in a sentence."""
         more = beyond - self.usual
         worst = int(np.argmax(more))
-        reasons, word = [], GREEN_WORD
+        reasons, word = [], Caution.NONE
         if more[worst] > YELLOW:
-            word = RED_WORD if more[worst] > RED else YELLOW_WORD
+            word = Caution.RED if more[worst] > RED else Caution.SOME
             which = int(np.argmax(inputs[worst] - self.usual_inputs[worst]))
             reasons.append(
                 f"in {more[worst]:.0%} more steps than usual {self.species.individuals[worst]} "
@@ -364,7 +363,7 @@ class _Asker:
             and row["other_reading"] * row["shift"] < 0
         ]
         if turned:
-            word = RED_WORD if word == RED_WORD else YELLOW_WORD
+            word = Caution.RED if word == Caution.RED else Caution.SOME
             reasons.append(
                 f"habit and knowledge of the new body disagree on the sign of {', '.join(turned)}"
             )

@@ -9,6 +9,7 @@ compared too.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,14 @@ TAIL = 0.001  # of the training inputs, on either side
 OWN_ACCELERATION = "own acceleration"
 YELLOW, RED = 0.05, 0.25  # more steps beyond than in the unchanged world
 # Of 39 changes below YELLOW 3 were predicted wrongly, of 11 above RED 8.
+
+
+class Caution(StrEnum):
+    """How far an answer is from what policies were trained on."""
+
+    NONE = "none"
+    SOME = "some"
+    RED = "red"
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.whatif.extrapolation import RED, YELLOW
+from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,7 +56,7 @@ def _figure(table: pd.DataFrame) -> Any:
         axis.axvspan(-gap, gap, facecolor="none", edgecolor="0.75", hatch="///", linewidth=0)
         axis.axvline(0.0, color="0.4", linewidth=0.8)
         for place, (_, row) in enumerate(chosen.iterrows()):
-            trusted = row["warning"] == "none"
+            trusted = row["warning"] == Caution.NONE
             axis.plot([row["low"], row["high"]], [place, place], color="0.2", linewidth=1.2)
             axis.plot(
                 row["shift"], place, "o", color="C0", markersize=5,
@@ -103,7 +103,7 @@ def _sentences(table: pd.DataFrame) -> list[str]:
     """One sentence for each finding; one where there is none."""
     found = table[table["finding"]]
     if len(found) == 0:
-        red = (table["warning"] == "red").any()
+        red = (table["warning"] == Caution.RED).any()
         return ["This answer is a guess." if red else "No shift is clear of chance and of the gap."]
     return [
         f"- {row['quantity']} {'rises' if row['shift'] > 0 else 'falls'} by "
