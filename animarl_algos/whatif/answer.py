@@ -202,7 +202,7 @@ class _Asker:
         self.test = runs[0].demos.select(split="test")
         self.ranges = [InputRange.of(self.species, run.demos.select(split="train")) for run in runs]
         self.baseline, self.usual, self.usual_inputs = self._simulate({}, None, "habit")
-        self.quantities = list(_quantities(self.species, unit))
+        self.quantities = list(quantities_of(self.species, unit))
 
     def answer(self, scenario: Scenario) -> Answer:
         """Compare one scenario with the baseline."""
@@ -332,13 +332,14 @@ class _Asker:
         return "starts and training seeds" if len(self.runs) > 1 else "starts, for this network"
 
     def _mean(self, rollouts: Rollouts, values: Floats, counts: NDArray[np.bool_]) -> Interval:
-        """Mean over recordings with its interval; starts of one recording are one."""
-        _, recording = np.unique(self.test.recording, return_inverse=True)
-        if len(np.unique(recording[rollouts.demo[counts]])) < 2:
-            recording = np.arange(len(self.test))
-        seed = np.repeat(np.arange(len(self.runs)), len(rollouts) // len(self.runs))
-        data = cells(values, seed, recording[rollouts.demo], int(recording.max()) + 1, counts)
-        return bootstrap_mean(data, np.random.default_rng(self.seed))
+        return mean_over_starts(
+            values,
+            rollouts.demo,
+            runs=len(self.runs),
+            test=self.test,
+            rng=np.random.default_rng(self.seed),
+            counts=counts,
+        )
 
     def _warning(
         self, beyond: Floats, inputs: Floats, rows: Sequence[Mapping[str, Any]]
@@ -370,6 +371,32 @@ class _Asker:
         return word, "; ".join(reasons)
 
 
+def mean_over_starts(
+    values: Floats,
+    demo: NDArray[np.int64],
+    *,
+    runs: int,
+    test: Demonstrations,
+    rng: np.random.Generator,
+    counts: NDArray[np.bool_],
+) -> Interval:
+    """Return a mean with its interval over recordings and training runs.
+
+    Parameters
+    ----------
+    values, demo, counts
+        ``(rollouts,)`` of all runs, one after the other: the value, its start, whether it counts.
+    test
+        The starts; those that were cut from one recording are one unit.
+    """
+    _, recording = np.unique(test.recording, return_inverse=True)
+    if len(np.unique(recording[demo[counts]])) < 2:
+        recording = np.arange(len(test))
+    seed = np.repeat(np.arange(runs), len(values) // runs)
+    data = cells(values, seed, recording[demo], int(recording.max()) + 1, counts)
+    return bootstrap_mean(data, rng)
+
+
 def _next_factor(tried: Sequence[tuple[float, float]], wanted: float) -> float:
     """Return the next thrust factor, by a line through all tries (logarithms of both)."""
     x, y = np.array(tried).T
@@ -384,8 +411,8 @@ def _speeds(rollouts: Rollouts) -> Floats:
     return np.asarray((path_lengths(rollouts) / seconds[:, None]).mean(axis=0))
 
 
-def _quantities(species: Species, unit: Unit) -> Iterator[Quantity]:
-    """What is asked: outcome, duration, paths, speeds, distance."""
+def quantities_of(species: Species, unit: Unit) -> Iterator[Quantity]:
+    """Yield what is asked of every answer: outcome, duration, paths, distance, speeds."""
     scale, name = unit.per_arena_unit, unit.name
 
     def seconds(rollouts: Rollouts) -> Floats:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
-from animarl_envs.locomotion import COAST, NUM_DIRECTIONS
+from animarl_envs.locomotion import COAST, NUM_DIRECTIONS, Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.world import ChaseWorld, observe
@@ -59,16 +59,21 @@ class Behaviour:
 
 @dataclass(eq=False)
 class CourtshipPolicy:
-    """Decides for all individuals of ``world``, in all its copies, by what they see."""
+    """Decides for all individuals of ``world``, in all its copies, by what they see.
+
+    ``believed`` is the locomotion that they take themselves to have, by default their own.
+    """
 
     world: ChaseWorld
     behaviour: Behaviour
     rng: np.random.Generator
+    believed: tuple[Locomotion, ...] | None = None
 
     def __post_init__(self) -> None:
         species = self.world.scenario.species
-        self._damping = np.array([[m.damping] for m in species.locomotion])
-        self._thrust = np.array([[m.thrust] for m in species.locomotion])
+        bodies = self.believed or species.locomotion
+        self._damping = np.array([[body.damping] for body in bodies])
+        self._thrust = np.array([[body.thrust] for body in bodies])
         angles = np.abs(np.arange(-TURNS + 2, TURNS))  # of the actions 0 to 11, in steps of 30 deg
         angles = np.roll(angles, -TURNS + 2)
         self._weights = np.array(

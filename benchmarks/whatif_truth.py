@@ -1,0 +1,368 @@
+"""What-if answers beside their truth: what made the recordings, in the changed world.
+
+    python benchmarks/whatif_truth.py --quick
+    python benchmarks/whatif_truth.py --out docs/results/whatif
+    python benchmarks/whatif_truth.py --only agent --seed 0
+
+A clone is asked with ``animarl whatif``'s code. The truth is known where a program or a trained
+team made the recordings: the packaged agents (their teams), flies and newts (their courtship),
+moths (their search), and the published artificial agents, if $ANIMARL_DATA has them. What made
+them acts in the changed world, by habit or knowing its new body, as the clone is assumed to.
+
+One row is one quantity of one change. ``miss`` is predicted minus true, paired by start, with an
+interval over starts and training seeds. An answer counts as wrong where its miss is clear of zero
+and larger than half of the true shift. Rows whose true shift is not clear of zero have no sign and
+no relative error. Clones are trained on training and validation episodes, and both sides start from
+test episodes; the thresholds of the warning were chosen elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+import typer
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from animarl_algos import load_run
+from animarl_algos.benchmark.references import ProgrammedPolicy
+from animarl_algos.evaluation import Rollouts, collect_rollouts
+from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.runs.run import Run
+from animarl_algos.whatif.answer import ask, mean_over_starts, quantities_of
+from animarl_algos.whatif.changes import Scenario, parse_scenarios
+from animarl_algos.whatif.extrapolation import Caution
+from animarl_envs.demos.units import unit_of
+from animarl_envs.files import all_files_or_none
+from animarl_envs.scenario import make_scenario
+from animarl_envs.species import SPECIES, SearchSpecies, Species
+from animarl_envs.species.options import change_world
+from animarl_envs.species.scales import Reading
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.chase.world import ChaseWorld
+from tools.packaged_data.courtship_behaviour import CourtshipPolicy
+from tools.packaged_data.courtship_published import BEHAVIOURS
+
+DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
+RECORDED = "recorded-agents"
+ANIMARL = (sys.executable, "-m", "animarl_algos.cli.main")
+TRUE_REPETITIONS = 10
+WRONG = 0.5  # of the true shift
+
+# From mild to absurd; ``inside`` are those whose inputs stay near what was recorded.
+COURTSHIP = (
+    "female.thrust=x0.8", "female.thrust=x1.2", "female.thrust=x2", "males.thrust=x0.8",
+    "males.thrust=x1.2", "males.thrust=x2", "arena=x1.2", "arena=x3", "contact=x0.7",
+    "contact=x1.5", "all.damping=x2",
+)  # fmt: skip
+CHASE = (
+    "prey.thrust=x0.8", "prey.thrust=x1.2", "prey.thrust=x2", "predators.thrust=x0.8",
+    "predators.thrust=x1.2", "predators.thrust=x2", "arena=x1.2", "arena=x3", "contact=x0.7",
+    "contact=x1.5", "all.damping=x2", "condition=individual", "condition=shared",
+)  # fmt: skip
+SEARCH = (
+    "moth.thrust=x0.8", "moth.thrust=x1.2", "moth.thrust=x2", "contact=x0.5", "contact=x2",
+    "antenna_radius=x2", "antenna_radius=x5", "moth.damping=x2",
+)  # fmt: skip
+CHANGES = {
+    "agent": CHASE, "fly": COURTSHIP, "newt": COURTSHIP, "silkmoth": SEARCH, RECORDED: CHASE,
+}  # fmt: skip
+QUICK = {"agent": ("prey.thrust=x1.2", "contact=x0.7", "arena=x3"), "fly": ("female.thrust=x1.2",)}
+
+
+@dataclass(frozen=True, eq=False)
+class Answered:
+    """One change of one set: predicted and true rollouts, both beside the unchanged world."""
+
+    scenario: Scenario
+    reading: Reading
+    predicted: tuple[Rollouts, Rollouts]
+    true: tuple[Rollouts, Rollouts]
+    warning: str
+
+
+class Truth:
+    """What made the recordings of a run, in any world."""
+
+    def __init__(self, run: Run, folder: Path | None, repetitions: int) -> None:
+        self.test = run.demos.select(split="test")
+        self.unit, self.repetitions = unit_of(run.demos), repetitions
+        self.teams = teams_of(run.demos, folder)
+        self.species: Species = SPECIES[run.species.name]
+        if self.teams is not None:
+            team = self.teams[0]
+            self.species = replace(
+                run.species, locomotion=team.locomotion, observation=team.observation
+            )
+
+    def roll_out(self, scenario: Scenario | None, reading: Reading, seed: int) -> Rollouts:
+        """Return rollouts from the test starts, in the unchanged world without a scenario."""
+        options = {} if scenario is None else scenario.options(self.species, self.unit)
+        # A program sees the world as it is; what it takes itself for is its own affair.
+        seen: Reading = reading if self.teams is not None else "habit"
+        species = change_world(self.species, seen, **options)
+        believed = self.species if reading == "habit" else species
+        if self.teams is None:
+            return self._program(species, believed, seed)
+        parts = []
+        for condition in np.unique(self.test.condition).tolist():
+            told = condition if scenario is None else self._told(scenario, condition)
+            own = np.flatnonzero(self.test.condition == condition)
+            team = self.teams[told]
+            made = collect_rollouts(
+                partial(
+                    make_world,
+                    make_scenario(species, demos=self.test.select(episodes=own), split=None),
+                ),
+                team.policy,
+                method="truth",
+                seed=seed,
+                repetitions=1 if team.reseed is None else self.repetitions,
+                reseed=team.reseed,
+            )
+            parts.append(replace(made, demo=own[made.demo]))
+        return Rollouts.concatenate(parts, "truth")
+
+    def _told(self, scenario: Scenario, condition: int) -> int:
+        name = scenario.condition
+        return condition if name is None else self.species.conditions.index(name)
+
+    def _program(self, species: Species, believed: Species, seed: int) -> Rollouts:
+        world = make_scenario(species, demos=self.test, split=None)
+        policy: Any
+        if isinstance(species, SearchSpecies):
+            assert isinstance(believed, SearchSpecies)
+            policy, make = ProgrammedPolicy(believed, seed), partial(make_world, world)
+        else:
+            policy = Courtship(believed, seed)
+            make = partial(policy.make_world, world)
+        return collect_rollouts(
+            make, policy, method="truth", seed=seed, repetitions=self.repetitions
+        )
+
+
+class Courtship:
+    """The program of flies and newts as a policy: it looks at the world itself."""
+
+    def __init__(self, believed: Species, seed: int) -> None:
+        self.believed, self.seed = believed, seed
+
+    def make_world(self, scenario: Any, copies: int) -> ChaseWorld:
+        """Return the world that the program acts in from now on."""
+        world = ChaseWorld(scenario, copies)
+        rng = np.random.default_rng([self.seed, copies])
+        behaviour = BEHAVIOURS[self.believed.name]
+        self._acting = CourtshipPolicy(world, behaviour, rng, self.believed.locomotion)
+        return world
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        return self._acting.act().ravel(), state
+
+
+def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:
+    """Train a clone for each seed by the command line, unless its folder is there already."""
+    runs = []
+    for seed in seeds:
+        folder = cells / f"{name}-{seed}"
+        if not (folder / "policies").exists():
+            what = ["packaged", "--species", name]
+            if name == RECORDED:
+                from benchmarks.counterfactual import recorded
+
+                what = [str(cells / f"{name}.npz")]
+                cells.mkdir(parents=True, exist_ok=True)
+                recorded().save(what[0])
+            command = [*ANIMARL, "train", *what, "--seed", str(seed), "--out", str(folder)]
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        runs.append(load_run(folder))
+    return runs
+
+
+def answered(
+    runs: list[Run], changes: tuple[str, ...], repetitions: int, truth_folder: Path | None
+) -> Iterator[Answered]:
+    """Ask the clones and what made their recordings; changes of bodies in both readings."""
+    truth = Truth(runs[0], truth_folder, max(repetitions, TRUE_REPETITIONS))
+    readings: tuple[Reading, ...] = ("habit", "knows")
+    for reading in readings:
+        scenarios = parse_scenarios(changes, runs[0].scenario.species, separately=True)
+        asked = [s for s in scenarios if reading == "habit" or s.moves_bodies]
+        texts = [scenario.name for scenario in asked]
+        found = ask(runs, texts, repetitions=repetitions, reading=reading, separately=True)
+        usual = truth.roll_out(None, reading, 0)
+        for answer in found.answers:
+            yield Answered(
+                answer.scenario,
+                reading,
+                (found.baseline, answer.rollouts),
+                (usual, truth.roll_out(answer.scenario, reading, 0)),
+                answer.warning,
+            )
+
+
+def rows(name: str, runs: list[Run], one: Answered) -> Iterator[dict[str, Any]]:
+    """One row per quantity of a change."""
+    species, test = runs[0].scenario.species, runs[0].demos.select(split="test")
+    counts = np.ones(len(test), dtype=bool)
+    if one.scenario.condition is not None:
+        counts = test.condition != species.conditions.index(one.scenario.condition)
+    for quantity in quantities_of(species, unit_of(runs[0].demos)):
+        before, after = (quantity.values(each) for each in one.predicted)
+        true = _by_start(one.true[1], quantity.values(one.true[1]), len(test)) - _by_start(
+            one.true[0], quantity.values(one.true[0]), len(test)
+        )
+        demo = one.predicted[1].demo
+        mean = partial(mean_over_starts, runs=len(runs), test=test, rng=np.random.default_rng(0))
+        shift = mean(after - before, demo, counts=counts[demo])
+        miss = mean(after - before - true[demo], demo, counts=counts[demo])
+        starts = np.arange(len(test))
+        truth = mean_over_starts(
+            true, starts, runs=1, test=test, rng=np.random.default_rng(0), counts=counts
+        )
+        clear = truth.low > 0 or truth.high < 0
+        missed = miss.low > 0 or miss.high < 0
+        yield {
+            "set": name, "change": one.scenario.name, "reading": one.reading,
+            "quantity": quantity.name, "unit": quantity.unit, "seeds": len(runs),
+            "true": truth.estimate, "true_low": truth.low, "true_high": truth.high,
+            "predicted": shift.estimate, "low": shift.low, "high": shift.high,
+            "miss": miss.estimate, "miss_low": miss.low, "miss_high": miss.high,
+            "clear": clear, "covered": not missed,
+            "sign_right": bool(shift.estimate * truth.estimate > 0) if clear else None,
+            "wrong": missed and abs(miss.estimate) > WRONG * abs(truth.estimate),
+            "warning": one.warning,
+        }  # fmt: skip
+
+
+def _by_start(rollouts: Rollouts, values: NDArray[np.float64], starts: int) -> NDArray[np.float64]:
+    total = np.bincount(rollouts.demo, values, starts)
+    return np.asarray(total / np.bincount(rollouts.demo, minlength=starts))
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Return one row per set and warning: cover, sign, error, and what the warning caught."""
+    found = []
+    for (name, warning), part in table.groupby(["set", "warning"], sort=False):
+        clear = part[part["clear"]]
+        error = (clear["miss"] / clear["true"]).abs().median()
+        found.append(
+            {
+                "set": name, "warning": warning,
+                "changes": part.groupby(["change", "reading"]).ngroups,
+                "rows": len(part), "covered": part["covered"].mean(), "clear": len(clear),
+                "sign_right": clear["sign_right"].astype(float).mean(), "median_error": error,
+                "wrong": int(part["wrong"].sum()),
+            }
+        )  # fmt: skip
+    return pd.DataFrame(found)
+
+
+def warned(table: pd.DataFrame) -> str:
+    """Return in words how often wrong and right answers were warned of, by change."""
+    changes = table.groupby(["set", "change", "reading"]).agg(
+        wrong=("wrong", "mean"), warning=("warning", "first")
+    )
+    wrong = changes[changes["wrong"] >= 0.5]
+    right = changes[changes["wrong"] < 0.5]
+    red = [int((part["warning"] == Caution.RED).sum()) for part in (wrong, right)]
+    some = [int((part["warning"] != Caution.NONE).sum()) for part in (wrong, right)]
+    return (
+        f"{len(wrong)} of {len(changes)} changes are predicted wrongly in at least half of their "
+        f"quantities; {red[0]} of these have a red warning and {some[0]} any; "
+        f"of {len(right)} others {red[1]} have a red one and {some[1]} any."
+    )
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option(help="Sets; repeatable.")] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="Training seeds; repeatable.")] = None,
+    cells: Annotated[Path, typer.Option(help="Run folders, made once.")] = Path("out/whatif"),
+    repetitions: Annotated[int, typer.Option(help="Rollouts a start and run.")] = 5,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Packaged models, few changes, nothing trained.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the tables.")] = None,
+) -> None:
+    """Print what was predicted beside what is true."""
+    console = Console(width=110)
+    agents = DATA / "agents_collab_hunting"
+    changes = QUICK if quick else CHANGES
+    parts = []
+    for name in only or changes:
+        if name == RECORDED and not agents.exists():
+            console.print(f"{RECORDED}: no recordings in {DATA}, left out")
+            continue
+        seeds = [0] if quick else seed or [0, 1, 2]
+        runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
+        folder = agents if name == RECORDED else None
+        for one in answered(runs, changes[name], 2 if quick else repetitions, folder):
+            found = list(rows(name, runs, one))
+            parts += found
+            _print(console, name, one, found)
+    table = pd.DataFrame(parts)
+    short = summary(table)
+    console.print(short.to_string(index=False, float_format=lambda value: f"{value:.2f}"))
+    console.print(warned(table))
+    if out is not None:
+        with all_files_or_none(out) as part:
+            table.to_csv(part / "whatif_truth.csv", index=False, float_format="%.4g")
+            short.to_csv(part / "summary.csv", index=False, float_format="%.4g")
+            (part / "README.md").write_text(page(table, short), encoding="utf-8")
+
+
+def page(table: pd.DataFrame, short: pd.DataFrame) -> str:
+    """Return the summary in Markdown."""
+    lines = [
+        "# What-if answers beside their truth", "",
+        "    python benchmarks/whatif_truth.py --out docs/results/whatif", "",
+        "Every row of `whatif_truth.csv` is one quantity of one change; what the columns mean",
+        "stands in the benchmark's docstring. `covered`: the interval of predicted minus true",
+        "holds zero. `sign right` and `median error` (of the true shift) are over rows whose true",
+        "shift is clear of zero.", "",
+        "| set | warning | changes | rows | covered | clear | sign right | median error | wrong |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]  # fmt: skip
+    lines += [
+        f"| {row.set} | {row.warning} | {row.changes} | {row.rows} | {row.covered:.0%} | "
+        f"{row.clear} | {row.sign_right:.0%} | {row.median_error:.0%} | {row.wrong} |"
+        for row in short.itertuples()
+    ]
+    return "\n".join([*lines, "", warned(table), ""])
+
+
+def _print(console: Console, name: str, one: Answered, found: list[dict[str, Any]]) -> None:
+    title = f"{name}: {one.scenario.name} ({one.reading}), warning: {one.warning}"
+    table = Table(title=title, title_justify="left", box=None)
+    for column in ("quantity", "true", "predicted", "predicted - true", ""):
+        table.add_column(column, justify="left" if column in ("quantity", "") else "right")
+    for row in found:
+        table.add_row(
+            row["quantity"], *(
+                f"{row[key]:+.3g} \\[{row[low]:.3g}, {row[high]:.3g}]"
+                for key, low, high in (
+                    ("true", "true_low", "true_high"), ("predicted", "low", "high"),
+                    ("miss", "miss_low", "miss_high"),
+                )
+            ), "wrong" if row["wrong"] else "",
+        )  # fmt: skip
+    console.print(table)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,42 @@
+"""The benchmark of what-ifs: what made the recordings, in the changed world, beside a clone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from animarl_algos import load_run
+from benchmarks.whatif_truth import Truth, answered, rows, summary, warned
+
+
+def test_a_clone_of_agents_is_right_about_a_weaker_prey_and_its_absurd_answer_is_caught() -> None:
+    run = load_run("agent")
+    found = list(answered([run], ("prey.thrust=x0.8", "arena=x3"), 2, None))
+    table = pd.DataFrame([row for one in found for row in rows("agent", [run], one)])
+    # A thrust is asked in both readings, an arena has one.
+    assert [(one.scenario.name, one.reading) for one in found] == [
+        ("prey.thrust=x0.8", "habit"), ("arena=x3", "habit"), ("prey.thrust=x0.8", "knows"),
+    ]  # fmt: skip
+    of = table.set_index(["change", "reading", "quantity"])
+    caught_sooner = of.loc[("prey.thrust=x0.8", "habit", "duration")]
+    assert caught_sooner["true_high"] < 0 and caught_sooner["clear"]
+    assert caught_sooner["sign_right"] and caught_sooner["covered"] and not caught_sooner["wrong"]
+    absurd = of.loc[("arena=x3", "habit", "duration")]
+    assert absurd["wrong"] and not absurd["covered"] and absurd["warning"] == "red"
+    short = summary(table).set_index("warning")
+    assert short.loc["red", "wrong"] >= 4 and short["rows"].sum() == len(table)
+    assert "1 of 3 changes are predicted wrongly" in warned(table)
+    assert "1 of these have a red warning" in warned(table)
+
+
+@pytest.mark.parametrize("name", ["agent", "fly", "silkmoth"])
+def test_the_truth_in_the_unchanged_world_is_like_the_recordings(name: str) -> None:
+    run = load_run(name)
+    truth = Truth(run, None, 4)
+    made = truth.roll_out(None, "habit", 0)
+    assert set(made.demo) == set(range(len(truth.test)))
+    seconds = (truth.test.lengths - 1).mean() * run.demos.dt
+    assert (made.lengths - 1).mean() * made.dt == pytest.approx(seconds, rel=0.55)
+    starts = made.positions[made.offsets[:-1]]
+    assert np.allclose(starts, truth.test.positions[truth.test.offsets[:-1]][made.demo], atol=1e-5)
