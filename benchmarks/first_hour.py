@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 
 from animarl_algos.evaluation.verdict import Verdict
-from animarl_envs.drawing.markdown import markdown_table
+from animarl_envs.drawing import markdown_table
 from tools.make_lab_table import write
 
 MEASURES = ("median_speed", "duration", "reached")

@@ -9,7 +9,7 @@ from typing import Any
 from option_notes import CHASE_ONLY, NOTES
 from page_text import DOCS, NOTICE, markdown
 
-from animarl_envs.drawing.markdown import markdown_table
+from animarl_envs.drawing import markdown_table
 from animarl_envs.species import ChaseSpecies
 
 CUSTOM_NUMBERS = [

@@ -24,7 +24,7 @@ import animarl_envs
 from animarl_envs.arena import Arena
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.packaged import load_packaged, packaged_names
-from animarl_envs.drawing.markdown import markdown_table
+from animarl_envs.drawing import markdown_table
 from animarl_envs.files import write_then_rename
 from animarl_envs.locomotion import ACTION_ANGLES, NUM_DIRECTIONS
 from animarl_envs.scenario import make_scenario

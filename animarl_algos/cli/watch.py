@@ -258,7 +258,7 @@ def play(
             on_step()
             scene, start = recorder.scene(), False
         if endings is not None:
-            endings.append(f"{scene.note or 'stopped'} after {scene.time:.1f} s")
+            endings.append(f"{scene.note or 'stopped'} after {scene.step * scene.species.dt:.1f} s")
         for _ in range(round(HOLD * renderer.fps)):
             picture = renderer.draw(scene)
             if picture is not None:

@@ -1,42 +1,101 @@
-"""Drawing scenes with pygame: a picture for a window or as an array.
+"""Pictures of scenes with pygame, in a window or as arrays, and clips of them.
 
-What stays from picture to picture (arena, texts) is drawn once and kept. The same scene gives the
-same pixels, with or without a display.
+The same scene gives the same pixels, with or without a display. The empty arena is drawn once and
+kept. Lengths are in shares of the width of the picture, which shows a square window on the arena.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
+from animarl_envs.demos.units import RECORDED_SCALE
 from animarl_envs.drawing import palette
-from animarl_envs.drawing.canvas import SUPERSAMPLING, Canvas, View, view_of
-from animarl_envs.drawing.clips import CLIP_SUFFIXES, write_clip
-from animarl_envs.drawing.palette import RGB
-from animarl_envs.drawing.scene import Scene
-from animarl_envs.drawing.sketch import (
-    draw_arena,
-    draw_bodies,
-    draw_odour,
-    draw_paths,
-    draw_reach,
-)
+from animarl_envs.drawing.bodies import BODIES
+from animarl_envs.drawing.palette import RGB, colour_of
+from animarl_envs.drawing.scene import Scene, SceneRecorder
 from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import write_then_rename
+from animarl_envs.species.base import body_of_each
+from animarl_envs.worlds.base import World
+from animarl_envs.worlds.plume.plume import PlumeField
 
 if TYPE_CHECKING:
     from pygame import Surface
 
-__all__ = ["CLIP_SUFFIXES", "RenderMode", "Renderer", "round_length", "write_clip"]
+Points = NDArray[np.floating]
 
-RenderMode = Literal["rgb_array", "human"]
-TEXT_SUPERSAMPLING = 4
-MOST_TEXTS = 256  # texts that are kept as they were drawn: most stay from picture to picture
-STRIP = 0.12  # height of the text strip, in widths of the picture
+RENDER_MODES = ("human", "rgb_array")
+MOST_DRAWN = 9
+"""Copies of a vector environment that are drawn, three in a row."""
+SIZE = 600  # width of a picture, or of a row of them [px]
+STRIP = 0.12  # height of the strip of text below
+MARGIN = 1.07  # how much wider the view is than what it must show
+ZOOM_STEP = 1.25  # the view widens in such steps when somebody leaves it
+MOVE_STEP = 0.125  # ... and in an open field moves in steps of this share of its half width
+WIDEST_BOUNDARY = 1.5  # a boundary is in view up to this many arena sizes
+BODY_LENGTH = (0.042, 0.060)  # a body is as long as the contact radius, within these bounds
+LEAST_BODY = 0.03  # of a searcher, whose antennae stand out
+RIM = 0.05  # white around a body [body length]
+TRAIL_WIDTH, RECORDED_WIDTH, LINE_WIDTH, DASH = 0.0055, 0.0035, 0.0032, 0.011
+TRAIL_FADE = 25.0  # [frames] over which a trail fades, from and to these opacities
+TRAIL_OPACITY = 0.85, 0.16
+PLUME_OPACITY = 0.55  # at concentration 1
+PLUME_FADE, UPWIND_FADE = 0.2, 0.06  # shares of the field in which it fades out, at both ends
+PLUME_MARGIN = 0.04  # share of the field at its end that holds nothing, beyond the cut
+ARROW = np.array(
+    [(-0.5, 0.05), (0.15, 0.05), (0.15, 0.2), (0.5, 0.0), (0.15, -0.2), (0.15, -0.05)]
+    + [(-0.5, -0.05)]
+)
+
+
+class View(NamedTuple):
+    """A square window on the arena frame [arena unit]."""
+
+    x: float
+    y: float
+    half: float
+
+
+def view_of(scene: Scene) -> View:
+    """Return what is in view: the arena with its boundary; in the open source, plume and start.
+
+    It widens in steps when somebody leaves it, and in an open field moves in steps to the middle
+    of all that has been seen, so that a long search stays in the picture and the picture stays put.
+    """
+    arena = scene.species.arena
+    seen = np.concatenate([scene.positions, scene.trails.reshape(-1, 2)])
+    if arena.shape != "open":
+        half = min(arena.boundary, WIDEST_BOUNDARY * arena.size) * MARGIN
+        while float(np.abs(seen).max()) * 1.02 > half:
+            half *= ZOOM_STEP
+        return View(0.0, 0.0, half)
+    known = np.concatenate([scene.trails[:1].reshape(-1, 2), np.zeros((1, 2))])
+    if scene.demonstration is not None:
+        known = np.concatenate([known, scene.demonstration[0]])
+    middle, reach = _middle(known)
+    half = max(reach * 1.35, arena.size * 0.6) * MARGIN
+    if float(np.abs(seen - middle).max()) * 1.02 > half:
+        middle, reach = _middle(np.concatenate([known, seen]))
+        while reach * MARGIN + half * MOVE_STEP / 2 > half:
+            half *= ZOOM_STEP
+        middle = np.round(middle / (half * MOVE_STEP)) * (half * MOVE_STEP)
+    return View(float(middle[0]), float(middle[1]), half)
+
+
+def _middle(points: Points) -> tuple[Points, float]:
+    """The middle of the box around ``(n, 2)``, and half of its longer side."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (low + high) / 2, float((high - low).max()) / 2
 
 
 class Renderer:
@@ -60,24 +119,27 @@ class Renderer:
         If a value is out of range, or a window is wanted where there is no display.
     """
 
-    def __init__(self, mode: RenderMode, size: int = 600, fps: float = 10.0) -> None:
-        if mode not in ("rgb_array", "human"):
+    def __init__(self, mode: str, size: int = SIZE, fps: float = 10.0) -> None:
+        if mode not in RENDER_MODES:
             raise InputError(f"render_mode is {mode!r}: choose 'rgb_array' or 'human'")
         if not (isinstance(size, int) and 100 <= size <= 4000):
             raise InputError(f"size is {size!r}: give a whole number of pixels, 100 to 4000")
         if not 0 < fps < math.inf:
             raise InputError(f"fps is {fps!r}: it must be a positive number")
-        self.mode = mode
-        self.size = size
-        self.fps = fps
+        self.mode, self.size, self.fps = mode, size, fps
         self.closed = False
         """Whether the user has closed the window; :meth:`draw` then shows nothing."""
-        self._pygame = _import_pygame()
-        self._pygame.font.init()
-        self._fonts: dict[int, Any] = {}
-        self._texts: dict[tuple[str, RGB], Surface] = {}
-        self._ground: tuple[tuple[Arena, View, str, float | None], Surface] | None = None
-        self._sheet: Surface = self._pygame.Surface((self.size, self.height), 0, 32)
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        try:
+            import pygame
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("drawing", "render") from error
+        self._pygame: Any = pygame
+        pygame.font.init()
+        self._text_size = max(9, round(0.024 * size))
+        self._font = pygame.font.Font(None, round(1.15 * self._text_size))
+        self._ground: tuple[Any, Surface] | None = None
+        self._page = pygame.Surface((size, self.height), 0, 32)
         self._window: Surface | None = None
         self._clock: Any = None
 
@@ -92,61 +154,40 @@ class Renderer:
 
     def draw(self, scene: Scene) -> NDArray[np.uint8] | None:
         """Draw a scene: ``(height, width, 3)`` uint8 as an array, or ``None`` in a window."""
-        picture = self._picture(scene)
+        self._view = view_of(scene)
+        self._scale = self.size / (2 * self._view.half)  # [px per arena unit]
+        self._draw_ground(scene)
+        self._page.set_clip((0, 0, self.size, self.size))
+        if scene.plume is not None:
+            self._draw_plume(scene.plume)
+        self._draw_reach(scene)
+        self._draw_paths(scene)
+        self._draw_bodies(scene)
+        self._page.set_clip(None)
+        self._write_strip(scene)
         if self.mode == "human":
-            self._show(picture, scene.title)
+            self._show(scene.species.title)
             return None
         # Onto a surface whose memory is the array: faster than any of pygame's own conversions.
         pixels = np.empty((self.height, self.size, 3), dtype=np.uint8)
-        there = self._pygame.image.frombuffer(pixels, picture.get_size(), "RGB")
-        there.blit(picture, (0, 0))
+        there = self._pygame.image.frombuffer(pixels, self._page.get_size(), "RGB")
+        there.blit(self._page, (0, 0))
         return pixels
 
     def close(self) -> None:
         """Close the window, if any. Closing twice is harmless."""
-        self._fonts.clear()
-        self._texts.clear()
         if self._window is not None:
             self._pygame.display.quit()
             self._window = None
 
-    def _picture(self, scene: Scene) -> Surface:
-        view = view_of(scene)
-        picture = self._page(scene, view)
-        field = picture.subsurface((0, 0, self.size, self.size))
-        canvas = Canvas(self._pygame, field, self.size, view)
-        draw_odour(canvas, scene)
-        draw_reach(canvas, scene)
-        draw_paths(canvas, scene)
-        draw_bodies(canvas, scene)
-        self._write_strip(picture, scene)
-        return picture
-
-    def _page(self, scene: Scene, view: View) -> Surface:
-        """The empty arena with the strip below it, drawn anew only if it is another one."""
-        here = (scene.arena, view, scene.unit, scene.wind)
-        if self._ground is None or self._ground[0] != here:
-            pygame, large = self._pygame, self.size * SUPERSAMPLING
-            ground = pygame.Surface((large, large), 0, 32)
-            ground.fill(palette.BACKGROUND)
-            draw_arena(Canvas(pygame, ground, large, view), scene.arena)
-            page = pygame.Surface((self.size, self.height), 0, 32)
-            page.fill(palette.BACKGROUND)
-            page.blit(pygame.transform.smoothscale(ground, (self.size,) * 2), (0, 0))
-            if scene.arena.shape == "open" or scene.unit != Scene.unit:
-                self._draw_scale_bar(page, scene, self.size / (2 * view.half))
-            self._ground = here, page
-        self._sheet.blit(self._ground[1], (0, 0))
-        return self._sheet
-
-    def _show(self, picture: Surface, title: str) -> None:
+    def _show(self, title: str) -> None:
         pygame = self._pygame
         if self.closed:
             return
         if self._window is None:
             try:
                 pygame.display.init()
-                self._window = pygame.display.set_mode(picture.get_size())
+                self._window = pygame.display.set_mode(self._page.get_size())
             except pygame.error as error:
                 raise InputError(
                     f"no window can be opened ({error}): use render_mode='rgb_array'"
@@ -157,114 +198,249 @@ class Renderer:
             self.closed = True
             self.close()
             return
-        self._window.blit(picture, (0, 0))
+        self._window.blit(self._page, (0, 0))
         pygame.display.flip()
         self._clock.tick(self.fps)
 
+    # -- shapes -----------------------------------------------------------------------------------
+
+    def _at(self, points: Points) -> NDArray[np.float64]:
+        """Pixel coordinates of points ``(..., 2)`` of the arena frame; whole ones are centres."""
+        flipped = (points - np.array(self._view[:2])) * (self._scale, -self._scale)
+        return np.asarray(flipped + (self.size - 1) / 2)
+
+    def _width(self, share: float) -> int:
+        return max(1, round(share * self.size))
+
+    def _disc(self, centre: Points, radius: float, colour: RGB, width: int = 0) -> None:
+        """A disc around pixel coordinates, or with a ``width`` a circle [px]."""
+        self._pygame.draw.aacircle(self._page, colour, centre.tolist(), radius, width)
+
+    def _polygon(self, points: Points, colour: RGB) -> None:
+        """A filled polygon of pixel coordinates with smooth edges."""
+        self._pygame.draw.polygon(self._page, colour, points.round().tolist())
+        self._pygame.draw.aalines(self._page, colour, True, points.tolist())
+
+    def _path(self, points: Points, colours: Sequence[RGB], width: int) -> None:
+        """A line through pixel coordinates ``(t, 2)``, each of its t - 1 pieces of its colour."""
+        line, page = self._pygame.draw.aaline, self._page
+        for (start, end), colour in zip(pairwise(points.tolist()), colours, strict=True):
+            line(page, colour, start, end, width)
+
+    # -- the arena --------------------------------------------------------------------------------
+
+    def _draw_ground(self, scene: Scene) -> None:
+        """The empty arena and its scale, drawn anew only if it is another one."""
+        arena = scene.species.arena
+        here = (arena, self._view, scene.unit, scene.searching)
+        if self._ground is None or self._ground[0] != here:
+            self._page.fill(palette.BACKGROUND)
+            if arena.shape == "open":
+                self._page.fill(palette.ARENA, (0, 0, self.size, self.size))
+            else:
+                self._draw_edges(arena)
+            if arena.shape == "open" or scene.unit != RECORDED_SCALE:
+                self._draw_scale(scene)
+            self._ground = here, self._page.copy()
+        self._page.blit(self._ground[1], (0, 0))
+
+    def _draw_edges(self, arena: Arena) -> None:
+        edge = self._at(_edge(arena.shape, arena.size))
+        self._polygon(edge, palette.ARENA)
+        if arena.size < arena.boundary <= WIDEST_BOUNDARY * arena.size and not arena.rebound:
+            dashes = _dashed(self._at(_edge(arena.shape, arena.boundary)), DASH * self.size)
+            for start, end in zip(dashes[:-1:2], dashes[1::2], strict=True):
+                self._path(np.stack([start, end]), [palette.BOUNDARY], self._width(LINE_WIDTH))
+        closed = np.concatenate([edge, edge[:1]])
+        self._path(closed, [palette.OUTLINE] * len(edge), self._width(LINE_WIDTH))
+
+    def _draw_scale(self, scene: Scene) -> None:
+        """A bar of a round length in the lower left corner, and in a search the wind."""
+        per_unit = self._scale / scene.unit.per_arena_unit
+        length, label = round_length(0.2 * self.size / per_unit, scene.unit.name)
+        left, low = 0.04 * self.size, 0.955 * self.size
+        bar = (round(left), round(low), round(length * per_unit), self._width(0.005))
+        self._page.fill(palette.OUTLINE, bar)
+        self._write(label, left, low - 0.034 * self.size, palette.MUTED_TEXT)
+        if scene.searching:
+            side = 0.09 * self.size
+            middle = np.array([self.size - left - side / 2, low])
+            self._polygon(_placed(ARROW, middle, 0.0, 0.9 * side), palette.MUTED_TEXT)
+            self._write(
+                "wind", middle[0] - side / 2 - 4, low - 0.012 * self.size, palette.MUTED_TEXT,
+                from_right=True,
+            )  # fmt: skip
+
+    def _draw_plume(self, plume: PlumeField) -> None:
+        pygame = self._pygame
+        strength = np.clip(plume.values, 0.0, 1.0)[::-1].T  # columns, then rows downwards
+        sheet = pygame.Surface(strength.shape, pygame.SRCALPHA, 32)
+        sheet.fill((*palette.PLUME, 0))
+        opacity = pygame.surfarray.pixels_alpha(sheet)
+        opacity[:] = np.round(255 * PLUME_OPACITY * strength * _fading(strength.shape))
+        del opacity  # unlocks the surface
+        x_low, x_high, y_low, y_high = plume.extent
+        edges = self._at(np.array([[x_low, y_high], [x_high, y_low]]))
+        corner, opposite = (edges + 0.5).round()
+        size = np.maximum(opposite - corner, 1).astype(int).tolist()
+        self._page.blit(pygame.transform.smoothscale(sheet, size), corner.tolist())
+
+    def _draw_reach(self, scene: Scene) -> None:
+        """The reach of contact around every target, and around the source."""
+        reach, touched = scene.species.contact_radius * self._scale, scene.touched
+        for i, role in enumerate(scene.species.roles):
+            if role == "target":
+                hue, share = (palette.TOUCH, 0.5) if touched[i] else (palette.TARGET, 0.07)
+                self._disc(
+                    self._at(scene.positions[i]), reach, palette.mix(palette.ARENA, hue, share)
+                )
+        if scene.searching:
+            source, line = self._at(np.zeros(2)), self._width(0.7 * LINE_WIDTH)
+            if touched.any():
+                self._disc(source, reach, palette.mix(palette.ARENA, palette.TOUCH, 0.45))
+            self._disc(source, reach, palette.PLUME, line)
+            dark = palette.mix(palette.PLUME, palette.TARGET, 0.35)
+            self._disc(source, 0.008 * self.size, dark)
+
+    # -- the animals ------------------------------------------------------------------------------
+
+    def _draw_paths(self, scene: Scene) -> None:
+        """The recorded paths, faintly, and over them the trails, fading with age."""
+        colours = [colour_of(role, i) for i, role in enumerate(scene.species.roles)]
+        if scene.demonstration is not None:
+            for recorded, own in zip(scene.demonstration.swapaxes(0, 1), colours, strict=True):
+                hue = palette.mix(palette.DEMONSTRATION, own, 0.35)
+                faint = [palette.mix(palette.ARENA, hue, 0.55)] * (len(recorded) - 1)
+                self._path(self._at(recorded), faint, self._width(RECORDED_WIDTH))
+        for trail, own in zip(scene.trails.swapaxes(0, 1), colours, strict=True):
+            pieces = max(len(trail) - 1, 0)
+            young = _fading_colours(own)[:pieces]
+            faded = [*[young[-1]] * (pieces - len(young)), *young[::-1]] if young else []
+            self._path(self._at(trail), faded, self._width(TRAIL_WIDTH))
+
+    def _draw_bodies(self, scene: Scene) -> None:
+        """Antennae and everybody, the last individual on top."""
+        species, touched = scene.species, scene.touched
+        reach = species.contact_radius * self._scale
+        shortest, longest = (share * self.size for share in BODY_LENGTH)
+        length = min(max(reach, shortest), longest)
+        if scene.antennae is not None:
+            to_tip = float(np.hypot(*(scene.antennae[0] - scene.positions[-1]))) * self._scale
+            length = min(length, max(1.3 * to_tip, LEAST_BODY * self.size))
+            self._draw_antennae(scene, max(to_tip, 0.75 * length))
+        for i, name in enumerate(body_of_each(species.bodies, species.roles)):
+            halo = touched[i] and species.roles[i] != "target"
+            rim = palette.TOUCH if halo else palette.BACKGROUND
+            centre, own = self._at(scene.positions[i]), colour_of(species.roles[i], i)
+            heading = float(scene.headings[i])
+            for part in BODIES[name]:
+                if part.rimmed:
+                    outline = _widened(part.outline)
+                    self._polygon(_placed(outline, centre, heading, length), rim)
+            for part in BODIES[name]:
+                colour = palette.mix(own, palette.BACKGROUND, part.white)
+                self._polygon(_placed(part.outline, centre, heading, length), colour)
+
+    def _draw_antennae(self, scene: Scene, reach: float) -> None:
+        """Both antennae in their directions, lit by what they smell; ``reach`` in px."""
+        assert scene.antennae is not None
+        root, own = self._at(scene.positions[-1]), colour_of("searcher", 0)
+        for tip, smell in zip(scene.antennae, scene.odour, strict=True):
+            ahead = self._at(tip) - root
+            end = root + ahead * reach / max(float(np.hypot(*ahead)), 1e-9)
+            self._path(np.stack([root, end]), [own], self._width(0.8 * LINE_WIDTH))
+            lit = palette.mix(palette.BACKGROUND, palette.TOUCH, float(np.clip(smell, 0.0, 1.0)))
+            self._disc(end, 0.0085 * self.size, own)
+            self._disc(end, 0.006 * self.size, lit)
+
     # -- text -------------------------------------------------------------------------------------
 
-    def _write_strip(self, picture: Surface, scene: Scene) -> None:
-        """Two lines beneath the field: what and when; who has earned how much."""
-        pad, line = 0.03 * self.size, 0.045 * self.size
-        right = self.size - pad
-        top = self.size + 0.016 * self.size
-        x = self._write(picture, scene.title, pad, top, palette.TEXT)
+    def _write_strip(self, scene: Scene) -> None:
+        """Two lines below the field: what and when; who has earned how much."""
+        species, pad = scene.species, 0.03 * self.size
+        right, top = self.size - pad, 1.016 * self.size
+        x = self._write(species.title, pad, top, palette.TEXT)
         if scene.condition:
-            self._write(picture, f"  \u00b7  {scene.condition}", x, top, palette.MUTED_TEXT)
-        clock = f"{scene.time:.1f} s   step {scene.step}"
-        self._write(picture, clock, right, top, palette.MUTED_TEXT, from_right=True)
-
-        x, top = pad, top + line
+            self._write(f"  \u00b7  {scene.condition}", x, top, palette.MUTED_TEXT)
+        clock = f"{scene.step * species.dt:.1f} s   step {scene.step}"
+        self._write(clock, right, top, palette.MUTED_TEXT, from_right=True)
+        x, top = pad, top + 0.045 * self.size
         if scene.note:
-            self._write(picture, scene.note, right, top, palette.TEXT, from_right=True)
-            right -= self._text_width(scene.note) + pad
-        for i, (name, role) in enumerate(zip(scene.names, scene.roles, strict=True)):
-            colour = palette.TARGET if role == "target" else palette.pursuer(i)
-            label = f"{name}  {scene.rewards[i]:+.1f}"
-            left = len(scene.names) - i
+            self._write(scene.note, right, top, palette.TEXT, from_right=True)
+            right -= self._font.size(scene.note)[0] + pad
+        for i, name in enumerate(species.individuals):
+            label, left = f"{name}  {scene.rewards[i]:+.1f}", len(species.individuals) - i
             more = f"and {left} more"
-            width = self._text_width(label) + 0.03 * self.size
-            rest = self._text_width(more) if left > 1 else 0.0
-            if x + width + rest > right:
-                self._write(picture, more, x, top, palette.MUTED_TEXT)
+            width = self._font.size(label)[0] + 0.03 * self.size
+            if x + width + (self._font.size(more)[0] if left > 1 else 0) > right:
+                self._write(more, x, top, palette.MUTED_TEXT)
                 return
-            self._dot(picture, x, top, colour)
-            x = self._write(picture, label, x + 0.024 * self.size, top, palette.TEXT)
-            x += 0.03 * self.size
-
-    @property
-    def _text_size(self) -> int:
-        return max(9, round(0.024 * self.size))
-
-    def _dot(self, picture: Surface, x: float, top: float, colour: RGB) -> None:
-        """The colour key of an individual, at the height of the text."""
-        side = 0.018 * self.size
-        canvas = Canvas(self._pygame, picture, self.size, View(0.0, 0.0, 1.0))
-        canvas.disc(
-            np.array([x + side / 2, top + 0.1 * self._text_size + 0.4 * side]), 0.46 * side, colour
-        )
-
-    def _font(self, size: int) -> Any:
-        if size not in self._fonts:
-            self._fonts[size] = self._pygame.font.Font(None, size * TEXT_SUPERSAMPLING)
-        return self._fonts[size]
-
-    def _text_width(self, text: str) -> float:
-        return float(self._font(self._text_size).size(text)[0]) / TEXT_SUPERSAMPLING
+            key = np.array([x + 0.009 * self.size, top + 0.5 * self._text_size])
+            self._disc(key, 0.0083 * self.size, colour_of(species.roles[i], i))
+            x = self._write(label, x + 0.024 * self.size, top, palette.TEXT) + 0.03 * self.size
 
     def _write(
-        self,
-        picture: Surface,
-        text: str,
-        x: float,
-        top: float,
-        colour: RGB,
-        from_right: bool = False,
+        self, text: str, x: float, top: float, colour: RGB, *, from_right: bool = False
     ) -> float:
         """Write one line of text; returns where it ends [px]."""
-        drawn = self._text(text, colour)
-        width = drawn.get_width()
-        left = round(x - width if from_right else x)
-        picture.blit(drawn, (left, round(top)))
-        return float(left + width)
+        drawn = self._font.render(text, True, colour)
+        left = round(x - drawn.get_width() if from_right else x)
+        self._page.blit(drawn, (left, round(top)))
+        return float(left + drawn.get_width())
 
-    def _text(self, text: str, colour: RGB) -> Surface:
-        """A line of text, drawn anew only if it is not among the last."""
-        if (text, colour) not in self._texts:
-            if len(self._texts) == MOST_TEXTS:
-                del self._texts[next(iter(self._texts))]
-            large = self._font(self._text_size).render(text, True, colour)
-            width = math.ceil(large.get_width() / TEXT_SUPERSAMPLING)
-            size = (width, large.get_height() // TEXT_SUPERSAMPLING)
-            self._texts[text, colour] = self._pygame.transform.smoothscale(large, size)
-        return self._texts[text, colour]
 
-    def _draw_scale_bar(self, picture: Surface, scene: Scene, scale: float) -> None:
-        """A bar of a round length in the lower left corner, and the wind above it.
+@lru_cache(maxsize=64)
+def _fading_colours(colour: RGB) -> list[RGB]:
+    """Of a trail's pieces on the floor, the youngest first, until nothing fades any more."""
+    first, last = TRAIL_OPACITY
+    shares = last + (first - last) * np.exp(-np.arange(round(5 * TRAIL_FADE)) / TRAIL_FADE)
+    return [palette.mix(palette.ARENA, colour, share) for share in shares.tolist()]
 
-        ``scale`` in px per arena unit.
-        """
-        unit = scene.per_arena_unit
-        length, label = round_length(0.2 * self.size / scale * unit, scene.unit)
-        left, low = 0.04 * self.size, 0.955 * self.size
-        draw, thick = self._pygame.draw, max(2, round(0.005 * self.size))
-        bar = (round(left), round(low), round(length / unit * scale), thick)
-        draw.rect(picture, palette.OUTLINE, bar)
-        self._write(picture, label, left, low - 0.034 * self.size, palette.MUTED_TEXT)
-        if scene.wind is None:
-            return
-        side = round(0.09 * self.size)
-        corner = (round(self.size - left - side), round(low - 0.5 * side))
-        sheet = picture.subsurface((*corner, side, side))
-        Canvas(self._pygame, sheet, side, View(0.0, 0.0, 1.0)).arrow(scene.wind, palette.MUTED_TEXT)
-        width = self._text_width("wind")
-        self._write(
-            picture, "wind", corner[0] - width - 4, low - 0.012 * self.size, palette.MUTED_TEXT
+
+def _widened(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The outline, moved outwards from its own middle by the width of a rim."""
+    out = outline - outline.mean(axis=0)
+    return np.asarray(outline + RIM * out / np.linalg.norm(out, axis=1, keepdims=True))
+
+
+def _placed(shape: Points, centre: Points, heading: float, length: float) -> NDArray[np.float64]:
+    """A shape of the body frame in pixels: turned to ``heading`` (y up), scaled, moved."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    return np.asarray(centre + length * (shape @ np.array([(cos, -sin), (-sin, -cos)])))
+
+
+def _edge(shape: str, size: float) -> NDArray[np.float64]:
+    if shape == "disc":
+        around = np.linspace(0, 2 * np.pi, 240, endpoint=False)
+        return size * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    return size * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+
+
+def _dashed(points: Points, spacing: float) -> NDArray[np.float64]:
+    """Ends of dashes ``(2 n, 2)`` along a closed line, in even steps of about ``spacing``."""
+    closed = np.concatenate([points, points[:1]])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    wanted = np.linspace(0.0, along[-1], 2 * round(along[-1] / spacing / 2) + 1)[:-1]
+    return np.stack([np.interp(wanted, along, closed[:, k]) for k in range(2)], axis=-1)
+
+
+@lru_cache(maxsize=8)
+def _fading(shape: tuple[int, int]) -> NDArray[np.float64]:
+    """1 within the field, falling to 0 before its ends and its sides, where it is cut."""
+    columns, rows = ((np.arange(n) + 0.5) / n for n in shape)
+    before, along, across = (
+        np.clip((left - margin) / fade, 0.0, 1.0)
+        for left, margin, fade in (
+            (columns, 0.0, UPWIND_FADE),
+            (1.0 - columns, PLUME_MARGIN, PLUME_FADE),
+            (np.minimum(rows, 1.0 - rows), PLUME_MARGIN, PLUME_FADE / 2),
         )
+    )
+    return np.asarray((before * along)[:, None] * across)
 
 
 def round_length(longest: float, unit: str) -> tuple[float, str]:
-    """The longest of 1, 2 or 5 times a power of ten up to ``longest``, and its label.
+    """Return the longest of 1, 2 or 5 times a power of ten up to ``longest``, and its label.
 
     ``unit`` is that of ``longest``; metres are written as m, cm or mm.
     """
@@ -277,10 +453,119 @@ def round_length(longest: float, unit: str) -> tuple[float, str]:
     return length, f"{length:g} {unit}"
 
 
-def _import_pygame() -> Any:
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+class Pictures:
+    """Pictures of the first copies of ``world``, recorded step by step and drawn on request.
+
+    Without a ``render_mode`` nothing is recorded or drawn. ``"human"``: of one copy.
+    """
+
+    def __init__(self, world: World, render_mode: str | None) -> None:
+        self.render_mode, self.num_copies = render_mode, world.num_copies
+        self.frame_rate = round(1.0 / world.scenario.species.dt)  # [Hz], real time
+        drawn = min(world.num_copies, MOST_DRAWN) if render_mode is not None else 0
+        self.columns = math.ceil(math.sqrt(drawn))
+        self._recorders = [SceneRecorder(world, copy) for copy in range(drawn)]
+        self._renderer: Renderer | None = None
+
+    def follow(self, begun: Iterable[bool], stepped: bool = True) -> None:
+        """Begin anew with copies that have ``begun``; of the others record a step, if any."""
+        for recorder, new in zip(self._recorders, begun, strict=False):
+            if new:
+                recorder.start()
+            elif stepped:
+                recorder.follow()
+
+    def draw(self) -> list[NDArray[np.uint8]]:
+        """Return a picture ``(height, width, 3)`` of each copy, blank where it is not drawn.
+
+        In a window: none.
+        """
+        if self.render_mode is None:
+            raise InputError("nothing can be rendered: make the environment with render_mode=")
+        if self._renderer is None:
+            self._renderer = Renderer(self.render_mode, SIZE // self.columns, self.frame_rate)
+        pictures = [self._renderer.draw(recorder.scene()) for recorder in self._recorders]
+        drawn = [pixels for pixels in pictures if pixels is not None]
+        blank = [_blank(drawn[0]) for _ in range(self.num_copies - len(drawn))] if drawn else []
+        return drawn + blank
+
+    def grid(self) -> NDArray[np.uint8]:
+        """Return one picture of all copies that are drawn, in rows."""
+        drawn = self.draw()[:MOST_DRAWN]
+        drawn += [_blank(drawn[0])] * (-len(drawn) % self.columns)
+        rows = [drawn[k : k + self.columns] for k in range(0, len(drawn), self.columns)]
+        return np.concatenate([np.concatenate(row, axis=1) for row in rows])
+
+    def close(self) -> None:
+        """Close the window, if any."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def _blank(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.full_like(picture, palette.BACKGROUND)
+
+
+# -- clips ----------------------------------------------------------------------------------------
+
+CLIP_SUFFIXES = (".gif", ".mp4")
+GIF_COLOURS = 128  # of each frame
+
+
+def write_clip(frames: Iterable[NDArray[np.uint8]], path: str | Path, fps: float = 10.0) -> Path:
+    """Write pictures as an animated ``.gif`` or an ``.mp4`` (H.264).
+
+    Parameters
+    ----------
+    frames
+        Pictures ``(height, width, 3)`` uint8, all of one shape; taken one by one.
+    path
+        Where to; the file appears when it is complete.
+    fps
+        Frames per second; a gif keeps time in hundredths of a second.
+
+    Raises
+    ------
+    InputError
+        For another suffix, an impossible ``fps`` or no frames at all.
+    MissingExtraError
+        If imageio, or ffmpeg for an mp4, is not installed.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in CLIP_SUFFIXES:
+        raise InputError(f"{path}: a clip cannot be written as {suffix!r}: use .gif or .mp4")
+    if not 0 < fps < math.inf:
+        raise InputError(f"fps is {fps!r}: it must be a positive number")
     try:
-        import pygame
+        import imageio.v2 as imageio
+        from PIL import Image
     except ModuleNotFoundError as error:
-        raise MissingExtraError("drawing", "render") from error
-    return pygame
+        raise MissingExtraError("writing a clip", "render") from error
+
+    def reduced(pictures: Iterable[NDArray[np.uint8]]) -> Iterator[Any]:
+        """In few colours each, without dithering: areas stay even, and the file small."""
+        for picture in pictures:
+            yield Image.fromarray(picture).quantize(
+                GIF_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE
+            )
+
+    taken = iter(frames)
+    with write_then_rename(path) as part:
+        first = next(taken, None)
+        if first is None:
+            raise InputError(f"{path}: there is no frame to write: run at least one step")
+        if suffix == ".gif":
+            (opening,) = reduced([first])
+            opening.save(
+                part, "GIF", save_all=True, append_images=reduced(taken), loop=0,
+                duration=1000.0 / fps,
+            )  # fmt: skip
+            return path
+        options: Any = {"fps": fps, "codec": "libx264", "quality": 8, "macro_block_size": 2}
+        writer: Any = imageio.get_writer(part, **options)
+        with writer:
+            for frame in (first, *taken):
+                writer.append_data(frame)
+    return path

@@ -6,10 +6,10 @@ import copy
 import json
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from operator import index
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -17,7 +17,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from animarl_envs.checks import is_whole
-from animarl_envs.drawing.picture import Picture
+from animarl_envs.drawing.render import RENDER_MODES, Pictures
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import first_pursuer
 from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
@@ -26,11 +26,111 @@ from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.executed import ExecutedActions
 
-SpaceT = TypeVar("SpaceT", bound=spaces.Space[Any])
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
 
 Others = str | PolicyFunction | Mapping[str, "str | PolicyFunction"] | None
+
+
+class View:
+    """A view of a world: its pictures, its actions, and what its infos say.
+
+    Attributes
+    ----------
+    scenario, world
+        What the view was made of, and the batched simulator that it shows.
+    """
+
+    scenario: Scenario
+    world: World
+    metadata: dict[str, Any]
+
+    def _build(
+        self, scenario: Scenario, num_copies: int, render_mode: str | None, observers: Any = None
+    ) -> None:
+        self.scenario, self.render_mode = scenario, render_mode
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            fix = "choose 'human' or 'rgb_array'"
+            if render_mode in RENDER_MODES:
+                fix = "choose 'rgb_array' or None for many copies, or show one with gym.make"
+            raise InputError(f"render_mode is {render_mode!r}: {fix}")
+        self.world = make_world(scenario, num_copies, observers)
+        self._pictures = Pictures(self.world, render_mode)
+        self.metadata = {**self.metadata, "render_fps": self._pictures.frame_rate}
+        self._description = json.dumps(scenario_as_data(scenario))  # each reset says it anew
+        self._actions = np.zeros((num_copies, self.world.num_individuals), dtype=np.int64)
+        self._executed = ExecutedActions(self.world)
+        self._started = False
+
+    def _follow(self, begun: Iterable[bool], stepped: bool = True) -> None:
+        """Record a step for pictures, or the beginning of an episode; draw it in a window."""
+        if self.render_mode is None:
+            return
+        self._pictures.follow(begun, stepped)
+        if self.render_mode == "human":
+            self._pictures.draw()
+
+    def render(self) -> Any:
+        """Return the present scene as ``(height, width, 3)`` uint8, or show it in a window."""
+        drawn = self._pictures.draw()
+        return drawn[0] if drawn else None
+
+    def close(self) -> None:
+        """Close the window, if any."""
+        self._pictures.close()
+
+    def _shared_info(self, warming: bool) -> dict[str, Any]:
+        """What the infos of all individuals of a single copy share."""
+        world = self.world
+        return {
+            "demo": world.demo.item(),
+            "condition": world.condition.item(),
+            "step": world.step_count.item(),
+            "warmup": warming,
+            "outcome": world.outcome.item(),
+        }
+
+
+class FocalView(View):
+    """A view in which one individual acts; with Gymnasium's spec, which says the time limit."""
+
+    _spec: EnvSpec | None = None
+
+    def _build_focal(
+        self,
+        species: Species | str,
+        num_copies: int,
+        focal: str | None,
+        others: Others,
+        render_mode: str | None,
+        options: dict[str, Any],
+    ) -> None:
+        scenario, self.focal_index, self._policies = focal_scenario(
+            type(self), species, focal, others, options
+        )
+        self._build(scenario, num_copies, render_mode, {self.focal_index, *self._policies})
+
+    @property
+    def time_limit(self) -> int:
+        """Longest episode [steps], which truncates it."""
+        return int(self.scenario.species.time_limit)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit.
+
+        Gymnasium's registry cannot say it, since its time limit would hold for every
+        ``time_limit`` that is given as an option.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        limit = self.time_limit
+        if spec is not None and (spec.max_episode_steps or limit + 1) > limit:
+            spec = copy.copy(spec)
+            spec.max_episode_steps = limit
+        self._spec = spec
 
 
 def focal_scenario(
@@ -52,24 +152,18 @@ def focal_scenario(
     focal = names[first_pursuer(scenario.species.roles)] if focal is None else focal
     if focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
-    if others is None:
-        others = "replay" if scenario.paired else "scripted"
-    rules: dict[str, Any] = dict(others) if isinstance(others, Mapping) else {}
+    rest = [name for name in names if name != focal]
+    usual: Any = "replay" if scenario.paired else "scripted"
     if isinstance(others, Mapping):
-        unknown = set(rules) - set(names) | set(rules) & {focal}
+        unknown = sorted(set(others) - set(rest))
         if unknown:
-            raise InputError(
-                f"others names {sorted(unknown)[0]!r}: choose among "
-                f"{', '.join(n for n in names if n != focal)}"
-            )
-        default: Any = "replay" if scenario.paired else "scripted"
+            raise InputError(f"others names {unknown[0]!r}: choose among {', '.join(rest)}")
+        rules: dict[str, Any] = dict.fromkeys(rest, usual) | dict(others)
     else:
-        default = others
+        rules = dict.fromkeys(rest, usual if others is None else others)
     drivers, policies = list(scenario.drivers), {}
-    for i, name in enumerate(names):
-        rule = rules.get(name, default)
-        if name == focal:
-            continue
+    for name, rule in rules.items():
+        i = names.index(name)
         if callable(rule):
             policies[i] = rule
         elif rule in DRIVERS and rule != "action":
@@ -82,8 +176,11 @@ def focal_scenario(
     return replace(scenario, drivers=tuple(drivers)), names.index(focal), policies
 
 
+# -- spaces and what is handed in -----------------------------------------------------------------
+
+
 def observation_space(world: World) -> spaces.Box:
-    """One vector per individual; bounds as the components are documented, none if noisy."""
+    """Return the space of one individual's vector: ranges of its components, none if noisy."""
     if world.scenario.observation_noise > 0:
         return spaces.Box(-np.inf, np.inf, (len(world.observation_components),), dtype=np.float32)
     low = np.array([c.low for c in world.observation_components], dtype=np.float32)
@@ -93,31 +190,12 @@ def observation_space(world: World) -> spaces.Box:
 
 
 def action_space(world: World) -> spaces.Discrete:
-    """The 12 M + 1 actions of :mod:`animarl_envs.locomotion`."""
+    """Return the space of the 12 M + 1 actions of :mod:`animarl_envs.locomotion`."""
     return spaces.Discrete(world.num_actions)
 
 
-def with_limit(spec: EnvSpec | None, limit: int) -> EnvSpec | None:
-    """Return a spec with the longest episode [steps], unless it has a shorter one already.
-
-    Gymnasium's registry cannot say it, since its time limit would hold for every ``time_limit``
-    that is given as an option.
-    """
-    if spec is None or (spec.max_episode_steps or limit + 1) <= limit:
-        return spec
-    said = copy.copy(spec)
-    said.max_episode_steps = limit
-    return said
-
-
 def checked_limit(name: str, most: Any) -> int | None:
-    """The most steps of an episode that a library asks for beside the options; ``None``: no such.
-
-    Raises
-    ------
-    InputError
-        If it is no whole number of steps, at least 1.
-    """
+    """Check the most steps of an episode that a library asks for beside the options, if any."""
     if most is None or (is_whole(most) and most >= 1):
         return None if most is None else int(most)
     raise InputError(f"{name} is {most!r}: give a whole number of steps, at least 1")
@@ -171,22 +249,14 @@ def chosen_demos(wanted: Any, scenario: Scenario, num_copies: int) -> NDArray[np
 
 
 def reset_options(options: Any, *known: str, strict: bool = True) -> Mapping[str, Any]:
-    """Check the options of ``reset``; warn of unknown ones instead where not ``strict``.
-
-    Raises
-    ------
-    InputError
-        If they are no dictionary, or hold an unknown name.
-    """
+    """Check the options of ``reset``; warn of unknown ones instead where not ``strict``."""
     if options is None:
         return {}
     if not isinstance(options, Mapping):
         raise InputError(
             f"options of reset are {options!r}: give a dictionary, such as {{'demo': 0}}"
         )
-    for name in options:
-        if name in known:
-            continue
+    for name in set(options) - set(known):
         unknown = f"reset has no option {name!r}: it knows {', '.join(known)}"
         if strict:
             raise InputError(unknown)
@@ -213,102 +283,20 @@ def stream_seed(seed: int) -> np.uint64:
     return np.uint64(np.random.SeedSequence(number).generate_state(1, np.uint64)[0])
 
 
-def copy_seeds(seed: int, num_copies: int) -> NDArray[np.uint64]:
-    """Copy ``b`` gets ``seed + b``, so that it equals a single environment with that seed."""
-    return np.arange(num_copies, dtype=np.uint64) + stream_seed(seed)
-
-
-def space_of(spaces_of_all: Mapping[str, SpaceT], agent: str) -> SpaceT:
-    """Return the space of one individual.
-
-    Raises
-    ------
-    InputError
-        If there is nobody of that name.
-    """
-    try:
-        return spaces_of_all[agent]
-    except (KeyError, TypeError):
-        raise InputError(
-            f"there is no individual {agent!r}: choose one of {', '.join(spaces_of_all)}"
-        ) from None
-
-
-class TimeLimitSpec:
-    """How Gymnasium made an environment, and the longest episode of it."""
-
-    scenario: Scenario
-    _spec: EnvSpec | None = None
-
-    @property
-    def time_limit(self) -> int:
-        """Longest episode [steps], which truncates it."""
-        return int(self.scenario.species.time_limit)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium made the environment; ``max_episode_steps`` is the time limit."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = with_limit(spec, self.time_limit)
-
-
-class OneCopy:
-    """A view of a world with one copy: its picture, its actions and what its infos share."""
-
-    def _make_world(
-        self, scenario: Scenario, render_mode: str | None, observers: Any = None
-    ) -> None:
-        self.scenario = scenario
-        self.world = make_world(scenario, 1, observers)
-        self._picture = Picture(self.world, render_mode)
-        self._description = json.dumps(scenario_as_data(scenario))  # each reset says it anew
-        self.render_mode = render_mode
-        self._actions = np.zeros((1, self.world.num_individuals), dtype=np.int64)
-        self._executed = ExecutedActions(self.world)
-
-    def _show(self, started: bool) -> None:
-        """Record the scene of a ``started`` episode or after a step; draw it in a window."""
-        if self.render_mode is not None:
-            (self._picture.start if started else self._picture.follow)()
-            if self.render_mode == "human":
-                self._picture.draw()
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The present scene as ``(height, width, 3)`` uint8, or in a window."""
-        return self._picture.draw()
-
-    def close(self) -> None:
-        """Close the window, if any."""
-        self._picture.close()
-
-    def _shared_info(self, warming: bool) -> dict[str, Any]:
-        world = self.world
-        return {
-            "demo": world.demo.item(),
-            "condition": world.condition.item(),
-            "step": world.step_count.item(),
-            "warmup": warming,
-            "outcome": world.outcome.item(),
-        }
+# -- what is said at reset ------------------------------------------------------------------------
 
 
 def scenario_as_data(scenario: Scenario) -> dict[str, Any]:
-    """The scenario as plain data, for ``info["scenario"]`` at reset.
+    """Return the scenario as plain data, for ``info["scenario"]`` at reset.
 
     All numbers of the species under their names (``species`` is its name), and the options of
     :class:`Scenario`; what is infinite or cannot be written as plain data is a text.
     """
     spec, demos = scenario.species, scenario.demos
-    numbers = {
-        field.name: plain(getattr(spec, field.name))
-        for field in fields(spec)
-        if field.name not in ("name", "version_history")
-    }
+    numbers: dict[str, Any] = plain(spec)
     if isinstance(spec, SearchSpecies) and not isinstance(spec.plume, str):
         numbers["plume"] = {"kind": type(spec.plume).__name__} | numbers["plume"]
+    del numbers["name"], numbers["version_history"]
     return numbers | {
         "species": spec.name,
         "drivers": list(scenario.drivers),

@@ -11,26 +11,25 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from animarl_envs.drawing.picture import RENDER_MODES
+from animarl_envs.drawing.render import RENDER_MODES
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
-    OneCopy,
+    View,
     action_space,
     checked_limit,
     chosen_demos,
     cut_after,
     observation_space,
     reset_options,
-    space_of,
     stream_seed,
 )
 
 Observations = dict[str, NDArray[np.float32]]
 
 
-class AnimalParallelEnv(OneCopy, ParallelEnv[str, NDArray[np.float32], int]):
+class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
     """Every individual of a species acts; all end together.
 
     Parameters
@@ -69,24 +68,27 @@ class AnimalParallelEnv(OneCopy, ParallelEnv[str, NDArray[np.float32], int]):
         with also_list_options_of(AnimalParallelEnv.__init__):
             scenario = make_scenario(species, **options)
         self.max_cycles = checked_limit("max_cycles", max_cycles)
-        self._make_world(scenario, render_mode)
-        name = f"animarl_{self.scenario.species.name}_v0"
-        self.metadata = {
-            **self.metadata, "name": name, "render_fps": self._picture.frame_rate
-        }  # fmt: skip
-        self.possible_agents = list(self.scenario.names)
+        self._build(scenario, 1, render_mode)
+        self.metadata["name"] = f"animarl_{scenario.species.name}_v0"
+        self.possible_agents = list(scenario.names)
         self.agents: list[str] = []
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
         self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
-        self._started = False
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """The space of one individual, the same object each time."""
-        return space_of(self.observation_spaces, agent)
+        """Return the space of one individual, the same object each time."""
+        return self.observation_spaces[self._known(agent)]
 
     def action_space(self, agent: str) -> spaces.Discrete:
-        """The actions of all, the same object each time."""
-        return space_of(self.action_spaces, agent)
+        """Return the actions of one individual, the same object each time."""
+        return self.action_spaces[self._known(agent)]
+
+    def _known(self, agent: str) -> str:
+        if agent in self.possible_agents:
+            return agent
+        raise InputError(
+            f"there is no individual {agent!r}: choose one of {', '.join(self.possible_agents)}"
+        )
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -100,7 +102,7 @@ class AnimalParallelEnv(OneCopy, ParallelEnv[str, NDArray[np.float32], int]):
         given = reset_options(options, "demo", strict=False)  # PettingZoo's own test gives others
         self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
         self.agents = list(self.possible_agents)
-        self._show(started=True)
+        self._follow([True])
         infos = self._infos(warming=False)
         for info in infos.values():
             info["scenario"] = json.loads(self._description)
@@ -114,36 +116,15 @@ class AnimalParallelEnv(OneCopy, ParallelEnv[str, NDArray[np.float32], int]):
         """One decision step of all individuals."""
         if not self.agents:
             raise InputError("step was called before reset or after the end: call reset first")
-        world = self.world
-        if len(actions) > len(self.agents):
-            stranger = next(agent for agent in actions if agent not in self.agents)
-            raise InputError(
-                f"there is an action for {stranger!r}: choose among {', '.join(self.agents)}"
-            )
-        for i, agent in enumerate(self.possible_agents):
-            try:
-                action = index(actions[agent])
-            except KeyError:
-                raise InputError(f"there is no action for {agent}: give one to each") from None
-            except TypeError:
-                raise InputError(
-                    f"action {actions[agent]!r} of {agent} is no whole number: choose 0 to "
-                    f"{world.num_actions - 1}"
-                ) from None
-            if not 0 <= action < world.num_actions:
-                raise InputError(
-                    f"action {action} of {agent} is out of range: choose 0 to "
-                    f"{world.num_actions - 1}"
-                )
-            self._actions[0, i] = action
+        world, agents = self.world, self.agents
+        self._take(actions)
         warming = world.warming.item()
         executed = self._executed(self._actions)[0].tolist()
         world.step(self._actions)
         cut_after(world, self.max_cycles)
-        self._show(started=False)
+        self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
-        agents = self.agents
         observations, infos = self._observations(), self._infos(warming=warming)
         for agent, action in zip(agents, executed, strict=True):
             infos[agent]["executed"] = action
@@ -158,6 +139,27 @@ class AnimalParallelEnv(OneCopy, ParallelEnv[str, NDArray[np.float32], int]):
             dict.fromkeys(agents, truncated),
             infos,
         )
+
+    def _take(self, actions: dict[str, int]) -> None:
+        """Check the actions and write them down in order."""
+        choose = f"choose 0 to {self.world.num_actions - 1}"
+        if len(actions) > len(self.agents):
+            stranger = next(agent for agent in actions if agent not in self.agents)
+            raise InputError(
+                f"there is an action for {stranger!r}: choose among {', '.join(self.agents)}"
+            )
+        for i, agent in enumerate(self.possible_agents):
+            try:
+                action = index(actions[agent])
+            except KeyError:
+                raise InputError(f"there is no action for {agent}: give one to each") from None
+            except TypeError:
+                raise InputError(
+                    f"action {actions[agent]!r} of {agent} is no whole number: {choose}"
+                ) from None
+            if not 0 <= action < self.world.num_actions:
+                raise InputError(f"action {action} of {agent} is out of range: {choose}")
+            self._actions[0, i] = action
 
     def state(self) -> NDArray[np.float32]:
         """Positions and velocities of all, flat, arena frame: ``(4 K,)``."""

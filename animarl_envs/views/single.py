@@ -9,16 +9,14 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.drawing.picture import RENDER_MODES
+from animarl_envs.drawing.render import RENDER_MODES
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
-    OneCopy,
+    FocalView,
     Others,
-    TimeLimitSpec,
     action_space,
     chosen_demos,
-    focal_scenario,
     observation_space,
     reset_options,
     stream_seed,
@@ -31,7 +29,7 @@ KEYS = {
 """Directions by key, counter-clockwise from the focus [deg]."""
 
 
-class AnimalEnv(TimeLimitSpec, OneCopy, gym.Env[NDArray[np.float32], np.int64]):  # type: ignore[misc]
+class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ignore[misc]
     """A recorded animal, in the world of its species.
 
     Parameters
@@ -85,13 +83,9 @@ class AnimalEnv(TimeLimitSpec, OneCopy, gym.Env[NDArray[np.float32], np.int64]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        scenario, self.focal_index, self._policies = focal_scenario(
-            type(self), species, focal, others, options
-        )
-        self._make_world(scenario, render_mode, {self.focal_index, *self._policies})
+        self._build_focal(species, 1, focal, others, render_mode, options)
         self.observation_space = observation_space(self.world)  # type: ignore[assignment]
         self.action_space = action_space(self.world)
-        self.metadata = {**self.metadata, "render_fps": self._picture.frame_rate}
         self._running = False
 
     def get_keys_to_action(self) -> dict[str, int]:
@@ -119,7 +113,7 @@ class AnimalEnv(TimeLimitSpec, OneCopy, gym.Env[NDArray[np.float32], np.int64]):
             self.world.seed(self.np_random.integers(2**63, size=1))
         self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
         self._running = True
-        self._show(started=True)
+        self._follow([True])
         return self._observation(), {**self._info(), "scenario": json.loads(self._description)}
 
     def step(
@@ -142,8 +136,7 @@ class AnimalEnv(TimeLimitSpec, OneCopy, gym.Env[NDArray[np.float32], np.int64]):
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)
-        if self.render_mode is not None:
-            self._show(started=False)
+        self._follow([False])
         info = self._info(warming)
         info["executed"] = done
         return self._observation(), world.reward.item(i), terminated, truncated, info

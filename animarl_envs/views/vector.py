@@ -11,30 +11,24 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from animarl_envs.drawing.picture import Pictures
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.views.common import (
+    FocalView,
     Others,
-    TimeLimitSpec,
     action_space,
     check_actions,
     checked_limit,
     chosen_demos,
-    copy_seeds,
     cut_after,
-    focal_scenario,
     observation_space,
     reset_options,
-    scenario_as_data,
     stream_seed,
 )
-from animarl_envs.worlds import make_world
-from animarl_envs.worlds.executed import ExecutedActions
 
 
 class AnimalVectorEnv(  # type: ignore[misc]
-    TimeLimitSpec, VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]
+    FocalView, VectorEnv[NDArray[np.float32], NDArray[np.int64], NDArray[Any]]
 ):
     """``num_envs`` copies of an :class:`~animarl_envs.views.single.AnimalEnv` in one kernel call.
 
@@ -82,9 +76,6 @@ class AnimalVectorEnv(  # type: ignore[misc]
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs is {num_envs!r}: it must be a whole number, at least 1")
-        self.scenario, self.focal_index, self._policies = focal_scenario(
-            type(self), species, focal, others, options
-        )
         self._most = checked_limit("max_episode_steps", max_episode_steps)
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -93,15 +84,8 @@ class AnimalVectorEnv(  # type: ignore[misc]
                 f"autoreset_mode is {autoreset_mode!r}: choose one of "
                 f"{', '.join(mode.value for mode in AutoresetMode)}"
             ) from None
-        self.world = make_world(self.scenario, num_envs, {self.focal_index, *self._policies})
-        self._pictures = Pictures(self.world, render_mode)
-        self.render_mode = render_mode
-        self.metadata = {
-            **self.metadata,
-            "autoreset_mode": self.autoreset_mode,
-            "render_fps": self._pictures.frame_rate,
-        }
-        self._description = json.dumps(scenario_as_data(self.scenario))  # each reset says it anew
+        self._build_focal(species, num_envs, focal, others, render_mode, options)
+        self.metadata["autoreset_mode"] = self.autoreset_mode
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.world)
         self.single_action_space = action_space(self.world)
@@ -109,10 +93,9 @@ class AnimalVectorEnv(  # type: ignore[misc]
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.reset_by_step = np.zeros(num_envs, dtype=bool)
         self._ended = np.ones(num_envs, dtype=bool)
-        self._executed = ExecutedActions(self.world)
-        self._started = False
-        self._actions = np.zeros((num_envs, self.world.num_individuals), dtype=np.int64)
         self._all = np.ones(num_envs, dtype=bool)
+
+    close = VectorEnv.close  # type: ignore[assignment]
 
     @property
     def time_limit(self) -> int:
@@ -137,7 +120,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         self._started = True
         self._ended[mask] = False
         self.reset_by_step[:] = False
-        self._pictures.start(mask)
+        self._follow(mask, stepped=False)
         infos = self._infos()
         described = np.full(self.num_envs, None, dtype=object)
         described[:] = [json.loads(self._description)] * self.num_envs
@@ -150,7 +133,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
         if not isinstance(seed, list):
             super().reset(seed=seed)  # Gymnasium's own generator
             if seed is not None:
-                self.world.seed(copy_seeds(seed, self.num_envs))
+                self.world.seed(np.arange(self.num_envs, dtype=np.uint64) + stream_seed(seed))
             else:
                 self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
             return
@@ -192,7 +175,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
             world.reset(due)
             warming[due] = False
         cut_after(world, self._most)
-        self._pictures.follow(due)
+        self._follow(due)
         ended = world.terminated | world.truncated
         reward = world.reward[:, i].copy()
         terminated, truncated = world.terminated.copy(), world.truncated.copy()
@@ -215,21 +198,21 @@ class AnimalVectorEnv(  # type: ignore[misc]
             for key, value in infos.items()
         }
         self.world.reset(ended)
-        self._pictures.start(ended)
+        self._follow(ended, stepped=False)
         infos |= self._infos()
         infos["final_obs"], infos["_final_obs"] = final, ended.copy()
         infos["final_info"], infos["_final_info"] = final_info, ended.copy()
 
-    def render(self) -> tuple[NDArray[np.uint8], ...]:  # type: ignore[override]
-        """The present scene of each copy, ``(height, width, 3)`` uint8, as Gymnasium wants it.
+    def render(self) -> tuple[NDArray[np.uint8], ...]:
+        """Return the present scene of each copy, ``(height, width, 3)`` uint8.
 
-        Only the first :data:`~animarl_envs.drawing.picture.MOST_DRAWN` are drawn, the others are
+        Only the first :data:`~animarl_envs.drawing.render.MOST_DRAWN` are drawn, the others are
         blank; :meth:`render_grid` shows those in one picture.
         """
-        return self._pictures.draw()
+        return tuple(self._pictures.draw())
 
     def render_grid(self) -> NDArray[np.uint8]:
-        """The present scenes of the first copies side by side, up to three in a row."""
+        """Return the present scenes of the first copies side by side, up to three in a row."""
         return self._pictures.grid()
 
     def _masked(self, infos: dict[str, Any]) -> dict[str, Any]:

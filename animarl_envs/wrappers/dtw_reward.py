@@ -19,49 +19,49 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
-from numpy.typing import NDArray
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
+from animarl_envs.checks import is_number
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError
 from animarl_envs.views import AnimalEnv, AnimalParallelEnv, AnimalVectorEnv
 
 
-def _tracker(env: Any, view: type[Any], alpha: float, penalty: str) -> DTWTracker:
-    """Return a tracker that follows the world of an unwrapped ``view``."""
-    if not issubclass(type(env), view):
-        raise InputError(
-            f"this DTW reward wraps AnimaRL environments of type {view.__name__}, not "
-            f"{type(env).__name__}: choose the wrapper of that view"
-        )
-    number = isinstance(alpha, int | float | np.number) and not isinstance(alpha, bool)
-    if not number or not 0 <= alpha < np.inf:
-        raise InputError(f"alpha is {alpha!r}: it must be zero or positive")
-    world = env.world
-    everyone = list(range(world.num_individuals))
-    individuals = everyone if view is AnimalParallelEnv else [env.focal_index]
-    if any(isinstance(tracker, DTWTracker) for tracker in world.trackers):
-        raise InputError("the environment has a DTW reward already: wrap it once")
-    demos = world.demos if world.scenario.paired else None
-    scale = world.scenario.species.contact_radius
-    tracker = DTWTracker(demos, world.num_copies, np.array(individuals), scale, penalty)
-    world.trackers.append(tracker)
-    return tracker
+class _DTW:
+    """Follows the world of a view and pays; the same in all views."""
+
+    view: type[Any]
+
+    def _follow(self, env: Any, alpha: float, penalty: str) -> None:
+        if not issubclass(type(env), self.view):
+            raise InputError(
+                f"this DTW reward wraps AnimaRL environments of type {self.view.__name__}, not "
+                f"{type(env).__name__}: choose the wrapper of that view"
+            )
+        if not is_number(alpha) or not 0 <= alpha < np.inf:
+            raise InputError(f"alpha is {alpha!r}: it must be zero or positive")
+        world = env.world
+        if any(isinstance(tracker, DTWTracker) for tracker in world.trackers):
+            raise InputError("the environment has a DTW reward already: wrap it once")
+        everyone = range(world.num_individuals)
+        individuals = [env.focal_index] if hasattr(env, "focal_index") else everyone
+        demos = world.demos if world.scenario.paired else None
+        scale = world.scenario.species.contact_radius
+        self.alpha = alpha
+        self._tracker = DTWTracker(demos, world.num_copies, np.array(individuals), scale, penalty)
+        world.trackers.append(self._tracker)
+
+    def _shape(self, f: int, reward: float, info: dict[str, Any]) -> float:
+        """Return the reward of the tracked individual ``f``; write its parts to ``info``."""
+        tracker = self._tracker
+        cost = float(tracker.penalty[0, f])
+        info["task_reward"], info["dtw_penalty"] = float(reward), cost
+        info["dtw_distance"] = float(tracker.row_minimum[0, f])
+        info["aligned_step"] = int(tracker.aligned[0, f])
+        return float(reward) - self.alpha * cost
 
 
-def _shape(tracker: DTWTracker, f: int, alpha: float, reward: float, info: dict[str, Any]) -> float:
-    """Return the reward of the tracker's individual ``f``; write what it is made of to ``info``."""
-    info["task_reward"] = float(reward)
-    info["dtw_penalty"] = float(tracker.penalty[0, f])
-    info["dtw_distance"] = float(tracker.row_minimum[0, f])
-    info["aligned_step"] = int(tracker.aligned[0, f])
-    return float(reward) - alpha * float(tracker.penalty[0, f])
-
-
-class DTWReward(
-    gym.Wrapper[NDArray[np.float32], np.int64, NDArray[np.float32], np.int64],
-    RecordConstructorArgs,
-):
+class DTWReward(_DTW, gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """The DTW reward for a single :class:`~animarl_envs.views.single.AnimalEnv`.
 
     Parameters
@@ -79,6 +79,7 @@ class DTWReward(
         If the environment is not one of this package or has no demonstrations.
     """
 
+    view = AnimalEnv
     feedback = ("task_reward", "dtw_penalty")
     """What learners that need it look for before they start."""
 
@@ -87,16 +88,14 @@ class DTWReward(
     ) -> None:
         RecordConstructorArgs.__init__(self, alpha=alpha, penalty=penalty)
         gym.Wrapper.__init__(self, env)
-        self.alpha = alpha
-        self._tracker = _tracker(env.unwrapped, AnimalEnv, alpha, penalty)
+        self._follow(env.unwrapped, alpha, penalty)
 
-    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)
-        shaped = _shape(self._tracker, 0, self.alpha, float(reward), info)
-        return observation, shaped, terminated, truncated, info
+        return observation, self._shape(0, float(reward), info), terminated, truncated, info
 
 
-class DTWRewardVector(VectorWrapper):
+class DTWRewardVector(_DTW, VectorWrapper):
     """The DTW reward for an :class:`~animarl_envs.views.vector.AnimalVectorEnv`.
 
     Each copy's rows are reset with that copy; a step that only resets costs nothing. With
@@ -104,50 +103,43 @@ class DTWRewardVector(VectorWrapper):
     Parameters as in :class:`DTWReward`.
     """
 
+    view = AnimalVectorEnv
+
     def __init__(self, env: VectorEnv, alpha: float = 1.0, penalty: str = "closeness") -> None:
         super().__init__(env)
-        self.alpha = alpha
-        self._tracker = _tracker(env.unwrapped, AnimalVectorEnv, alpha, penalty)
+        self._follow(env.unwrapped, alpha, penalty)
 
-    def step(
-        self, actions: Any
-    ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        tracker, inner = self._tracker, self.env.unwrapped
-        assert isinstance(inner, AnimalVectorEnv)
-        cost = np.where(inner.reset_by_step, 0.0, tracker.penalty[:, 0])
-        told = {
-            "task_reward": rewards,
-            "dtw_penalty": cost,
-            "dtw_distance": tracker.row_minimum[:, 0].copy(),
-            "aligned_step": tracker.aligned[:, 0].copy(),
-        }
-        infos |= told | {f"_{key}": np.ones(self.num_envs, dtype=bool) for key in told}
+        tracker = self._tracker
+        cost = np.where(self.env.unwrapped.reset_by_step, 0.0, tracker.penalty[:, 0])  # type: ignore[attr-defined]
+        paid = {"task_reward": rewards, "dtw_penalty": cost}
+        self._note(infos, paid, tracker.row_minimum, tracker.aligned, ~np.zeros_like(terminated))
         if "final_info" in infos:
-            ended = infos["_final_info"]
-            final = {
-                "task_reward": rewards,
-                "dtw_penalty": cost,
-                "dtw_distance": tracker.final_minimum[:, 0].copy(),
-                "aligned_step": tracker.final_aligned[:, 0].copy(),
-            }
-            infos["final_info"] |= final | {f"_{key}": ended.copy() for key in final}
+            final, ended = infos["final_info"], infos["_final_info"]
+            self._note(final, paid, tracker.final_minimum, tracker.final_aligned, ended)
         return observations, rewards - self.alpha * cost, terminated, truncated, infos
 
+    def _note(self, infos: dict[str, Any], paid: Any, distance: Any, step: Any, whose: Any) -> None:
+        """Write down what was paid, and where each copy of ``whose`` stands."""
+        told = {"dtw_distance": distance[:, 0].copy(), "aligned_step": step[:, 0].copy()} | paid
+        infos |= told | {f"_{key}": whose.copy() for key in told}
 
-class DTWRewardParallel(BaseParallelWrapper):  # type: ignore[type-arg]
+
+class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]
     """The DTW reward for an :class:`~animarl_envs.views.parallel.AnimalParallelEnv`.
 
     Every individual has its own row. Parameters as in :class:`DTWReward`.
     """
 
+    view = AnimalParallelEnv
+
     def __init__(self, env: Any, alpha: float = 1.0, penalty: str = "closeness") -> None:
         super().__init__(env)
-        self.alpha = alpha
-        self._tracker = _tracker(env.unwrapped, AnimalParallelEnv, alpha, penalty)
+        self._follow(env.unwrapped, alpha, penalty)
 
     def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for f, (agent, reward) in enumerate(rewards.items()):
-            rewards[agent] = _shape(self._tracker, f, self.alpha, reward, infos[agent])
+            rewards[agent] = self._shape(f, reward, infos[agent])
         return observations, rewards, terminated, truncated, infos

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.drawing.markdown import markdown_table
+from animarl_envs.drawing import markdown_table
 from animarl_envs.focus import distances_to_target
 from animarl_envs.species import get_species
 from tools.packaged_data.courtship_published import SHAPES, Published

@@ -19,7 +19,7 @@ import numpy as np
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.drawing.markdown import markdown_table
+from animarl_envs.drawing import markdown_table
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import SILKMOTH
 from tools.packaged_data.moth_published import PUBLISHED

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.drawing.markdown import markdown_table
+from animarl_envs.drawing import markdown_table
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import HeadingErrors, along_travel, fit_turning, heading_errors
 from animarl_envs.importing.readers.mothvr import FRAME_RATE, read_mothvr

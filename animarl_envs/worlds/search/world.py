@@ -151,12 +151,9 @@ class SearchWorld(World):
     def scene_details(self, copy: int) -> dict[str, Any]:
         """What a :class:`animarl_envs.drawing.scene.Scene` shows beside searcher and plume."""
         return {
-            "source": (0.0, 0.0),
-            "wind": 0.0,
             "antennae": self.antennae()[copy],
             "odour": (float(self.odour[copy, 0]), float(self.odour[copy, 1])),
             "headings": np.array([math.atan2(self.heading[copy, 1], self.heading[copy, 0])]),
-            "unit": "m",
         }
 
 

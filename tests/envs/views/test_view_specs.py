@@ -16,7 +16,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordVideo
 from recordings import dogs
 
 import animarl_envs
-from animarl_envs.drawing.picture import MOST_DRAWN
+from animarl_envs.drawing.render import MOST_DRAWN, Renderer
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
@@ -181,9 +181,8 @@ def test_spec_of_pictures_pettingzoo_s_window_is_drawn_at_every_step(
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = animarl_envs.parallel_env("agent", render_mode="human")
     shown: list[int] = []
-    env._picture._record()  # what draws is loaded
-    draw = env._picture.draw
-    monkeypatch.setattr(env._picture, "draw", lambda: shown.append(1) or draw())
+    draw = Renderer.draw
+    monkeypatch.setattr(Renderer, "draw", lambda *told: shown.append(1) or draw(*told))
     env.reset(seed=0)
     for _ in range(3):
         env.step(dict.fromkeys(env.agents, 0))

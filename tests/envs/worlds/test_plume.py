@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import animarl_envs  # noqa: F401  registers the environments
-from animarl_envs.drawing.clips import write_clip
+from animarl_envs.drawing.render import write_clip
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.plume.filaments import FilamentModel
 from animarl_envs.worlds.plume.hits import is_hit
