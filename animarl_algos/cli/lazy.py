@@ -54,6 +54,7 @@ COMMANDS = {
     "train": Place("run", "train_command"),
     "evaluate": Place("evaluate", "evaluate_command"),
     "whatif": Place("whatif", "whatif_command"),
+    "page": Place("whatif", "page_command"),
     "counterfactual": Place("evaluate", "counterfactual_command"),
     "inspect": Place("evaluate", "inspect_command"),
     "report": Place("run", "report_command"),

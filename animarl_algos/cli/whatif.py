@@ -1,4 +1,4 @@
-"""``animarl whatif``: trained runs in a changed world."""
+"""``animarl whatif`` and ``animarl page``: trained runs in a changed world."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from animarl_envs.errors import InputError
+from animarl_envs.scenario import PACKAGED
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -73,6 +76,38 @@ def whatif_command(
     )
     found.save(out)
     console.print(f"Tables, figures and words: {out}", highlight=False)
+
+
+def page_command(
+    run: Annotated[
+        Path, typer.Argument(help="A run folder, a packaged model ('fly'), or 'packaged'.")
+    ],
+    out: Annotated[Path, typer.Option(help="The HTML file.")] = Path("what-if.html"),
+    species: Annotated[
+        str | None, typer.Option(help="With 'packaged': agent, fly, newt or silkmoth.")
+    ] = None,
+) -> None:
+    """Write one HTML file that simulates the run's animals in a browser, offline.
+
+    Sliders change thrusts, arena, contact radius, condition and temperature; animals can be dragged
+    and steered; 200 rollouts stand beside the recordings.
+
+    Examples:
+
+      animarl page runs/first --out what-if.html
+
+      animarl page packaged --species agent --out what-if.html
+    """
+    from rich.console import Console
+
+    from animarl_algos.runs.pretrained import load_run
+    from animarl_algos.whatif.live_page import write_page
+
+    packaged = str(run) == PACKAGED and not run.exists()
+    if species is not None and not packaged:
+        raise InputError(f"--species {species} goes with 'packaged': leave it out for {run}")
+    file = write_page(load_run((species or "agent") if packaged else run), out)
+    Console().print(f"{file}: open it in a browser", highlight=False)
 
 
 def _print(console: Console, answer: Answer) -> None:

@@ -1,0 +1,316 @@
+"""One HTML file that simulates a run's animals in the browser: what is written into it.
+
+The file works offline, without Python: worlds and networks are computed by ``page/engine.js``,
+which a test compares with this package step by step. It holds the policy, the world, the test
+starts, and what is measured of the recordings.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import html
+import json
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.whatif.answer import TrainedRun, quantities_of
+from animarl_algos.whatif.extrapolation import InputRange
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.units import unit_of
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.scenario import Scenario
+from animarl_envs.species import ChaseSpecies, SearchSpecies
+from animarl_envs.worlds import make_world, observation_components
+from animarl_envs.worlds.chase import layout as chase_layout
+from animarl_envs.worlds.chase import senses as chase_senses
+from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
+from animarl_envs.worlds.search import layout as search_layout
+from animarl_envs.worlds.search import senses as search_senses
+
+MOST_INDIVIDUALS = 60
+MOST_BYTES = 5_000_000
+MOST_STARTS = 60
+PARTS = ("page.html", "page.css", "engine.js", "page.js")
+
+
+def write_page(run: TrainedRun, file: str | Path, *, title: str | None = None) -> Path:
+    """Write the page of a run; nothing is left behind if it cannot be made.
+
+    Raises
+    ------
+    InputError
+        If a page cannot carry the run: what it simulates in the browser is less than the package
+        does.
+    """
+    file = Path(file)
+    model = page_model(run)
+    if title is not None:
+        model["title"] = title
+    page = _fill(model)
+    size = len(page.encode())
+    if size > MOST_BYTES:
+        raise InputError(
+            f"the page would have {size / 1e6:.1f} MB, more than {MOST_BYTES / 1e6:g}: train a "
+            "smaller network (policy_kwargs: hidden) or use 'animarl whatif'"
+        )
+    with write_then_rename(file) as part:
+        part.write_text(page, encoding="utf-8")
+    return file
+
+
+def page_model(run: TrainedRun) -> dict[str, Any]:
+    """Return everything that ``engine.js`` needs, as plain data.
+
+    Raises
+    ------
+    InputError
+        If a page cannot carry the run.
+    """
+    scenario = run.scenario
+    species = scenario.species
+    _refuse(scenario)
+    test = run.demos.select(split="test")
+    test = test.select(episodes=np.arange(min(len(test), MOST_STARTS)))
+    unit = unit_of(run.demos)
+    ranges = InputRange.of(species, run.demos.select(split="train"))
+    model: dict[str, Any] = {
+        "name": species.name,
+        "title": species.title,
+        "world": species.world,
+        "individuals": list(species.individuals),
+        "roles": list(species.roles),
+        "bodies": list(species.bodies),
+        "unit": {"name": unit.name, "per_arena_unit": unit.per_arena_unit},
+        "dt": species.dt,
+        "time_limit": species.time_limit,
+        "warmup": species.warmup,
+        "contact_radius": species.contact_radius,
+        "arena": {
+            "shape": species.arena.shape,
+            "size": species.arena.size,
+            "boundary": None if species.arena.shape == "open" else species.arena.boundary,
+            "rebound": species.arena.rebound,
+        },
+        "lone": isinstance(species, ChaseSpecies) and species.lone_pursuer,
+        "conditions": list(species.conditions),
+        "condition_is_sensed": species.condition_is_sensed,
+        "told": run.told_condition,
+        "locomotion": [{"damping": m.damping, "thrust": m.thrust} for m in species.locomotion],
+        "pushes": [m.action_vectors.tolist() for m in species.locomotion],
+        "components": len(observation_components(species)),
+        "network": _network(run),
+        "acting": run.policy.policy.acting.to_json(),
+        "ranges": {
+            "low": _packed(np.nan_to_num(ranges.low, neginf=-1e30).astype(np.float64)),
+            "high": _packed(np.nan_to_num(ranges.high, posinf=1e30).astype(np.float64)),
+            "names": list(ranges.names),
+        },
+        "starts": _starts(test, scenario),
+        "recorded": _recorded(test, run),
+    }
+    if isinstance(species, ChaseSpecies):
+        return model | {"senses": _chase_senses(species)}
+    assert isinstance(species, SearchSpecies)
+    return model | {"senses": _search_senses(species), "plume": _plume(species)}
+
+
+def _refuse(scenario: Scenario) -> None:
+    """Refuse what the browser's simulator does not have."""
+    species = scenario.species
+    if len(species.individuals) > MOST_INDIVIDUALS:
+        raise InputError(
+            f"{len(species.individuals)} individuals are more than the {MOST_INDIVIDUALS} that a "
+            "page can simulate: use 'animarl whatif'"
+        )
+    if any(driver != "action" for driver in scenario.drivers):
+        raise InputError(
+            "only some individuals of this run learned and the others follow their recordings, "
+            "which a page does not carry: train all of them, or use 'animarl whatif'"
+        )
+    if scenario.observation_noise or scenario.observation_delay:
+        raise InputError(
+            "the senses of this run are noisy or late, which a page does not simulate: use "
+            "'animarl whatif'"
+        )
+    if isinstance(species, ChaseSpecies) and species.has_headings:
+        raise InputError(
+            "the individuals of this run have headings of their own, which a page does not "
+            "simulate: train without senses_heading, or use 'animarl whatif'"
+        )
+    if isinstance(species, SearchSpecies) and not isinstance(as_plume(species.plume), ModelPlume):
+        raise InputError(
+            "this run searches a plume of the user's own, which a page does not carry: use "
+            "'animarl whatif'"
+        )
+
+
+def _packed(array: NDArray[Any]) -> dict[str, Any]:
+    """Return an array as text: its bytes, compressed."""
+    array = np.ascontiguousarray(array)
+    if array.dtype == bool:
+        array = array.astype(np.uint8)
+    squeezed = gzip.compress(array.astype(array.dtype.newbyteorder("<")).tobytes(), 9, mtime=0)
+    return {
+        "dtype": f"{array.dtype.kind}{array.dtype.itemsize}",
+        "shape": list(array.shape),
+        "data": base64.b64encode(squeezed).decode(),
+    }
+
+
+def _network(run: TrainedRun) -> dict[str, Any]:
+    """Return the networks of all individuals; the head's two streams are folded into one."""
+    net = run.policy.policy.q_net
+
+    def layer(weight: Any, bias: Any) -> dict[str, Any]:
+        return {
+            "weight": _packed(weight.detach().cpu().numpy().astype(np.float32)),
+            "bias": _packed(bias.detach().cpu().numpy().astype(np.float32)),
+        }
+
+    layers = {
+        f"encoder_{number}": layer(one.weight, one.bias)
+        for number, one in enumerate(net.encoder, start=1)
+    }
+    if net.gru is not None:
+        layers["gru_input"] = layer(net.gru.weight_input, net.gru.bias_input)
+        layers["gru_hidden"] = layer(net.gru.weight_hidden, net.gru.bias_hidden)
+    weight, bias = net.dueling.combined()
+    shape = (net.num_actions, net.num_quantiles)
+    mean = [part.unflatten(-1, shape).mean(-1) for part in (weight, bias)]
+    layers["head"] = layer(*mean)
+    hidden = net.dueling.hidden
+    if hidden is not None:
+        layers["head_hidden"] = layer(hidden.weight, hidden.bias)
+    first = hidden.weight if hidden is not None else weight
+    limit = float(net.input_limit.max())
+    return {
+        "layers": layers,
+        "size": net.input_mean.shape[-1],
+        "sensed": net.sensed,
+        "units": net.units,
+        "depth": net.depth,
+        "actions": net.num_actions,
+        "recurrent": net.recurrent,
+        "skip": net.skip,
+        "previous_action": net.previous_action,
+        "flag_in_head": bool(net.flag_in_head),
+        "gated": bool(net.gated),
+        "head_inputs": first.shape[1],
+        "head_units": 0 if hidden is None else hidden.weight.shape[2],
+        "input_mean": _packed(net.input_mean.cpu().numpy()),
+        "input_sd": _packed(net.input_sd.cpu().numpy()),
+        "input_limit": limit if np.isfinite(limit) else None,
+    }
+
+
+def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
+    """Return the first frames of the test recordings, those of the warm-up included."""
+    species, frames = scenario.species, scenario.species.warmup + 1
+    index = np.minimum(np.arange(frames), test.lengths[:, None] - 1) + test.offsets[:-1, None]
+    acted = demonstrated_actions(test, species.locomotion).astype(np.int8)
+    starts: dict[str, Any] = {
+        "frames": frames,
+        "recorded": test.lengths.tolist(),
+        "position": _packed(test.positions[index].astype(np.float64)),
+        "velocity": _packed(test.velocities()[index]),
+        "actions": _packed(acted[index]) if frames > 1 else None,
+        "condition": test.condition.tolist(),
+        "heading": None,
+        "hits": None,
+        "pattern": None,
+        "phase": None,
+    }
+    if isinstance(species, SearchSpecies):
+        world = make_world(scenario, len(test))
+        world.seed(np.arange(len(test)))
+        world.reset(demo=np.arange(len(test)))
+        signals = {name: np.squeeze(value) for name, value in test.signals.items()}
+        if {"odour_left", "odour_right"} <= set(signals):
+            both = np.stack([signals["odour_left"], signals["odour_right"]], axis=-1)
+            starts["hits"] = _packed((both[index] >= 0.5).astype(np.uint8))
+        if "heading" in signals:
+            starts["heading"] = _packed(signals["heading"][index].astype(np.float64))
+        starts |= {"pattern": world.pattern.tolist(), "phase": world.phase.tolist()}
+    return starts
+
+
+def _recorded(test: Demonstrations, run: TrainedRun) -> dict[str, Any]:
+    """Return what is measured of the recordings, and the path of each, coarsely."""
+    rollouts = Rollouts.from_demonstrations(test)
+    measured = {
+        one.name: np.round(one.values(rollouts), 6).tolist()
+        for one in quantities_of(run.scenario.species, unit_of(run.demos))
+    }
+    paths = test.positions.astype(np.float32)
+    return {
+        "measured": measured,
+        "offsets": test.offsets.tolist(),
+        "paths": _packed(paths) if paths.nbytes < MOST_BYTES / 5 else None,
+    }
+
+
+def _chase_senses(species: ChaseSpecies) -> dict[str, Any]:
+    senses = chase_senses.senses_of(species, np.ones(species.num_individuals, dtype=bool))
+    return {
+        "columns": {seen.name: int(seen) for seen in chase_layout.Seen},
+        "first": senses.first.tolist(),
+        "stride": senses.stride.tolist(),
+        "damping": senses.damping.tolist(),
+        "push": senses.push.tolist(),
+        "own_velocity": senses.own_velocity.tolist(),
+        "near": senses.near,
+        "scales": list(senses.scales),
+        "limit": senses.limit,
+        "past": list(chase_layout.PAST[: chase_layout.past_scales(species)]),
+    }
+
+
+def _search_senses(species: SearchSpecies) -> dict[str, Any]:
+    senses = search_senses.senses_of(species)._asdict()
+    columns = {seen.name: int(seen) for seen in search_layout.Seen}
+    return {"columns": columns, **{name: _plain(value) for name, value in senses.items()}}
+
+
+def _plain(value: Any) -> float | bool:
+    return value if isinstance(value, bool) else float(value)
+
+
+def _plume(species: SearchSpecies) -> dict[str, Any]:
+    """Return the table of hits of the patterns of training and test, as the world orders them."""
+    scale = species.metres_per_unit
+    patterns = tuple(sorted({*species.train_plumes, *species.test_plumes}))
+    table = hit_table(as_plume(species.plume), patterns, species.dt, species.antenna_radius * scale)
+    return {
+        "bits": _packed(table.bits),
+        "rows": table.rows,
+        "columns": table.columns,
+        "source_row": table.source_row,
+        "source_column": table.source_column,
+        "cell": table.cell / scale,
+    }
+
+
+def _fill(model: Mapping[str, Any]) -> str:
+    """Return the page: template, style, programs and data in one file."""
+    folder = resources.files("animarl_algos.whatif") / "page"
+    parts = {name: (folder / name).read_text(encoding="utf-8") for name in PARTS}
+    data = json.dumps(model, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    page = parts["page.html"]
+    for mark, text in (
+        ("__TITLE__", html.escape(str(model["title"]))),
+        ("__STYLE__", parts["page.css"]),
+        ("__ENGINE__", parts["engine.js"]),
+        ("__PAGE__", parts["page.js"]),
+        ("__DATA__", data),
+    ):
+        page = page.replace(mark, text)
+    return page

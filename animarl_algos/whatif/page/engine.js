@@ -1,0 +1,985 @@
+// The simulator of a what-if page: worlds, policies and rollouts, without a DOM.
+//
+// It computes what animarl_envs.worlds and animarl_algos.networks compute; a test compares both, step by
+// step. Positions and velocities are float64, observations and networks float32, as there. Arrays:
+// position[2 (b K + i) + x] for copy b of B and individual i of K, observation[(b K + i) n + c].
+"use strict";
+const AnimaRL = (() => {
+  const ABSENT = -1, TIME_OUT = 0, TARGET_OUT = -1, PURSUER_OUT = -2;
+  const REST = 0.3, HARDEST = 4, FAINT = 0.1, DIRECTIONS = 12;
+
+  // -- data ----------------------------------------------------------------------------------------
+
+  const TYPES = { f4: Float32Array, f8: Float64Array, i1: Int8Array, u1: Uint8Array, i8: null };
+
+  /** Return the model with every packed array {dtype, shape, data} unpacked to a typed array. */
+  async function unpack(node) {
+    if (Array.isArray(node)) return Promise.all(node.map(unpack));
+    if (node === null || typeof node !== "object") return node;
+    if (typeof node.data === "string" && node.dtype) {
+      const bytes = Uint8Array.from(atob(node.data), (c) => c.charCodeAt(0));
+      const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+      const array = new TYPES[node.dtype](await new Response(stream).arrayBuffer());
+      array.shape = node.shape;
+      return array;
+    }
+    const entries = Object.entries(node).map(async ([key, value]) => [key, await unpack(value)]);
+    return Object.fromEntries(await Promise.all(entries));
+  }
+
+  // -- random numbers ------------------------------------------------------------------------------
+
+  /** Return a generator of uniform numbers in [0, 1), one stream for each triple of whole numbers. */
+  function stream(seed, start, repetition) {
+    let state = (Math.imul(seed + 1, 0x9e3779b1) ^ Math.imul(start + 1, 0x85ebca6b)) >>> 0;
+    state = (state ^ Math.imul(repetition + 1, 0xc2b2ae35)) >>> 0;
+    return () => {
+      state = (state + 0x6d2b79f5) >>> 0;
+      let z = Math.imul(state ^ (state >>> 15), 1 | state);
+      z = (z + Math.imul(z ^ (z >>> 7), 61 | z)) ^ z;
+      return ((z ^ (z >>> 14)) >>> 0) / 4294967296;
+    };
+  }
+
+  // -- matrix products -----------------------------------------------------------------------------
+
+  /** Return WebAssembly of y = max?(x w + b): four rows and eight columns at a time in SIMD. */
+  function gemmModule() {
+    const leb = (value) => {
+      const bytes = [];
+      for (;;) {
+        const low = value & 0x7f;
+        value >>= 7;
+        const last = (value === 0 && !(low & 0x40)) || (value === -1 && low & 0x40);
+        bytes.push(last ? low : low | 0x80);
+        if (last) return bytes;
+      }
+    };
+    const uleb = (value) => {
+      const bytes = [];
+      do {
+        bytes.push((value & 0x7f) | (value > 0x7f ? 0x80 : 0));
+        value >>>= 7;
+      } while (value);
+      return bytes;
+    };
+    // Parameters: bytes of x, w, b, y; then rows, inputs, outputs, row stride of x [bytes], relu.
+    const [X, W, B, Y, ROWS, N, M, STRIDE, RELU, r, j, i, xr, wp, yr] = Array(15).keys();
+    const first = 15; // of eight accumulators and two columns of w
+    const get = (k) => [0x20, ...uleb(k)], set = (k) => [0x21, ...uleb(k)];
+    const constant = (value) => [0x41, ...leb(value)];
+    const add = [0x6a], multiply = [0x6c];
+    const vector = (...codes) => [0xfd, ...codes];
+    const load = (offset) => vector(0x00, 2, ...uleb(offset));
+    const splat = vector(0x09, 2, 0), store = (offset) => vector(0x0b, 2, ...uleb(offset));
+    const madd = (acc, column) =>
+      [...get(acc), ...get(column)].concat(get(first + 10), vector(0xe6, 1), vector(0xe4, 1), set(acc));
+    const loop = (counter, bound, step, body) => [
+      ...constant(0), ...set(counter), 0x02, 0x40, 0x03, 0x40,
+      ...get(counter), ...get(bound), 0x4f, 0x0d, 1, // leave when counter >= bound
+      ...body, ...get(counter), ...constant(step), ...add, ...set(counter), 0x0c, 0, 0x0b, 0x0b,
+    ];
+    const rowOffset = (k) => [...get(STRIDE), ...constant(k), ...multiply, ...add];
+    const inner = [...get(wp), ...load(0), ...set(first + 8), ...get(wp), ...load(16), ...set(first + 9)];
+    for (let k = 0; k < 4; k++) {
+      inner.push(...get(xr), ...rowOffset(k), ...get(i), ...constant(4), ...multiply, ...add, ...splat);
+      inner.push(...set(first + 10), ...madd(first + 2 * k, first + 8), ...madd(first + 2 * k + 1, first + 9));
+    }
+    inner.push(...get(wp), ...get(M), ...constant(4), ...multiply, ...add, ...set(wp));
+    const perColumn = [];
+    for (let k = 0; k < 8; k++) {
+      perColumn.push(...get(B), ...get(j), ...constant(4), ...multiply, ...add, ...load(16 * (k & 1)));
+      perColumn.push(...set(first + k));
+    }
+    perColumn.push(...get(W), ...get(j), ...constant(4), ...multiply, ...add, ...set(wp));
+    perColumn.push(...loop(i, N, 1, inner));
+    const clipped = [...get(RELU), 0x04, 0x40];
+    for (let k = 0; k < 8; k++) {
+      clipped.push(...get(first + k), ...vector(0x0c, ...new Array(16).fill(0)), ...vector(0xe9, 1));
+      clipped.push(...set(first + k));
+    }
+    perColumn.push(...clipped, 0x0b);
+    for (let k = 0; k < 8; k++) {
+      perColumn.push(...get(yr), ...get(M), ...constant(4 * (k >> 1)), ...multiply, ...add);
+      perColumn.push(...get(j), ...constant(4), ...multiply, ...add, ...get(first + k), ...store(16 * (k & 1)));
+    }
+    const perRow = [
+      ...get(X), ...get(r), ...get(STRIDE), ...multiply, ...add, ...set(xr),
+      ...get(Y), ...get(r), ...get(M), ...multiply, ...constant(4), ...multiply, ...add, ...set(yr),
+      ...loop(j, M, 8, perColumn),
+    ];
+    const code = [2, 6, 0x7f, 11, 0x7b, ...loop(r, ROWS, 4, perRow), 0x0b];
+    const section = (id, bytes) => [id, ...uleb(bytes.length), ...bytes];
+    const text = (value) => [value.length, ...new TextEncoder().encode(value)];
+    return new Uint8Array([
+      0, 0x61, 0x73, 0x6d, 1, 0, 0, 0,
+      ...section(1, [1, 0x60, 9, ...new Array(9).fill(0x7f), 0]),
+      ...section(2, [1, ...text("e"), ...text("m"), 2, 0, 1]),
+      ...section(3, [1, 0]),
+      ...section(7, [1, ...text("gemm"), 0, 0]),
+      ...section(10, [1, ...uleb(code.length), ...code]),
+    ]);
+  }
+
+  /** Memory with matrix products on it; plain JavaScript where there is no SIMD. */
+  class Products {
+    constructor(floats) {
+      const pages = Math.ceil((4 * floats + 64) / 65536) + 1;
+      this.memory = new WebAssembly.Memory({ initial: pages });
+      this.floats = new Float32Array(this.memory.buffer);
+      this.end = 4; // address 0 stays unused [floats]
+      try {
+        const module = new WebAssembly.Module(gemmModule());
+        this.gemm = new WebAssembly.Instance(module, { e: { m: this.memory } }).exports.gemm;
+      } catch {
+        this.gemm = null;
+      }
+    }
+
+    /** Reserve floats; return the index of the first. */
+    take(count) {
+      const at = this.end;
+      this.end += (count + 3) & ~3;
+      if (this.end > this.floats.length) throw new Error("too little memory was asked for");
+      return at;
+    }
+
+    /** y (rows, m) = x (rows, n) w (n, m) + b, below zero cut off with relu; places are indices. */
+    affine(x, layer, y, rows, relu) {
+      const { weight, bias, inputs, outputs } = layer;
+      const padded = (rows + 3) & ~3;
+      if (this.gemm) {
+        this.gemm(4 * x, 4 * weight, 4 * bias, 4 * y, padded, inputs, outputs, 4 * layer.stride, +relu);
+        return;
+      }
+      const f = this.floats;
+      for (let r = 0; r < rows; r++) {
+        const out = y + r * outputs, from = x + r * layer.stride;
+        for (let j = 0; j < outputs; j++) f[out + j] = f[bias + j];
+        for (let i = 0; i < inputs; i++) {
+          const value = f[from + i];
+          if (value === 0) continue;
+          const row = weight + i * outputs;
+          for (let j = 0; j < outputs; j++) f[out + j] += value * f[row + j];
+        }
+        if (relu) for (let j = 0; j < outputs; j++) if (f[out + j] < 0) f[out + j] = 0;
+      }
+    }
+  }
+
+  const eight = (count) => (count + 7) & ~7;
+
+  // -- policies ------------------------------------------------------------------------------------
+
+  /** The networks of all individuals, and how they choose among action values. */
+  class Policy {
+    constructor(model, copies) {
+      this.model = model;
+      this.net = model.network;
+      this.copies = copies;
+      const net = this.net, K = model.individuals.length;
+      const { size, units, actions } = net;
+      const rows = (copies + 3) & ~3;
+      const widest = Math.max(size + actions, 3 * units, net.head_inputs, net.head_units, 16) + 8;
+      let floats = 6 * rows * eight(widest) + 4096;
+      for (const layer of Object.values(net.layers)) {
+        floats += K * (layer.weight.shape[1] + 1) * eight(layer.weight.shape[2]) + 16;
+      }
+      this.products = new Products(floats);
+      this.layers = Array.from({ length: K }, (_, k) => this.#place(k));
+      this.width = eight(widest);
+      this.a = this.products.take(rows * this.width);
+      this.b = this.products.take(rows * this.width);
+      this.c = this.products.take(rows * this.width);
+      this.d = this.products.take(rows * this.width);
+      this.hidden = new Float32Array(copies * K * units);
+      this.previous = new Int16Array(copies * K);
+      this.values = new Float32Array(copies * K * actions);
+      this.reset();
+    }
+
+    #place(k) {
+      const placed = {}, f = this.products.floats;
+      for (const [name, { weight, bias }] of Object.entries(this.net.layers)) {
+        const [, inputs, outputs] = weight.shape, padded = eight(outputs);
+        const at = this.products.take(inputs * padded), zero = this.products.take(padded);
+        for (let i = 0; i < inputs; i++) {
+          for (let j = 0; j < outputs; j++) {
+            f[at + i * padded + j] = weight[(k * inputs + i) * outputs + j];
+          }
+        }
+        for (let j = 0; j < outputs; j++) f[zero + j] = bias[k * outputs + j];
+        placed[name] = { weight: at, bias: zero, inputs, outputs: padded, stride: inputs };
+      }
+      return placed;
+    }
+
+    /** Forget everything. */
+    reset() {
+      this.hidden.fill(0);
+      this.previous.fill(this.net.actions);
+    }
+
+    /** Compute action values of all individuals in the copies listed; flag is the condition told. */
+    decide(observation, flags, copies) {
+      const net = this.net, model = this.model, K = model.individuals.length;
+      const { size, units, actions } = net, f = this.products.floats, n = model.components;
+      const count = copies.length, sensed = net.sensed;
+      const encoderInputs = sensed + (net.previous_action ? actions : 0);
+      for (let k = 0; k < K; k++) {
+        const layers = this.layers[k];
+        for (let r = 0; r < count; r++) {
+          const slot = copies[r] * K + k, row = this.a + r * encoderInputs;
+          for (let c = 0; c < sensed; c++) {
+            const value = c < n ? observation[slot * n + c] : flags[copies[r]];
+            let z = Math.fround(value - net.input_mean[k * size + c]) / net.input_sd[k * size + c];
+            if (net.input_limit !== null) z = Math.min(net.input_limit, Math.max(-net.input_limit, z));
+            f[row + c] = z;
+          }
+          if (net.previous_action) {
+            f.fill(0, row + sensed, row + encoderInputs);
+            if (this.previous[slot] < actions) f[row + sensed + this.previous[slot]] = 1;
+          }
+        }
+        let x = this.a, y = this.b;
+        for (let layer = 1; layer <= net.depth; layer++) {
+          const weights = layers[`encoder_${layer}`];
+          weights.stride = layer === 1 ? encoderInputs : eight(units);
+          this.products.affine(x, weights, y, count, true);
+          [x, y] = [y, x === this.a ? this.c : x];
+        }
+        let seen = x, stride = eight(units), width = units;
+        if (net.recurrent) {
+          [seen, stride, width] = this.#remember(k, x, y, copies);
+        }
+        const read = this.#head(k, seen, stride, width, flags, copies);
+        const outputs = layers.head.outputs;
+        this.products.affine(read.at, Object.assign(layers.head, { stride: read.stride }), this.d, count, false);
+        for (let r = 0; r < count; r++) {
+          const slot = copies[r] * K + k;
+          for (let a = 0; a < actions; a++) this.values[slot * actions + a] = f[this.d + r * outputs + a];
+        }
+      }
+      return this.values;
+    }
+
+    #remember(k, x, spare, copies) {
+      const net = this.net, units = net.units, f = this.products.floats, count = copies.length;
+      const layers = this.layers[k], K = this.model.individuals.length;
+      const input = Object.assign(layers.gru_input, { stride: eight(units) });
+      const state = Object.assign(layers.gru_hidden, { stride: units });
+      const gates = input.outputs;
+      this.products.affine(x, input, this.d, count, false);
+      for (let r = 0; r < count; r++) {
+        const slot = copies[r] * K + k;
+        for (let j = 0; j < units; j++) f[spare + r * units + j] = this.hidden[slot * units + j];
+      }
+      const other = [this.a, this.b, this.c].find((place) => place !== x && place !== spare);
+      this.products.affine(spare, state, other, count, false);
+      const width = units * (net.skip ? 2 : 1);
+      const sigmoid = (z) => 1 / (1 + Math.exp(-z));
+      for (let r = 0; r < count; r++) {
+        const slot = copies[r] * K + k, from = this.d + r * gates, old = other + r * gates;
+        for (let j = 0; j < units; j++) {
+          const reset = sigmoid(f[from + j] + f[old + j]);
+          const update = sigmoid(f[from + units + j] + f[old + units + j]);
+          const fresh = Math.tanh(f[from + 2 * units + j] + reset * f[old + 2 * units + j]);
+          const h = this.hidden[slot * units + j];
+          this.hidden[slot * units + j] = fresh + update * (h - fresh);
+          f[spare + r * width + (width - units) + j] = this.hidden[slot * units + j];
+          if (net.skip) f[spare + r * width + j] = f[x + r * eight(units) + j];
+        }
+      }
+      return [spare, width, width];
+    }
+
+    /** Put what the head reads into one place: features, flag and, without a hidden layer, both. */
+    #head(k, seen, stride, width, flags, copies) {
+      const net = this.net, f = this.products.floats, count = copies.length;
+      let at = seen, wide = stride;
+      if (net.flag_in_head) {
+        const inputs = net.head_inputs;
+        at = [this.a, this.b, this.c].find((place) => place !== seen);
+        for (let r = 0; r < count; r++) {
+          const flag = flags[copies[r]], from = seen + r * stride, to = at + r * inputs;
+          for (let j = 0; j < width; j++) f[to + j] = f[from + j];
+          f[to + width] = flag;
+          if (net.gated) for (let j = 0; j < width; j++) f[to + width + 1 + j] = flag * f[from + j];
+        }
+        wide = inputs;
+      }
+      if (!net.head_units) return { at, stride: wide };
+      const hidden = Object.assign(this.layers[k].head_hidden, { stride: wide });
+      const out = [this.a, this.b, this.c].find((place) => place !== at);
+      this.products.affine(at, hidden, out, count, true);
+      return { at: out, stride: hidden.outputs };
+    }
+
+    /** Choose one action for a slot from its values with one uniform draw. */
+    choose(slot, individual, draw, warmth = 1) {
+      const { acting, network } = this.model, A = network.actions, at = slot * A;
+      const q = this.values.subarray(at, at + A);
+      let best = 0;
+      for (let a = 1; a < A; a++) if (q[a] > q[best]) best = a;
+      if (acting.kind === "greedy") return best;
+      if (acting.kind === "epsilon") {
+        if (!(draw < acting.epsilon)) return best;
+        return Math.min(Math.floor((draw / acting.epsilon) * A), A - 1);
+      }
+      const each = acting.temperature;
+      const temperature = warmth * each[each.length === 1 ? 0 : individual];
+      let scaled = Array.from(q, (value) => value / temperature);
+      if (acting.thrust !== 1 || acting.direction !== 1) {
+        scaled = twoStages(scaled, acting.thrust, acting.direction);
+      }
+      const most = Math.max(...scaled);
+      let total = 0;
+      const cumulative = scaled.map((value) => (total += Math.exp(value - most)));
+      let chosen = 0;
+      while (chosen < A - 1 && cumulative[chosen] <= draw * total) chosen++;
+      return chosen;
+    }
+  }
+
+  function logSumExp(values) {
+    const most = Math.max(...values);
+    return most + Math.log(values.reduce((sum, value) => sum + Math.exp(value - most), 0));
+  }
+
+  /** Draw a thrust's magnitude before its direction, each at its own temperature. */
+  function twoStages(scaled, thrust, direction) {
+    const magnitudes = (scaled.length - 1) / DIRECTIONS, out = scaled.slice();
+    const ways = Array.from({ length: magnitudes }, (_, m) =>
+      scaled.slice(m * DIRECTIONS, (m + 1) * DIRECTIONS));
+    let hard = [...ways.map(logSumExp), scaled[scaled.length - 1]].map((value) => value / thrust);
+    const all = logSumExp(hard);
+    hard = hard.map((value) => value - all);
+    ways.forEach((way, m) => {
+      const cooled = way.map((value) => value / direction), sum = logSumExp(cooled);
+      cooled.forEach((value, d) => (out[m * DIRECTIONS + d] = hard[m] + value - sum));
+    });
+    out[scaled.length - 1] = hard[magnitudes];
+    return out;
+  }
+
+  // -- worlds --------------------------------------------------------------------------------------
+
+  /** What both worlds share: state, starts from recordings, warm-up. */
+  class World {
+    constructor(model, options, copies) {
+      this.model = model;
+      this.copies = copies;
+      this.dt = model.dt;
+      this.damping = Float64Array.from(options.damping);
+      this.thrust = Float64Array.from(options.thrust);
+      this.size = options.arena;
+      this.contact = options.contact;
+      this.limit = options.time_limit;
+      const K = (this.K = model.individuals.length);
+      this.n = model.components;
+      this.position = new Float64Array(copies * K * 2);
+      this.velocity = new Float64Array(copies * K * 2);
+      this.push = new Float64Array(copies * K * 2); // acceleration of the last step [thrust]
+      this.observation = new Float32Array(copies * K * this.n);
+      this.steps = new Int32Array(copies);
+      this.start = new Int32Array(copies).fill(-1);
+      this.condition = new Int8Array(copies);
+      this.outcome = new Int8Array(copies);
+      this.over = new Uint8Array(copies);
+    }
+
+    /** Start copy b from a recorded start, or from given places [K][2] at rest. */
+    begin(b, start, places = null, condition = null) {
+      const K = this.K, starts = this.model.starts;
+      this.steps[b] = 0;
+      this.outcome[b] = TIME_OUT;
+      this.over[b] = 0;
+      this.start[b] = places ? -1 : start;
+      this.condition[b] = condition === null ? starts.condition[start] : condition;
+      const frames = starts.frames, at = start * frames * K * 2;
+      for (let i = 0; i < K; i++) {
+        for (let x = 0; x < 2; x++) {
+          const own = 2 * (b * K + i) + x;
+          this.position[own] = places ? places[i][x] : starts.position[at + 2 * i + x];
+          this.velocity[own] = places ? 0 : starts.velocity[at + 2 * i + x];
+          this.push[own] = 0;
+        }
+      }
+      this.woken(b, start);
+      this.observe(b);
+    }
+
+    /** Whether the frame that a step leads to is replayed, and its place in the starts. */
+    replayed(b) {
+      const starts = this.model.starts;
+      if (this.start[b] < 0 || this.steps[b] > this.model.warmup) return -1;
+      if (this.steps[b] >= starts.recorded[this.start[b]]) return -1;
+      return (this.start[b] * starts.frames + this.steps[b]) * this.K * 2;
+    }
+
+    follow(b, at) {
+      const K = this.K;
+      for (let k = 0; k < 2 * K; k++) {
+        this.position[2 * b * K + k] = this.model.starts.position[at + k];
+        this.velocity[2 * b * K + k] = this.model.starts.velocity[at + k];
+      }
+    }
+
+    /** Whether the next step is a warm-up step, in which actions have no effect. */
+    warming(b) {
+      const recorded = this.start[b] < 0 ? 0 : this.model.starts.recorded[this.start[b]];
+      return this.start[b] >= 0 && this.steps[b] < this.model.warmup && recorded - this.steps[b] > 1;
+    }
+  }
+
+  const egocentric = (x, y, ex, ey) => [Math.fround(x * ex + y * ey), Math.fround(y * ex - x * ey)];
+  const squash = (x) => Math.tanh(x), tripled = (t) => (t * (3 + t * t)) / (1 + 3 * t * t);
+  const held = (value) => Math.min(HARDEST, Math.max(-HARDEST, value));
+
+  /** Pursuers and a target (or a pursuer of several) in an arena. */
+  class Chase extends World {
+    constructor(model, options, copies) {
+      super(model, options, copies);
+      const K = this.K, scales = model.senses.past.length;
+      this.boundary = options.boundary;
+      this.edge = model.arena.rebound ? this.size : this.boundary;
+      this.past = new Float64Array(copies * scales * K * 2);
+      this.towards = new Float64Array(copies * K * 2);
+      this.before = new Float64Array(K * 2);
+    }
+
+    woken(b) {
+      const K = this.K, scales = this.model.senses.past.length;
+      for (let s = 0; s < scales; s++) {
+        for (let k = 0; k < 2 * K; k++) {
+          this.past[(b * scales + s) * 2 * K + k] = this.velocity[2 * b * K + k];
+        }
+      }
+      for (let i = 0; i < K; i++) this.towards[2 * (b * K + i)] = 1;
+    }
+
+    /** One step of copy b; actions [K]. */
+    step(b, actions) {
+      const K = this.K, model = this.model, senses = model.senses, at = 2 * b * K, dt = this.dt;
+      const { position, velocity, towards } = this;
+      this.steps[b] += 1;
+      senses.past.forEach((over, s) => {
+        const base = (b * senses.past.length + s) * 2 * K;
+        for (let k = 0; k < 2 * K; k++) {
+          this.past[base + k] += (1 / over) * (velocity[at + k] - this.past[base + k]);
+        }
+      });
+      for (let i = 0; i < K; i++) {
+        const own = at + 2 * i, [ahead, left] = model.pushes[i][actions[i]];
+        const ex = towards[own], ey = towards[own + 1];
+        const ax = ahead * ex - left * ey, ay = ahead * ey + left * ex;
+        this.before[2 * i] = velocity[own];
+        this.before[2 * i + 1] = velocity[own + 1];
+        velocity[own] = (1 - this.damping[i]) * velocity[own] + this.thrust[i] * ax * dt;
+        velocity[own + 1] = (1 - this.damping[i]) * velocity[own + 1] + this.thrust[i] * ay * dt;
+        position[own] += velocity[own] * dt;
+        position[own + 1] += velocity[own + 1] * dt;
+        if (model.arena.rebound) this.#rebound(own);
+      }
+      const recorded = this.replayed(b);
+      if (recorded >= 0) this.follow(b, recorded);
+      for (let k = 0; k < 2 * K; k++) {
+        const i = k >> 1, kept = (1 - senses.damping[i]) * this.before[k] + 0;
+        this.push[at + k] = (velocity[at + k] - kept) / senses.push[i];
+      }
+      const outcome = this.#judge(b);
+      this.outcome[b] = outcome;
+      this.over[b] = outcome !== TIME_OUT || this.steps[b] >= this.limit ? 1 : 0;
+      this.observe(b);
+    }
+
+    #rebound(own) {
+      const { position, velocity } = this, size = this.size;
+      if (this.model.arena.shape === "square") {
+        for (let x = 0; x < 2; x++) {
+          const p = position[own + x], inside = Math.min(size, Math.max(-size, p));
+          if (p !== inside && velocity[own + x] * p > 0) velocity[own + x] = 0;
+          position[own + x] = inside;
+        }
+      } else if (this.model.arena.shape === "disc") {
+        const x = position[own], y = position[own + 1], radius = Math.sqrt(x * x + y * y);
+        if (radius <= size) return;
+        const back = (size / radius) * (1 - 1e-12), nx = x / radius, ny = y / radius;
+        const into = Math.max(0, velocity[own] * nx + velocity[own + 1] * ny);
+        position[own] = back * x;
+        position[own + 1] = back * y;
+        velocity[own] -= into * nx;
+        velocity[own + 1] -= into * ny;
+      }
+    }
+
+    #judge(b) {
+      const K = this.K, last = K - 1, at = 2 * b * K, p = this.position;
+      const lone = this.model.lone, arena = this.model.arena;
+      let nearest = this.contact * this.contact, code = TIME_OUT;
+      for (let i = 0; i < last; i++) {
+        const dx = p[at + 2 * last] - p[at + 2 * i], dy = p[at + 2 * last + 1] - p[at + 2 * i + 1];
+        const squared = dx * dx + dy * dy;
+        if (squared < nearest) code = i + 1;
+        nearest = Math.min(nearest, squared);
+      }
+      if (arena.rebound || code !== TIME_OUT || arena.shape === "open") return code;
+      for (let j = 0; j < K; j++) {
+        const i = lone ? j : last - j, x = p[at + 2 * i], y = p[at + 2 * i + 1];
+        const out = arena.shape === "square"
+          ? Math.max(Math.abs(x), Math.abs(y)) > this.boundary
+          : x * x + y * y > this.boundary * this.boundary;
+        if (out) return (i === last) !== lone ? TARGET_OUT : PURSUER_OUT;
+      }
+      return TIME_OUT;
+    }
+
+    /** Compute focus directions and observations of copy b. */
+    observe(b) {
+      const K = this.K, last = K - 1, at = 2 * b * K, p = this.position, v = this.velocity;
+      for (let i = 0; i < K; i++) {
+        const own = at + 2 * i, others = [];
+        for (let j = 0; j < K; j++) {
+          if (j === i) continue;
+          const other = at + 2 * j, dx = p[other] - p[own], dy = p[other + 1] - p[own + 1];
+          const dvx = v[other] - v[own], dvy = v[other + 1] - v[own + 1];
+          others.push({ j, dx, dy, dvx, dvy, apart: Math.sqrt(dx * dx + dy * dy) });
+        }
+        others.sort((one, two) => (two.j === last) - (one.j === last) || one.apart - two.apart || one.j - two.j);
+        const focus = others[0], [ex, ey] =
+          focus.apart > 0 ? [focus.dx / focus.apart, focus.dy / focus.apart] : [1, 0];
+        this.towards[own] = ex;
+        this.towards[own + 1] = ey;
+        this.#write(b, i, ex, ey, others);
+      }
+    }
+
+    #write(b, i, ex, ey, others) {
+      const { senses } = this.model, S = senses.columns, K = this.K, own = 2 * (b * K + i);
+      const out = this.observation.subarray((b * K + i) * this.n, (b * K + i + 1) * this.n);
+      const p = this.position, v = this.velocity, stride = senses.stride[i], factor = senses.own_velocity[i];
+      const column = (rank, name) => senses.first[rank][S[name]];
+      const pair = (place, first, second) => {
+        if (place === ABSENT) return;
+        out[place] = first;
+        out[place + 1] = second;
+      };
+      const x = p[own], y = p[own + 1], vx = v[own], vy = v[own + 1];
+      pair(column(0, "POSITION"), x, y);
+      if (column(0, "POSITION") !== ABSENT) pair(column(0, "FOCUS"), ex, ey);
+      pair(column(0, "VELOCITY"), ...egocentric(factor * vx, factor * vy, ex, ey));
+      pair(column(0, "PLANE_VELOCITY"), factor * vx, factor * vy);
+      const [ahead, left] = egocentric(this.push[own], this.push[own + 1], ex, ey);
+      pair(column(0, "ACCELERATION"), held(ahead), held(left));
+      const scaled = (fine, coarse, log, wx, wy) => {
+        if (fine === ABSENT) return;
+        const sx = wx / stride, sy = wy / stride;
+        const a = squash((sx * ex + sy * ey) / 3), l = squash((sy * ex - sx * ey) / 3);
+        pair(coarse, a, l);
+        pair(fine, tripled(a), tripled(l));
+        out[log] = Math.log(Math.fround(Math.sqrt(sx * sx + sy * sy) + REST));
+      };
+      scaled(column(0, "FINE"), column(0, "COARSE"), column(0, "LOG_SPEED"), vx, vy);
+      const harmonics = (place, wx, wy, faint) => {
+        if (place === ABSENT) return;
+        const [a, l] = egocentric(wx, wy, ex, ey), length = Math.sqrt(a * a + l * l);
+        const per = length > 0 ? 1 / length : 0, ux = a * per, uy = l * per;
+        const clear = length / (length + faint), x2 = ux * ux - uy * uy, y2 = 2 * ux * uy;
+        pair(place, clear * x2, clear * y2);
+        pair(place + 2, clear * (x2 * ux - y2 * uy), clear * (x2 * uy + y2 * ux));
+        pair(place + 4, clear * (x2 * x2 - y2 * y2), clear * 2 * x2 * y2);
+      };
+      harmonics(column(0, "COURSE"), vx, vy, FAINT * stride);
+      harmonics(column(0, "PUSH"), this.push[own], this.push[own + 1], FAINT);
+      const time = column(0, "TIME");
+      if (time !== ABSENT) out[time] = Math.log(1 + Math.min(this.steps[b], senses.limit));
+      senses.past.forEach((_, s) => {
+        const mean = ((b * senses.past.length + s) * K + i) * 2, names = ["SHORT", "LONG"][s];
+        scaled(
+          column(0, `FINE_${names}`), column(0, `COARSE_${names}`), column(0, `LOG_${names}`),
+          this.past[mean], this.past[mean + 1],
+        );
+      });
+      others.forEach((other, rank) => {
+        const c = (name) => senses.first[rank + 1][S[name]];
+        const [oa, ol] = egocentric(other.dx, other.dy, ex, ey);
+        out[c("DISTANCE")] = other.apart;
+        pair(c("PLACE"), oa, rank === 0 ? 0 : ol);
+        if (c("BEARING") !== ABSENT) out[c("BEARING")] = rank === 0 ? 0 : Math.atan2(ol, oa);
+        pair(c("DRIFT"), ...egocentric(other.dvx, other.dvy, ex, ey));
+        if (rank > 0 && c("BEARING_CIRCLE") !== ABSENT) {
+          const ux = other.apart > 0 ? other.dx / other.apart : ex;
+          const uy = other.apart > 0 ? other.dy / other.apart : ey;
+          pair(c("DIRECTION"), ux, uy);
+          pair(c("BEARING_CIRCLE"), ux * ex + uy * ey, uy * ex - ux * ey);
+        }
+        if (c("NEARNESS") !== ABSENT) out[c("NEARNESS")] = 1 / (other.apart + senses.near);
+        if (c("OTHER_POSITION") !== ABSENT) {
+          pair(c("OFFSET"), other.dx, other.dy);
+          pair(c("OTHER_POSITION"), x + other.dx, y + other.dy);
+          pair(c("OTHER_VELOCITY"), vx + other.dvx, vy + other.dvy);
+        }
+      });
+      const square = this.model.arena.shape === "square", radius = Math.sqrt(x * x + y * y);
+      const centre = column(0, "CENTRE_DISTANCE"), edge = column(0, "EDGE");
+      if (centre !== ABSENT) out[centre] = radius;
+      if (edge !== ABSENT) {
+        out[edge] = this.edge - (square ? Math.max(Math.abs(x), Math.abs(y)) : radius);
+        pair(column(0, "CENTRE"), ...egocentric(-x, -y, ex, ey));
+      }
+      if (column(0, "AT_WALL") !== ABSENT) {
+        let far, nx, ny;
+        if (square) {
+          const sideways = Math.abs(x) >= Math.abs(y), sign = (z) => (z < 0 || Object.is(z, -0) ? -1 : 1);
+          far = sideways ? Math.abs(x) : Math.abs(y);
+          nx = sideways ? sign(x) : 0;
+          ny = sideways ? 0 : sign(y);
+        } else {
+          far = radius;
+          [nx, ny] = radius > 0 ? [x / radius, y / radius] : [ex, ey];
+        }
+        const near = this.edge - far;
+        out[column(0, "AT_WALL")] = squash(near / senses.scales[0]);
+        out[column(0, "BY_WALL")] = squash(near / senses.scales[1]);
+        pair(column(0, "WALL_CIRCLE"), nx * ex + ny * ey, ny * ex - nx * ey);
+        const sx = vx / stride, sy = vy / stride;
+        const outwards = squash((sx * nx + sy * ny) / 3), along = squash((sy * nx - sx * ny) / 3);
+        pair(column(0, "COARSE_WALL"), outwards, along);
+        pair(column(0, "FINE_WALL"), tripled(outwards), tripled(along));
+      }
+    }
+  }
+
+  const HALF_TURN = Math.PI - 1e-6;
+  function turnBetween(before, after) {
+    let turned = after - before;
+    if (turned > Math.PI) turned -= 2 * Math.PI;
+    else if (turned < -Math.PI) turned += 2 * Math.PI;
+    return Math.abs(turned) > HALF_TURN ? 0 : turned;
+  }
+
+  /** One searcher, a plume, two antennae, wind and visual flow. */
+  class Search extends World {
+    constructor(model, options, copies) {
+      super(model, options, copies);
+      this.heading = new Float64Array(2 * copies);
+      this.angle = new Float64Array(copies);
+      this.turn = new Float64Array(copies);
+      this.odour = new Float64Array(2 * copies);
+      this.trace = new Float64Array(2 * copies);
+      this.hits = new Uint8Array(2 * copies);
+      this.pattern = new Int32Array(copies);
+      this.phase = new Int32Array(copies);
+    }
+
+    #face(b, cosine, sine, angle) {
+      this.heading[2 * b] = cosine;
+      this.heading[2 * b + 1] = sine;
+      this.turn[b] = turnBetween(this.angle[b], angle);
+      this.angle[b] = angle;
+    }
+
+    #point(b, direction) {
+      const cosine = Math.cos(direction), sine = Math.sin(direction);
+      this.#face(b, cosine, sine, Math.atan2(-sine, -cosine));
+    }
+
+    #walk(b) {
+      const vx = this.velocity[2 * b], vy = this.velocity[2 * b + 1], speed = Math.sqrt(vx * vx + vy * vy);
+      this.turn[b] = 0;
+      if (speed > this.model.senses.rest_speed) {
+        this.#face(b, vx / speed, vy / speed, Math.atan2(-vy, -vx));
+      }
+    }
+
+    woken(b, start) {
+      const starts = this.model.starts, senses = this.model.senses, paired = this.start[b] >= 0;
+      const known = paired && starts.heading !== null;
+      if (known) this.#point(b, starts.heading[start * starts.frames]);
+      else this.#face(b, -1, 0, 0);
+      if (!(senses.turns && known)) this.#walk(b);
+      this.turn[b] = 0;
+      this.pattern[b] = starts.pattern[start];
+      this.phase[b] = starts.phase[start];
+      for (let side = 0; side < 2; side++) {
+        this.odour[2 * b + side] = senses.baseline;
+        this.trace[2 * b + side] = 0;
+      }
+      const frame = start * starts.frames;
+      this.#smell(b, paired && starts.hits !== null ? frame : -1);
+    }
+
+    #smell(b, recorded) {
+      const { senses, starts } = this.model;
+      for (let side = 0; side < 2; side++) {
+        const hit = recorded >= 0 ? starts.hits[2 * recorded + side] : this.#antenna(b, side);
+        const at = 2 * b + side, base = senses.baseline;
+        this.hits[at] = hit;
+        this.odour[at] = hit ? 1 : base + (this.odour[at] - base) * senses.remains;
+        this.trace[at] = hit ? 1 : this.trace[at] * senses.trace_remains;
+      }
+    }
+
+    #antenna(b, side) {
+      const { senses, plume } = this.model, hx = this.heading[2 * b], hy = this.heading[2 * b + 1];
+      const sign = side === 0 ? 1 : -1;
+      const x = this.position[2 * b] + senses.ahead * hx - sign * senses.beside * hy;
+      const y = this.position[2 * b + 1] + senses.ahead * hy + sign * senses.beside * hx;
+      return hit(plume, this.pattern[b], this.phase[b] + this.steps[b], x, y);
+    }
+
+    step(b, actions) {
+      const model = this.model, senses = model.senses, at = 2 * b;
+      this.steps[b] += 1;
+      const beforeX = this.velocity[at], beforeY = this.velocity[at + 1];
+      const recorded = this.replayed(b);
+      if (recorded >= 0) this.follow(b, recorded);
+      else {
+        const vector = model.pushes[0][actions[0]];
+        for (let x = 0; x < 2; x++) {
+          const pushed = this.thrust[0] * -vector[x] * this.dt;
+          this.velocity[at + x] = (1 - this.damping[0]) * this.velocity[at + x] + pushed;
+          this.position[at + x] += this.velocity[at + x] * this.dt;
+        }
+      }
+      const px = this.position[at], py = this.position[at + 1];
+      const reached = px * px + py * py < this.contact * this.contact;
+      this.outcome[b] = reached ? 1 : TIME_OUT;
+      this.over[b] = reached || this.steps[b] >= this.limit ? 1 : 0;
+      const frame = recorded >= 0 ? recorded / 2 : -1, starts = model.starts;
+      if (!senses.turns) this.#walk(b);
+      else if (frame >= 0 && starts.heading !== null) this.#point(b, starts.heading[frame]);
+      else this.#swing(b);
+      this.#smell(b, frame >= 0 && starts.hits !== null ? frame : -1);
+      const residual = (after, before) => (after - ((1 - senses.damping) * before + 0)) / senses.stride;
+      this.push[at] = residual(this.velocity[at], beforeX);
+      this.push[at + 1] = residual(this.velocity[at + 1], beforeY);
+      this.observe(b);
+    }
+
+    #swing(b) {
+      const s = this.model.senses, vx = this.velocity[2 * b], vy = this.velocity[2 * b + 1];
+      const speed = Math.sqrt(vx * vx + vy * vy);
+      let turn = s.persistence * this.turn[b];
+      if (speed > 0) {
+        const x = vx * s.slip_cosine - vy * s.slip_sine, y = vx * s.slip_sine + vy * s.slip_cosine;
+        const off = (this.heading[2 * b] * y - this.heading[2 * b + 1] * x) / speed;
+        turn += s.gain * Math.tanh(speed / s.turning_speed) * off;
+      }
+      const raw = this.angle[b] + turn, angle = raw - 2 * Math.PI * Math.floor(0.5 + raw / (2 * Math.PI));
+      this.heading[2 * b] = -Math.cos(angle);
+      this.heading[2 * b + 1] = -Math.sin(angle);
+      this.angle[b] = angle;
+      this.turn[b] = turn;
+    }
+
+    observe(b) {
+      const { senses } = this.model, S = senses.columns, at = 2 * b;
+      const out = this.observation.subarray(b * this.n, (b + 1) * this.n);
+      const vx = this.velocity[at], vy = this.velocity[at + 1], [hx, hy] = [this.heading[at], this.heading[at + 1]];
+      out.fill(0, S.FLOW, S.WIND_BACK + 1);
+      out[S.VELOCITY_AHEAD] = -vx * senses.own_velocity;
+      out[S.VELOCITY_LEFT] = -vy * senses.own_velocity;
+      out[S.BODY_ANGLE] = this.angle[b];
+      out[S.ODOUR_LEFT] = this.odour[at];
+      out[S.ODOUR_RIGHT] = this.odour[at + 1];
+      if (this.condition[b] === 0) {
+        let flow = -this.turn[b] / this.dt;
+        if (Math.abs(flow) < senses.flow_threshold) flow = 0;
+        out[S.FLOW] = Math.min(senses.flow_limit, Math.max(-senses.flow_limit, flow));
+        const ahead = -hx, left = -hy;
+        if (ahead >= Math.abs(left)) out[S.WIND_FRONT] = 1;
+        else if (-ahead >= Math.abs(left)) out[S.WIND_BACK] = 1;
+        else if (left > 0) out[S.WIND_RIGHT] = 1;
+        else out[S.WIND_LEFT] = 1;
+      }
+      if (this.n <= S.WIND_BACK + 1) return;
+      out[S.HIT_LEFT] = this.hits[at];
+      out[S.HIT_RIGHT] = this.hits[at + 1];
+      out[S.ODOUR_DIFFERENCE] = this.odour[at] - this.odour[at + 1];
+      out[S.ODOUR_SUM] = this.odour[at] + this.odour[at + 1];
+      out[S.TRACE_LEFT] = this.trace[at];
+      out[S.TRACE_RIGHT] = this.trace[at + 1];
+      out[S.ANGLE_COSINE] = -hx;
+      out[S.ANGLE_SINE] = -hy;
+      const ahead = -vx / senses.stride, left = -vy / senses.stride;
+      out[S.FINE_AHEAD] = Math.tanh(ahead);
+      out[S.FINE_LEFT] = Math.tanh(left);
+      out[S.COARSE_AHEAD] = Math.tanh(ahead / 3);
+      out[S.COARSE_LEFT] = Math.tanh(left / 3);
+      out[S.LOG_SPEED] = Math.log(Math.sqrt(ahead * ahead + left * left) + REST);
+      out[S.ACCELERATION_AHEAD] = held(-this.push[at]);
+      out[S.ACCELERATION_LEFT] = held(-this.push[at + 1]);
+      out[S.YAW_RATE] = this.turn[b] / this.dt;
+    }
+  }
+
+  /** Whether the plume hits an antenna at (x, y) [arena unit] in a step of a pattern. */
+  function hit(plume, pattern, step, x, y) {
+    const cells = (z) => (z < 0 ? -1 : 1) * Math.floor(Math.abs(z) / plume.cell + 0.5);
+    const column = plume.source_column + cells(x), row = plume.source_row + cells(y);
+    if (column < 0 || column >= plume.columns || row < 0 || row >= plume.rows) return 0;
+    const [, steps, bytes] = plume.bits.shape, index = row * plume.columns + column;
+    const byte = plume.bits[(pattern * steps + (step % steps)) * bytes + (index >> 3)];
+    return (byte >> (index & 7)) & 1;
+  }
+
+  function makeWorld(model, options, copies) {
+    return new (model.world === "search" ? Search : Chase)(model, options, copies);
+  }
+
+  /** Return the options of the unchanged world. */
+  function unchanged(model) {
+    return {
+      damping: Array.from(model.locomotion, (own) => own.damping),
+      thrust: Array.from(model.locomotion, (own) => own.thrust),
+      arena: model.arena.size, boundary: model.arena.boundary, contact: model.contact_radius,
+      time_limit: model.time_limit, warmth: 1, condition: null,
+    };
+  }
+
+  /** Return the condition of the world and the flag that a policy is told, for one start. */
+  function conditions(model, options, start) {
+    const recorded = model.starts.condition[start];
+    const chosen = options.condition === null ? recorded : options.condition;
+    return model.condition_is_sensed ? [chosen, chosen] : [recorded, chosen];
+  }
+
+  // -- rollouts ------------------------------------------------------------------------------------
+
+  /**
+   * Simulate from recorded starts; tasks are [start, repetition]. Same seed, same random numbers.
+   * Returns for each task what is measured of it; onProgress gets the share done, and may wait.
+   */
+  async function rollOut(model, options, tasks, seed, onProgress = null) {
+    const K = model.individuals.length, B = tasks.length;
+    const world = makeWorld(model, options, B), policy = new Policy(model, B);
+    const flags = new Int8Array(B), random = tasks.map(([start, again]) => stream(seed, start, again));
+    const path = new Float64Array(B * K), near = new Float64Array(B), frames = new Int32Array(B).fill(1);
+    const beyond = new Float64Array(K), seen = new Float64Array(K), inputs = new Float64Array(K * world.n);
+    const actions = new Int32Array(K);
+    tasks.forEach(([start], b) => {
+      const [condition, told] = conditions(model, options, start);
+      flags[b] = told;
+      world.begin(b, start, null, condition);
+      near[b] = distance(world, b);
+    });
+    let running = Array.from(tasks.keys()), waited = Date.now();
+    while (running.length) {
+      policy.decide(world.observation, flags, running);
+      for (const b of running) {
+        for (let i = 0; i < K; i++) {
+          const slot = b * K + i;
+          actions[i] = policy.choose(slot, i, random[b](), options.warmth);
+          policy.previous[slot] = actions[i];
+          seen[i] += 1;
+          beyond[i] += countBeyond(model, i, world.observation, slot * world.n, inputs);
+        }
+        const warming = world.warming(b), old = world.position.slice(2 * b * K, 2 * (b + 1) * K);
+        if (warming) actionsOf(model, world, b, old, policy, actions);
+        world.step(b, actions);
+        for (let i = 0; i < K; i++) {
+          const at = 2 * (b * K + i);
+          path[b * K + i] += Math.hypot(
+            world.position[at] - old[2 * i], world.position[at + 1] - old[2 * i + 1]);
+        }
+        near[b] += distance(world, b);
+        frames[b] += 1;
+      }
+      running = running.filter((b) => !world.over[b]);
+      if (onProgress && Date.now() - waited > 50) {
+        await onProgress(1 - running.length / B);
+        waited = Date.now();
+      }
+    }
+    const scale = model.unit.per_arena_unit;
+    const results = tasks.map(([start], b) => {
+      const seconds = (frames[b] - 1) * model.dt, own = path.slice(b * K, (b + 1) * K);
+      return {
+        start, reached: world.outcome[b] > 0 ? 1 : 0, outcome: world.outcome[b], duration: seconds,
+        path: (scale * own.reduce((sum, value) => sum + value, 0)) / K,
+        distance: (scale * near[b]) / frames[b],
+        speed: Array.from(own, (value) => (scale * value) / Math.max(seconds, model.dt)),
+      };
+    });
+    return {
+      results,
+      beyond: Array.from(beyond, (value, i) => value / Math.max(seen[i], 1)),
+      inputs: Array.from(inputs, (value, k) => value / Math.max(seen[Math.floor(k / world.n)], 1)),
+    };
+  }
+
+  /** In a warm-up step the executed actions are the demonstrated ones: what policies remember. */
+  function actionsOf(model, world, b, old, policy, actions) {
+    const { starts } = model, K = world.K;
+    if (starts.actions === null) return;
+    for (let i = 0; i < K; i++) {
+      const done = starts.actions[(world.start[b] * starts.frames + world.steps[b]) * K + i];
+      actions[i] = done;
+      policy.previous[b * K + i] = done;
+    }
+  }
+
+  /** Add to the counts of inputs beyond their training range; return 1 if there is any. */
+  function countBeyond(model, i, observation, at, inputs) {
+    const { low, high } = model.ranges, n = low.shape[1];
+    let any = 0;
+    for (let c = 0; c < n; c++) {
+      const value = observation[at + c];
+      if (value < low[i * n + c] || value > high[i * n + c]) {
+        inputs[i * n + c] += 1;
+        any = 1;
+      }
+    }
+    return any;
+  }
+
+  /** Distance of the nearest pursuer to the target, or of a searcher to the source. */
+  function distance(world, b) {
+    const K = world.K, at = 2 * b * K, p = world.position;
+    if (world.model.world === "search") return Math.hypot(p[at], p[at + 1]);
+    let nearest = Infinity;
+    for (let i = 0; i < K - 1; i++) {
+      const dx = p[at + 2 * i] - p[at + 2 * K - 2], dy = p[at + 2 * i + 1] - p[at + 2 * K - 1];
+      nearest = Math.min(nearest, Math.hypot(dx, dy));
+    }
+    return nearest;
+  }
+
+  // -- statistics ----------------------------------------------------------------------------------
+
+  const T975 = [12.71, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179,
+    2.16, 2.145, 2.131, 2.12, 2.11, 2.101, 2.093, 2.086, 2.08, 2.074, 2.069, 2.064, 2.06, 2.056,
+    2.052, 2.048, 2.045, 2.042];
+
+  /** Mean of paired differences with Student's 95 % interval over recorded starts. */
+  function pairedShift(before, after, value) {
+    const sums = new Map();
+    before.forEach((one, k) => {
+      const [sum, count] = sums.get(one.start) || [0, 0];
+      sums.set(one.start, [sum + value(after[k]) - value(one), count + 1]);
+    });
+    const means = Array.from(sums.values(), ([sum, count]) => sum / count), n = means.length;
+    const mean = means.reduce((sum, one) => sum + one, 0) / n;
+    if (n < 2) return { mean, low: NaN, high: NaN };
+    const variance = means.reduce((sum, one) => sum + (one - mean) ** 2, 0) / (n - 1);
+    const half = (T975[n - 2] || 1.96 + 2.4 / n) * Math.sqrt(variance / n);
+    return { mean, low: mean - half, high: mean + half };
+  }
+
+  /** Return the action that pushes individual i most nearly along (x, y) of the arena frame. */
+  function actionTowards(world, b, i, x, y) {
+    const pushes = world.model.pushes[i], own = 2 * (b * world.K + i);
+    const search = world.model.world === "search";
+    const ex = search ? -1 : world.towards[own], ey = search ? 0 : world.towards[own + 1];
+    let best = pushes.length - 1, most = 0;
+    pushes.forEach(([ahead, left], a) => {
+      const along = (ahead * ex - left * ey) * x + (ahead * ey + left * ex) * y;
+      if (along > most + 1e-9) [best, most] = [a, along];
+    });
+    return best;
+  }
+
+  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, pairedShift, actionTowards };
+})();
+if (typeof module !== "undefined") module.exports = AnimaRL;

@@ -1,0 +1,276 @@
+"""The what-if page: its simulator step by step beside Python's, and the page in a browser."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import chromium
+from commands import animarl
+
+from animarl_algos import load_run
+from animarl_algos.evaluation.collect import remembered
+from animarl_algos.runs.run import Run
+from animarl_algos.whatif.live_page import page_model, write_page
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.worlds import make_world
+from animarl_envs.worlds.executed import ExecutedActions
+
+COPIES, STEPS = 4, 250  # 1,000 steps of every individual
+COMPARE = """
+const AnimaRL = require(process.argv[1]);
+let text = "";
+process.stdin.on("data", (part) => (text += part)).on("end", async () => {
+  const { model: packed, log, copies } = JSON.parse(text);
+  const model = await AnimaRL.unpack(packed), K = model.individuals.length;
+  if (log.pattern) Object.assign(model.starts, { pattern: log.pattern, phase: log.phase });
+  const world = AnimaRL.makeWorld(model, AnimaRL.unchanged(model), copies);
+  const policy = new AnimaRL.Policy(model, copies);
+  const all = [...Array(copies).keys()], flags = Int8Array.from(model.starts.condition);
+  const off = { observation: 0, values: 0, position: 0, actions: 0, outcomes: 0 };
+  const farthest = (key, there, here) =>
+    there.forEach((value, k) => (off[key] = Math.max(off[key], Math.abs(value - here[k]))));
+  all.forEach((b) => world.begin(b, b));
+  log.draws.forEach((draws, t) => {
+    farthest("observation", log.observation[t], world.observation);
+    policy.decide(world.observation, flags, all);
+    farthest("values", log.values[t], policy.values);
+    for (const b of all) {
+      const executed = log.actions[t].slice(b * K, (b + 1) * K);
+      executed.forEach((action, i) => {
+        const chosen = policy.choose(b * K + i, i, draws[b * K + i]);
+        if (!world.warming(b) && chosen !== action) off.actions += 1;
+        policy.previous[b * K + i] = action;
+      });
+      world.step(b, executed);
+      if (world.outcome[b] !== log.outcome[t][b]) off.outcomes += 1;
+    }
+    farthest("position", log.position[t], world.position);
+  });
+  const tasks = [...Array(60).keys()].map((k) => [k % model.starts.condition.length, k]);
+  const { results } = await AnimaRL.rollOut(model, AnimaRL.unchanged(model), tasks, 0);
+  off.duration = results.reduce((sum, one) => sum + one.duration, 0) / tasks.length;
+  off.simd = policy.products.gemm !== null;
+  console.log(JSON.stringify(off));
+});
+"""
+
+
+def node() -> str:
+    """Node: that of the system, or the one that playwright brings."""
+    if found := shutil.which("node"):
+        return found
+    driver = pytest.importorskip("playwright._impl._driver")
+    return str(driver.compute_driver_executable()[0])
+
+
+def recorded_steps(run: Run) -> dict[str, Any]:
+    """Draws, and what Python's world and networks make of them."""
+    world = make_world(run.scenario, COPIES)
+    world.seed(np.arange(COPIES))
+    world.reset(demo=np.arange(COPIES))
+    policy, K = run.policy.policy, world.num_individuals
+    rng, executed_by = np.random.default_rng(0), ExecutedActions(world)
+    names = ("draws", "actions", "values", "observation", "position", "outcome")
+    log: dict[str, Any] = {name: [] for name in names}
+    for name in ("pattern", "phase"):
+        if hasattr(world, name):
+            log[name] = getattr(world, name).tolist()
+    state, starts = None, np.ones(COPIES * K, dtype=bool)
+    for _ in range(STEPS):
+        seen = world.observation.reshape(COPIES * K, -1)
+        if run.told_condition:
+            flag = np.repeat(world.condition, K)[:, None].astype(seen.dtype)
+            seen = np.concatenate([seen, flag], axis=1)
+        values, hidden, _ = policy.advance(seen, state, starts)
+        draws = rng.random(COPIES * K)
+        asked = policy.acting.choose(values, draws, K).reshape(COPIES, K)
+        done = executed_by(asked)
+        state = remembered(policy, (hidden, asked.ravel()), asked, done)
+        log["draws"].append(draws.tolist())
+        log["actions"].append(done.ravel().tolist())
+        log["values"].append(values.ravel().tolist())
+        log["observation"].append(world.observation.ravel().tolist())
+        world.step(asked)
+        log["position"].append(world.position.ravel().tolist())
+        log["outcome"].append(world.outcome.tolist())
+        starts[:] = False
+    return log
+
+
+@pytest.mark.parametrize("species", ["agent", "fly", "newt", "silkmoth"])
+def test_parity_of_the_page_with_python(species: str) -> None:
+    run = load_run(species)
+    given = {"model": page_model(run), "log": recorded_steps(run), "copies": COPIES}
+    engine = resources.files("animarl_algos.whatif") / "page" / "engine.js"
+    said = subprocess.run(
+        [node(), "-e", COMPARE, str(engine)],
+        input=json.dumps(given), capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    off = json.loads(said.stdout)
+    assert off["simd"]
+    assert off["actions"] == 0 and off["outcomes"] == 0
+    assert off["observation"] < 1e-5 and off["position"] < 1e-9
+    assert off["values"] < 1e-5 * max(1.0, np.abs(given["log"]["values"]).max())
+    python = run.simulate(repetitions=5)
+    assert off["duration"] == pytest.approx(
+        ((python.lengths - 1) * python.dt).mean(), rel=0.35
+    )  # of other random numbers
+
+
+def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = load_run("agent")
+    whole = run.scenario
+
+    def refusal(**changes: Any) -> str:
+        monkeypatch.setitem(run.__dict__, "scenario", replace(whole, **changes))
+        with pytest.raises(InputError) as refused:
+            page_model(run)
+        return str(refused.value)
+
+    assert "noisy or late" in refusal(observation_noise=0.1)
+    assert "only some individuals" in refusal(drivers=("action", "action", "replay"))
+    monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 2)
+    assert "3 individuals are more than the 2" in refusal()
+    moth = load_run("silkmoth")
+    monkeypatch.setitem(
+        moth.__dict__,
+        "scenario",
+        replace(moth.scenario, species=replace(moth.scenario.species, plume="off")),
+    )
+    with pytest.raises(InputError, match="plume of the user's own"):
+        page_model(moth)
+
+
+def test_a_page_that_is_too_large_is_refused_and_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_BYTES", 1000)
+    with pytest.raises(InputError, match=r"more than 0\.001: train a smaller network"):
+        write_page(load_run("fly"), tmp_path / "page.html")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError, match="--species fly goes with 'packaged'"):
+        animarl("page", "agent", "--species", "fly", "--out", tmp_path / "page.html")
+
+
+# -- in the browser ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("page") / "fly.html"
+    animarl("page", "packaged", "--species", "fly", "--out", file)
+    assert file.stat().st_size < 5_000_000
+    return file
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def page(browser: Any, page_file: Path) -> Iterator[Any]:
+    said: list[str] = []
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, accept_downloads=True)
+    opened = context.new_page()
+    opened.on("console", lambda message: said.append(message.text))
+    opened.on("pageerror", lambda error: said.append(str(error)))
+    opened.on(
+        "request", lambda asked: said.append(asked.url) if asked.url.startswith("http") else None
+    )
+    opened.goto(page_file.as_uri())
+    answered(opened)
+    yield opened
+    context.close()
+    assert said == []
+
+
+def answered(page: Any) -> None:
+    page.wait_for_function(
+        "window.animarlPage && window.animarlPage.answered() && "
+        "document.getElementById('progress').textContent.includes('of the changed world in')",
+        timeout=60_000,
+    )
+
+
+def test_the_page_answers_to_its_sliders_and_keys(page: Any) -> None:
+    rows = page.locator("#table tr")
+    assert rows.count() == 7
+    # Nothing is changed yet: not one number differs.
+    assert all("0 [0, 0]" in text for text in rows.all_inner_texts())
+    slider = page.locator("#control-contact")
+    slider.focus()
+    for _ in range(20):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_timeout(400)
+    answered(page)
+    duration = rows.nth(1).inner_text()
+    assert duration.startswith("duration") and "0 [0, 0]" not in duration
+    assert float(duration.split("\t")[4].split()[0]) < 0  # a wider reach ends episodes sooner
+    page.click("#reset")
+    page.wait_for_timeout(400)
+    answered(page)
+    assert "0 [0, 0]" in rows.nth(1).inner_text()
+
+
+def test_a_reader_steers_an_animal_and_its_track_is_imported(page: Any, tmp_path: Path) -> None:
+    page.select_option("#steer", "2")
+    page.focus("#stage")
+    page.keyboard.down("ArrowRight")
+    before = page.evaluate("Array.from(window.animarlPage.episode().world.position)")
+    page.evaluate("for (let k = 0; k < 8; k++) window.animarlPage.step()")
+    page.keyboard.up("ArrowRight")
+    after = page.evaluate("Array.from(window.animarlPage.episode().world.position)")
+    assert after[4] > before[4] and abs(after[5] - before[5]) < 0.6 * (after[4] - before[4])
+    page.evaluate("for (let k = 0; k < 60; k++) window.animarlPage.step()")
+    with page.expect_download() as download:
+        page.click("#save")
+    track = tmp_path / "track.csv"
+    download.value.save_as(track)
+    animarl(
+        "import", track, "--fps", "10", "--target", "female", "--arena", "disc",
+        "--arena-width", "2", "--out", tmp_path / "own.npz",
+    )  # fmt: skip
+    own = Demonstrations.load(tmp_path / "own.npz")
+    assert set(own.individuals) == {"male_0", "male_1", "female"}
+    steps = page.evaluate("window.animarlPage.episode().world.steps[0]")
+    assert own.lengths.sum() == pytest.approx(steps + 1, abs=2)
+
+
+def test_the_page_fits_a_phone_and_axe_finds_nothing_serious(browser: Any, page_file: Path) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    for width, scheme in ((390, "light"), (1280, "dark")):
+        context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
+        opened = context.new_page()
+        opened.goto(page_file.as_uri())
+        answered(opened)
+        assert opened.evaluate("document.documentElement.scrollWidth") <= width
+        found = axe.Axe().run(opened).response["violations"]
+        serious = [one["id"] for one in found if one["impact"] in ("serious", "critical")]
+        assert serious == [], (width, scheme)
+        context.close()
+
+
+def test_hostile_names_stay_text(tmp_path: Path, browser: Any) -> None:
+    file = write_page(
+        load_run("fly"), tmp_path / "page.html", title="</script><script>alert(1)</script>"
+    )
+    said: list[str] = []
+    opened = browser.new_page()
+    opened.on("dialog", lambda dialog: (said.append(dialog.message), dialog.dismiss()))
+    opened.goto(file.as_uri())
+    answered(opened)
+    assert said == [] and "<script>alert(1)" in opened.inner_text("h1")
+    opened.close()
