@@ -33,7 +33,7 @@ from animarl_algos.evaluation import counterfactual_runs
 from animarl_algos.evaluation import effects as of
 from animarl_algos.evaluation.comparison import interval
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.sentences import with_interval
+from animarl_algos.report.words import with_interval
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.counterfactual import CounterfactualRuns
 from animarl_algos.runs.run import Run, versions

@@ -22,7 +22,7 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, interval
 from animarl_algos.evaluation.metrics import dtw_distances, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.report.sentences import number, with_interval
+from animarl_algos.report.words import number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting import fit_locomotion
 from animarl_envs.fitting.transitions import demonstrated_actions

@@ -38,7 +38,7 @@ from rich.console import Console
 
 from animarl_algos.evaluation import RandomPolicy, Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
-from animarl_algos.report.verdict_section import verdict_table
+from animarl_algos.report.terminal import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run import versions

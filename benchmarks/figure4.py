@@ -30,7 +30,7 @@ from animarl_algos.evaluation.comparison import comparison_table, interval, pair
 from animarl_algos.evaluation.metrics import DTW, DURATION, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.report import style
-from animarl_algos.report.sentences import with_interval
+from animarl_algos.report.words import with_interval
 from animarl_algos.runs.run import versions
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.files import all_files_or_none
@@ -147,7 +147,7 @@ def draw(by_species: dict[str, pd.DataFrame]) -> Figure:
                 for place, name in enumerate(names):
                     values = metrics.loc[there == name, metric.key].to_numpy()
                     violin(panel, place, values, style.method_colour(name))
-                style.light_grid(panel, "y")
+                panel.grid(axis="y", color=style.LINE.hex, linewidth=0.5)
                 panel.set_xticks(range(len(names)), [style.method_label(name) for name in names])
                 panel.tick_params(axis="x", length=0, rotation=20)
                 panel.set_xlim(-0.6, len(names) - 0.4)
@@ -163,10 +163,10 @@ def violin(panel: Axes, place: int, values: np.ndarray, colour: str) -> None:
             body.set(facecolor=colour, edgecolor=colour, alpha=0.35)
     aside = 0.1 * (np.modf(np.arange(len(values)) * 0.6180339887498949)[0] - 0.5)
     panel.plot(
-        place + aside, values, ".", color=style.TEXT, markersize=1.4, alpha=0.25,
+        place + aside, values, ".", color=style.TEXT.hex, markersize=1.4, alpha=0.25,
         markeredgewidth=0, rasterized=True,
     )  # fmt: skip
-    panel.plot(place, np.median(values), "o", color=colour, markeredgecolor=style.GROUND)
+    panel.plot(place, np.median(values), "o", color=colour, markeredgecolor=style.PAGE.hex)
 
 
 def markdown(rows: Sequence[dict[str, Any]], seeds: Sequence[int]) -> str:

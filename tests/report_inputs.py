@@ -11,10 +11,10 @@ from animarl_algos.evaluation import Answers, Asked, Rollouts, cue_effects, eval
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.report import ReportInputs
-from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
 from animarl_algos.report.counterfactual_page import counterfactual_page
-from animarl_algos.report.inspection_page import InspectionInputs, inspection_page
-from animarl_algos.report.report import render_report
+from animarl_algos.report.inputs import CounterfactualInputs, InspectionInputs
+from animarl_algos.report.inspection_page import inspection_page
+from animarl_algos.report.run_page import run_page
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting import IndividualFit, LocomotionFit
@@ -138,7 +138,7 @@ def report_inputs() -> ReportInputs:
             resamples=100,
             distance_resamples=50,
         ),
-        conditions=("individual", "shared"),
+        species=AGENT,
         fit=locomotion_fit(demos.individuals),
         learning_curves=loss_curves(),
         settings={"algo": "dqdil", "online": {"alpha": 1.0, "prioritised": True}},
@@ -147,17 +147,21 @@ def report_inputs() -> ReportInputs:
         command="animarl run demos.npz --algo dqdil",
         created="2026-11-21",
         episodes={"train": 80, "val": 10, "test": 12},
-        contact_radius=0.1,
         environment={"time_limit": 20, "arena": None},
         machine={"commit": "0123456789abcdef", "processor": "Some processor"},
         wall_time={"training DQDIL": 150.0},
     )
 
 
+def rendered(inputs: ReportInputs) -> str:
+    """The page of such inputs."""
+    return run_page(inputs).html()
+
+
 @cache
 def report_page() -> str:
     """That run's page."""
-    return render_report(report_inputs())
+    return rendered(report_inputs())
 
 
 @cache
@@ -171,7 +175,7 @@ def asked_page() -> str:
             trained=asked, untrained=answered(demos, "untrained"), blind=answered(demos, "blind")
         )
     }
-    _, page = counterfactual_page(
+    page = counterfactual_page(
         CounterfactualInputs(
             demos=demos,
             species=AGENT,
@@ -188,7 +192,7 @@ def asked_page() -> str:
             command="animarl counterfactual runs/dqcil-0 runs/dqcil-1",
         )
     )
-    return page
+    return page.html()
 
 
 @cache
@@ -202,7 +206,7 @@ def inspected_page() -> str:
     recording = Rollouts.from_demonstrations(demos).select(np.array([episode]))
     steps, rng = int(recording.lengths[0]) - 1, np.random.default_rng(0)
     everything = {recording.method: recording, **rollouts}
-    _, page = inspection_page(
+    page = inspection_page(
         InspectionInputs(
             learner="dqdil",
             episode=episode,
@@ -231,7 +235,7 @@ def inspected_page() -> str:
             command="animarl inspect runs/dqdil-0 --episode 3",
         )
     )
-    return page
+    return page.html()
 
 
 def answered(demos: Demonstrations, method: str) -> Answers:

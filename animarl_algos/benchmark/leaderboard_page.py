@@ -8,9 +8,18 @@ from typing import Any
 
 from animarl_algos.benchmark.measured import Measured, Score, differences, labels
 from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.report.blocks import Block, Gallery, Group, Pairs, Row, Section, Sentences, Table
 from animarl_algos.report.figures import interval_rows
-from animarl_algos.report.page import Page, render_page
+from animarl_algos.report.page import (
+    Block,
+    Gallery,
+    Group,
+    Page,
+    Pairs,
+    Row,
+    Section,
+    Sentences,
+    Table,
+)
 from animarl_algos.report.provenance import flattened
 from animarl_algos.report.style import Image, to_image
 
@@ -64,7 +73,7 @@ def leaderboard_page(
         listed = Table("Rows that are not there", ["Row", "Why"], [Group("", lacking)], "")
         sections.append(Section("missing", "Not there", [listed]))
     sections.append(Section("versions", "Versions", [Pairs("Versions", flattened(dict(versions)))]))
-    page = Page(
+    return Page(
         title="Leaderboard",
         kind="Every method, every set of demonstrations, every seed",
         synthetic=bool(scores) and all(synthetic[name] for name in scores),
@@ -72,8 +81,7 @@ def leaderboard_page(
             (name, f"{starts[name]}{', synthetic' if synthetic[name] else ''}") for name in scores
         ],
         sections=sections,
-    )
-    return render_page(page)
+    ).html()
 
 
 def _blocks(scores: Sequence[Score], ranks: Mapping[str, Any]) -> Iterator[Block]:
@@ -125,6 +133,5 @@ def _picture(key: str, scores: Sequence[Score]) -> Image | None:
         title=labels()[key],
         reference=reference,
         bands=bands,
-        label=str,
     )
     return to_image(figure, f"{label} of every method, with intervals")

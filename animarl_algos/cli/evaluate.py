@@ -55,8 +55,7 @@ def evaluate_command(
 
       animarl evaluate runs/agents --demos later.npz --out out/later
     """
-    from animarl_algos.report.terminal import evaluation_table
-    from animarl_algos.report.verdict_section import verdict_table
+    from animarl_algos.report.terminal import evaluation_table, verdict_table
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import evaluate_runs
     from animarl_algos.runs.rolling_out import lacking

@@ -88,8 +88,7 @@ def run_command(**given: Any) -> None:
     """
     from animarl_algos.cli.fit import format_fit_table
     from animarl_algos.evaluation.plausibility import implausible
-    from animarl_algos.report.terminal import evaluation_table
-    from animarl_algos.report.verdict_section import verdict_table
+    from animarl_algos.report.terminal import evaluation_table, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run_warnings import far_acting_rules

@@ -3,125 +3,114 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
 from animarl_algos.evaluation import effects as effects_of
 from animarl_algos.evaluation.comparison import interval
-from animarl_algos.evaluation.statistics import Interval
-from animarl_algos.report.blocks import (
-    Block,
-    Command,
-    Gallery,
-    Group,
-    Pairs,
-    Row,
-    Section,
-    Sentences,
-    Table,
-    Text,
-)  # fmt: skip
-from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
-from animarl_algos.report.counterfactual_panels import (
-    SHOWN,
-    episode_panel,
-    path_panels,
-    shift_panels,
-)
-from animarl_algos.report.counterfactual_player import shift_player
-from animarl_algos.report.glossary import glossary
-from animarl_algos.report.page import Page, render_page
-from animarl_algos.report.provenance import (
-    code_and_machine,
-    flattened,
-    licence,
-    made_with,
-    origin,
-    words_to_paste,
-)
-from animarl_algos.report.sentences import NOTHING, with_interval
-from animarl_algos.report.style import method_label
+from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes
+from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
+from animarl_algos.report import figures, style
+from animarl_algos.report.figures import Dots
+from animarl_algos.report.inputs import CounterfactualInputs
+from animarl_algos.report.page import Block, Gallery, Page, Section, Sentences, Text, tabulate
+from animarl_algos.report.path_figures import path_panels
+from animarl_algos.report.player import changed_starts, first_from, shift_player
+from animarl_algos.report.provenance import provenance, to_paste
+from animarl_algos.report.style import Image, method_label, to_image
+from animarl_algos.report.words import ARROW, MINUS, scaled, with_interval
+
+SHIFTS = {
+    "Predicted": effects_of.PREDICTED,
+    "True": effects_of.TRUE,
+    f"Predicted\n{MINUS} true": effects_of.MISSED,
+    "Untrained": effects_of.UNTRAINED_SHIFT,
+    "Flag\nzeroed": effects_of.BLIND,
+}
+NULLS = (effects_of.UNTRAINED_SHIFT, effects_of.BLIND)
+QUANTILES = (0.1, 0.5, 0.9)  # of the predicted change, for the examples
+COUNTED = {"all": "All episodes", "captures": "Captures only, starts that both reach"}
 
 
-def counterfactual_page(inputs: CounterfactualInputs) -> tuple[list[Section], str]:
-    """The sections, whose figures may be written on their own, and the page made of them."""
-    sections = [
-        Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
-        Section("errors", "Error to the demonstrations", list(_errors(inputs))),
-        Section("episodes", "Every episode", list(_episodes(inputs))),
-        Section("paths", "Factual beside flipped", list(_paths(inputs))),
-        Section("provenance", "How this was made", list(_provenance(inputs))),
-        Section("paste", "To paste", list(words_to_paste(_methods(inputs), inputs.versions))),
-    ]
-    sections = [section for section in sections if section.blocks]
+def counterfactual_page(inputs: CounterfactualInputs) -> Page:
+    """Return the page: what is claimed and the player, then shifts, errors, episodes and paths."""
+    names = list(map(method_label, inputs.asked))
     said = [Sentences(list(findings(inputs))), Sentences(list(cautions(inputs)))]
-    found = Section("findings", "In short", [block for block in said if block.sentences])
-    page = Page(
-        title=f"Counterfactual: {', '.join(map(method_label, inputs.asked))}",
+    seeds = [
+        (method_label(name), f"seeds {', '.join(map(str, some))}")
+        for name, some in inputs.seeds.items()
+    ]
+    demos = inputs.demos
+    return Page(
+        title=f"Counterfactual: {', '.join(names)}",
         kind="What if the condition had been the other one?",
-        synthetic=inputs.demos.synthetic,
+        synthetic=demos.synthetic,
         facts=[
-            ("Species", inputs.demos.species),
-            ("Evaluated on", f"{inputs.demos.num_episodes} demonstrations"),
-            *((method_label(name), f"seeds {', '.join(map(str, seeds))}")
-              for name, seeds in inputs.seeds.items()),
+            ("Species", demos.species),
+            ("Evaluated on", f"{demos.num_episodes} demonstrations"),
+            *seeds,
         ],
         player=shift_player(inputs),
-        sections=[found, *sections],
-        glossary=glossary(
-            map(method_label, inputs.asked), "\n".join(t for s in sections for t in s.texts)
-        ),
-    )  # fmt: skip
-    return sections, render_page(page)
+        sections=[
+            Section("findings", "In short", [block for block in said if block.sentences]),
+            Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
+            Section("errors", "Error to the demonstrations", list(_errors(inputs))),
+            Section("episodes", "Every episode", list(_episodes(inputs))),
+            Section("paths", "Factual beside flipped", list(_paths(inputs))),
+            Section("provenance", "How this was made", list(provenance(inputs, "page"))),
+            Section("paste", "To paste", list(_paste(inputs))),
+        ],
+        methods=names,
+    )
 
 
 def findings(inputs: CounterfactualInputs) -> Iterator[str]:
-    """One sentence for every planned flip: a claim where there is one, or why there is none."""
+    """Yield a sentence for every planned flip: a claim where there is one, or why there is none."""
     for _, row in inputs.effects.claims.iterrows():
-        of, told = int(row["condition"]), int(row["told"])
+        of, told, method = int(row["condition"]), int(row["told"]), str(row["method"])
         if (of, told) != inputs.species.planned_flip:
             continue
-        name = method_label(str(row["method"]))
-        shift = inputs.value(str(row["method"]), effects_of.PREDICTED, of)
+        about = f"{method_label(method)}, {inputs.flip(of, told)}"
+        shift, true, missed = (
+            inputs.value(method, quantity, of)
+            for quantity in (effects_of.PREDICTED, effects_of.TRUE, effects_of.MISSED)
+        )
         if not row["worded"]:
             yield (
-                f"{name}, {inputs.flip(of, told)}: no effect of the cue is claimed, because "
+                f"{about}: no effect of the cue is claimed, because "
                 f"{row['reason']} (predicted shift {with_interval(shift)} {inputs.unit})."
             )
             continue
-        words = "longer" if shift.estimate > 0 else "shorter"
+        longer = shift.estimate > 0
+        truth = (
+            f"; the true shift is {with_interval(true)}, predicted minus true "
+            f"{with_interval(missed)}"
+            if np.isfinite(true.estimate)
+            else ""
+        )
         yield (
-            f"{name}, {inputs.flip(of, told)}: told the other condition, paths get {words} by "
-            f"{with_interval(_size(shift))} {inputs.unit}{_truth(inputs, str(row['method']), of)}."
+            f"{about}: told the other condition, paths get {'longer' if longer else 'shorter'} by "
+            f"{with_interval(scaled(shift, 1 if longer else -1))} {inputs.unit}{truth}."
         )
 
 
 def cautions(inputs: CounterfactualInputs) -> Iterator[str]:
-    """What limits the page's conclusions."""
+    """Yield what limits the page's conclusions."""
     if min(len(seeds) for seeds in inputs.seeds.values()) == 1:
         yield (
             "One training seed: intervals speak of starts, for this network only, and nothing is "
             "claimed of its method."
-        )
-    if inputs.teams is None and not inputs.species.condition_is_sensed:
-        yield (
-            "No truth is known for these demonstrations: the true shift is missing in all tables."
         )
     if inputs.species.condition_is_sensed:
         yield (
             "The true shift is the same policy in the world of the other condition. Blocked senses "
             "reveal the condition by themselves, so being blind to it costs sensory information."
         )
-
-
-def _truth(inputs: CounterfactualInputs, method: str, of: int) -> str:
-    true = inputs.value(method, effects_of.TRUE, of)
-    if not np.isfinite(true.estimate):
-        return ""
-    missed = inputs.value(method, effects_of.MISSED, of)
-    return (
-        f"; the true shift is {with_interval(true)}, predicted minus true {with_interval(missed)}"
-    )
+    elif inputs.teams is None:
+        yield (
+            "No truth is known for these demonstrations: the true shift is missing in all tables."
+        )
 
 
 def _shifts(inputs: CounterfactualInputs) -> Iterator[Block]:
@@ -137,76 +126,137 @@ def _shifts(inputs: CounterfactualInputs) -> Iterator[Block]:
         "zeroed, asked twice with random numbers of their own."
     )
     yield Gallery(
-        list(shift_panels(inputs)),
+        list(_shift_images(inputs)),
         f"Shift of the mean path length ({inputs.unit}) with 95 % interval, all episodes; grey: "
         "where nothing of the condition was learned.",
     )
-    groups = []
-    for counting in effects_of.COUNTINGS:
-        lines = []
-        for name in inputs.asked:
-            for of in (0, 1):
-                if inputs.row(name, effects_of.PREDICTED, of, counting) is None:
-                    continue
-                cells = [
-                    method_label(name), _variant(inputs, name), inputs.flip(of, 1 - of),
-                    *(with_interval(inputs.value(name, q, of, counting)) for q in SHOWN),
-                ]  # fmt: skip
-                planned = (of, 1 - of) == inputs.species.planned_flip
-                lines.append(Row(cells, strong=planned))
-        groups.append(Group(_counted(counting), lines))
-    yield Table(
+
+    def shift(quantity: str) -> Any:
+        return lambda row: with_interval(
+            inputs.value(row["method"], quantity, row["condition"], row["counting"])
+        )
+
+    table = inputs.effects.table
+    predicted = table[table["quantity"] == effects_of.PREDICTED]
+    yield tabulate(
         "Shifts",
-        ["Method", "Variant", "Flip", "Predicted", "True", "Predicted\n\u2212 true", "Untrained",
-         "Flag\nzeroed"],
-        groups,
+        {
+            "Method": lambda row: method_label(row["method"]),
+            "Variant": lambda row: "main" if inputs.asked[row["method"]].main else "supplementary",
+            "Flip": lambda row: inputs.flip(row["condition"], 1 - row["condition"]),
+            **{heading: shift(quantity) for heading, quantity in SHIFTS.items()},
+        },
+        [
+            (title, (row for _, row in predicted[predicted["counting"] == counting].iterrows()))
+            for counting, title in COUNTED.items()
+        ],
         f"Mean path length ({inputs.unit}) with the flipped cue minus that with the true one, "
         "[95 % interval]; bold: the flip that was planned in advance. Among captures only starts "
         "in which both answers reached the target count, so that they are paired.",
         left=3,
-    )  # fmt: skip
+        strong=lambda row: (row["condition"], 1 - row["condition"]) == inputs.species.planned_flip,
+    )
+
+
+def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
+    """Predicted and true shifts over the nulls, a panel per flip; the line is no shift."""
+    for of in (0, 1):
+        shifts, colours = {}, {}
+        for name in inputs.asked:
+            for quantity in SHIFTS.values():
+                value = inputs.value(name, quantity, of)
+                if quantity == effects_of.MISSED or not np.isfinite(value.estimate):
+                    continue
+                label = f"{method_label(name)}: {quantity}"
+                shifts[label] = value
+                colour = style.method_colour(RECORDED if quantity == effects_of.TRUE else name)
+                colours[label] = style.MUTED.hex if quantity in NULLS else colour
+        if shifts:
+            flip = inputs.flip(of, 1 - of)
+            figure = figures.interval_rows(
+                shifts, f"Shift of path length ({inputs.unit})", title=flip, reference=0.0,
+                colours=colours,
+            )  # fmt: skip
+            yield to_image(figure, f"Predicted and true shifts of the path length, {flip}")
 
 
 def _errors(inputs: CounterfactualInputs) -> Iterator[Block]:
     table = inputs.effects.table
     rows = table[table["quantity"].isin([effects_of.ERROR, effects_of.ERROR_DIFFERENCE])]
-    groups = []
-    for counting in effects_of.COUNTINGS:
-        lines = [
-            Row([
-                str(row["method"]).replace(" - ", " \u2212 "), str(row["variant"]),
-                inputs.conditions[int(row["condition"])], with_interval(interval(row, "value")),
-                _accuracy(inputs, str(row["method"])),
-            ])
-            for _, row in rows[rows["counting"] == counting].iterrows()
-        ]  # fmt: skip
-        groups.append(Group(_counted(counting), lines))
-    yield Table(
+    yield tabulate(
         "Signed errors",
-        ["Method", "Variant", "Condition", f"Simulated \u2212 {inputs.recorded}\n({inputs.unit})",
-         "Treatment\naccuracy"],
-        groups,
+        {
+            "Method": lambda row: str(row["method"]).replace(" - ", f" {MINUS} "),
+            "Variant": lambda row: str(row["variant"]),
+            "Condition": lambda row: inputs.condition(int(row["condition"])),
+            f"Simulated {MINUS} {inputs.recorded}\n({inputs.unit})": (
+                lambda row: with_interval(interval(row, "value"))
+            ),
+            "Treatment\naccuracy": (
+                lambda row: with_interval(inputs.value(row["method"], effects_of.ACCURACY, -1))
+            ),
+        },
+        [
+            (title, (row for _, row in rows[rows["counting"] == counting].iterrows()))
+            for counting, title in COUNTED.items()
+        ],
         "Mean path length of the rollouts minus that of the demonstrations they started from, in "
         "the same condition [95 % interval], and the difference of the methods' errors. Treatment "
         "accuracy: balanced, on held-out demonstrations; 0.5 is what a memory blind to the "
         "condition gives.",
         left=3,
-    )  # fmt: skip
-
-
-def _episodes(inputs: CounterfactualInputs) -> Iterator[Block]:
-    yield Gallery(
-        [episode_panel(inputs)],
-        "Every episode is a dot (mean over those who move towards the target), bars are means: "
-        f"{inputs.recorded}, simulated in either condition, and hollow: told the other condition "
-        f"(1: {inputs.conditions[0]}, 2: {inputs.conditions[1]}).",
     )
 
 
-def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
-    truth, other = (inputs.conditions[c] for c in inputs.planned)
+def _episodes(inputs: CounterfactualInputs) -> Iterator[Block]:
+    figure = figures.episode_dots(list(_dots(inputs)), f"Path length ({inputs.unit})")
     yield Gallery(
-        list(path_panels(inputs)),
+        [to_image(figure, "Path length of every episode by method, condition and cue")],
+        "Every episode is a dot (mean over those who move towards the target), bars are means: "
+        f"{inputs.recorded}, simulated in either condition, and hollow: told the other condition "
+        f"(1: {inputs.condition(0)}, 2: {inputs.condition(1)}).",
+    )
+
+
+def _dots(inputs: CounterfactualInputs) -> Iterator[Dots]:
+    """A column for each condition of everybody, told the truth and then the other condition."""
+    demos, asked = inputs.demos, inputs.asked
+    recorded = Rollouts.from_demonstrations(demos)
+    shown: list[tuple[str, str, Any, bool]] = [
+        (inputs.recorded, RECORDED, (recorded, recorded), False),
+        *((method_label(n), n, (a.trained.factual,) * 2, False) for n, a in asked.items()),
+        *((method_label(n), n, (a.trained.flipped,) * 2, True) for n, a in asked.items()),
+    ]
+    if inputs.teams is not None:
+        shown.append(("team", RECORDED, inputs.teams[::-1], True))
+    for label, method, by_condition, flipped in shown:
+        for c, rollouts in enumerate(by_condition):
+            lengths = PATH_LENGTH.measure(Episodes(rollouts, demos))
+            own = demos.condition[rollouts.demo] == c
+            told = f"{ARROW}{2 - c}" if flipped else ""
+            yield Dots(f"{label} {c + 1}{told}", method, lengths[own], flipped)
+
+
+def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
+    of, told = inputs.planned
+    truth, other = inputs.condition(of), inputs.condition(told)
+    images = []
+    for start in changed_starts(inputs, of, QUANTILES):
+        recorded = inputs.demos.episode(start).positions
+        paths = [(inputs.recorded, recorded)]
+        for cue, key in ((truth, "factual"), (other, "flipped")):
+            for name, one in inputs.asked.items():
+                rollouts = getattr(one.trained, key)
+                said = cue if key == "factual" else f"told {cue}"
+                path = rollouts.path(first_from(rollouts, start))
+                paths.append((f"{method_label(name)}\n{said}", path))
+        if inputs.teams is not None:
+            team = inputs.teams[told]
+            paths.append((f"team\n{other}", team.path(first_from(team, start))))
+        figure = path_panels(paths, recorded, inputs.stage, f"start {start}")
+        images.append(to_image(figure, f"Paths from start {start}, told {truth} and {other}"))
+    yield Gallery(
+        images,
         f"From one start each: {inputs.recorded}, simulated told the truth ({truth}), and told the "
         f"other condition ({other}), first seed, first rollout. Starts chosen by rank: the 10th, "
         "50th and 90th percentile of how much the path of "
@@ -215,19 +265,7 @@ def _paths(inputs: CounterfactualInputs) -> Iterator[Block]:
     )
 
 
-def _provenance(inputs: CounterfactualInputs) -> Iterator[Block]:
-    yield Text("To repeat this page:")
-    yield Command(inputs.command)
-    yield Pairs("World", [*inputs.world.items(), *flattened(inputs.environment)])
-    yield Pairs("Demonstrations", [
-        ("fingerprint of the evaluated set", inputs.demos.fingerprint()), *origin(inputs.demos),
-    ])  # fmt: skip
-    yield code_and_machine(inputs.machine, inputs.wall_time)
-    yield Pairs("Settings", flattened(inputs.settings))
-    yield Pairs("Versions", list(inputs.versions.items()))
-
-
-def _methods(inputs: CounterfactualInputs) -> str:
+def _paste(inputs: CounterfactualInputs) -> Iterator[Block]:
     trained = "; ".join(
         f"{method_label(name)}, {len(seeds)} training seed{'s' if len(seeds) != 1 else ''}"
         for name, seeds in inputs.seeds.items()
@@ -237,28 +275,12 @@ def _methods(inputs: CounterfactualInputs) -> str:
         if inputs.teams is None
         else ", beside what the teams of the other condition do from the same starts"
     )
-    return (
-        f"{made_with(inputs.demos, inputs.versions, inputs.machine)}; licence of the data: "
-        f"{licence(inputs.demos)}). Trained policies ({trained}) were rolled out from "
+    sentence = (
+        f"Trained policies ({trained}) were rolled out from "
         f"{inputs.demos.num_episodes} test starts, told the condition of the start and, with the "
         "same random numbers, the other one. Shifts are the differences of means over starts, with "
         "95 % intervals over starts and, from two training seeds on, over seeds by Student's t"
         f"{truth}, and beside the shifts of untrained networks and of networks that cannot see the "
         "condition."
     )
-
-
-def _variant(inputs: CounterfactualInputs, method: str) -> str:
-    return "main" if inputs.asked[method].main else "supplementary"
-
-
-def _accuracy(inputs: CounterfactualInputs, method: str) -> str:
-    return with_interval(inputs.value(method, effects_of.ACCURACY, -1)) or NOTHING
-
-
-def _counted(counting: str) -> str:
-    return {"all": "All episodes", "captures": "Captures only, starts that both reach"}[counting]
-
-
-def _size(value: Interval) -> Interval:
-    return value if value.estimate > 0 else Interval(-value.estimate, -value.high, -value.low)
+    return to_paste(inputs, "", [sentence])

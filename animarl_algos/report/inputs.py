@@ -1,29 +1,102 @@
-"""Everything that a report shows, checked to belong together."""
+"""Everything that a page shows: what all pages know of their runs, and what each shows besides."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.effects import Asked, Effects
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.evaluation.tables import Evaluation
-from animarl_algos.report.words import Words
-from animarl_envs.arena import Arena
+from animarl_algos.report.path_figures import Stage
+from animarl_algos.report.words import ARROW, Words, pick
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit
+from animarl_envs.species import Species
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CURVE_COLUMNS = ("method", "phase", "seed", "step", "quantity", "value")
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PageInputs:
+    """What every page knows of the runs that it shows.
+
+    Parameters
+    ----------
+    demos
+        The evaluated demonstrations.
+    species
+        Whose contact radius, goal and conditions these are; None where only the recordings are
+        known.
+    command
+        Repeats the page.
+    world
+        The species' numbers in words.
+    environment
+        Options of the world that was trained in and evaluated.
+    settings
+        As resolved; may be nested.
+    versions
+        Of packages.
+    machine
+        What the trainings were made with and on: commit, processor, accelerator.
+    wall_time
+        Seconds by stage, where they were measured.
+    """
+
+    demos: Demonstrations
+    species: Species | None = None
+    command: str = ""
+    world: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    machine: Mapping[str, str] = field(default_factory=dict)
+    wall_time: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def words(self) -> Words:
+        """What the demonstrations and the unit of lengths are called."""
+        return Words.of(self.demos)
+
+    @property
+    def recorded(self) -> str:
+        """What the demonstrations are called: recorded only if they were."""
+        return self.words.say("recorded")
+
+    @cached_property
+    def stage(self) -> Stage:
+        """Where they move: the recorded field, with walls if the world had them."""
+        demos = self.demos
+        walls = bool(self.environment.get("rebound", demos.arena.rebound))
+        return Stage(
+            replace(demos.arena, rebound=walls),
+            demos.roles,
+            demos.individuals,
+            self.words,
+            None if self.species is None else self.species.contact_radius,
+        )
+
+    def condition(self, number: int) -> str:
+        """Return the name of a condition."""
+        names = () if self.species is None else self.species.conditions
+        return names[number] if len(names) > number else f"condition {number}"
+
+    def flip(self, of: int, told: int) -> str:
+        """Return the names of a condition and of the one that was told instead."""
+        return f"{self.condition(of)}{ARROW}{self.condition(told)}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ReportInputs:
-    """Everything that a report shows.
+class ReportInputs(PageInputs):
+    """Everything that the report of a run, or of several runs, shows.
 
     Parameters
     ----------
@@ -31,14 +104,10 @@ class ReportInputs:
         Of the page.
     learner
         The method that the summary, the trajectories and the speeds are about.
-    demos
-        The evaluated demonstrations.
     rollouts
         By method name, all seeds and cues joined.
     evaluation
         Of these rollouts against these demonstrations.
-    conditions
-        Names of conditions 0 and 1, if the species has any.
     fit
         The fitted locomotion, if it was fitted.
     decisions
@@ -46,62 +115,30 @@ class ReportInputs:
     learning_curves
         Tidy, columns ``method, phase, seed, step, quantity, value``; the phase ``"offline"``
         counts epochs, every other one environment steps.
-    settings
-        As resolved; may be nested.
-    seeds, versions, command, created
-        Training seeds, package versions, the command that repeats the run, and when it was made.
+    seeds, created
+        Training seeds, and when the page was made.
     episodes
         Number of demonstrations per split, where the run knows them.
-    contact_radius
-        How near a pursuer comes to touch the target, or the searcher to reach the source [arena
-        unit]; the player draws it.
-    environment
-        Options of the world that was trained in and evaluated.
-    machine
-        What the run was made with and on: commit, processor, accelerator.
-    wall_time
-        Seconds by stage, where they were measured.
     warnings
         What was doubtful while the run was made; said beside the verdict.
 
     Raises
     ------
     InputError
-        If the evaluation is of other demonstrations, the learner has no rollouts, or the learning
-        curves lack a column.
+        If the evaluation is of other demonstrations, or the learner has no rollouts.
     """
 
     title: str
     learner: str
-    demos: Demonstrations
     rollouts: Mapping[str, Rollouts]
     evaluation: Evaluation
-    conditions: tuple[str, ...] = ()
     fit: LocomotionFit | None = None
     decisions: Decisions | None = None
     learning_curves: pd.DataFrame | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
     seeds: tuple[int, ...] = ()
-    versions: Mapping[str, str] = field(default_factory=dict)
-    command: str = ""
     created: str = ""
     episodes: Mapping[str, int] = field(default_factory=dict)
-    contact_radius: float | None = None
-    environment: Mapping[str, Any] = field(default_factory=dict)
-    machine: Mapping[str, str] = field(default_factory=dict)
-    wall_time: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-
-    @property
-    def words(self) -> Words:
-        """What the demonstrations and the unit of lengths are called."""
-        return Words.of(self.demos)
-
-    @property
-    def arena(self) -> Arena:
-        """The recorded field, with walls if the world had them."""
-        arena = self.demos.arena
-        return replace(arena, rebound=bool(self.environment.get("rebound", arena.rebound)))
 
     def __post_init__(self) -> None:
         if self.evaluation.fingerprint != self.demos.fingerprint():
@@ -114,10 +151,47 @@ class ReportInputs:
                 f"there are no rollouts of {self.learner!r}: choose one of "
                 f"{', '.join(self.rollouts)}"
             )
-        if self.learning_curves is not None:
-            missing = [c for c in CURVE_COLUMNS if c not in self.learning_curves.columns]
-            if missing:
-                raise InputError(
-                    f"the learning curves lack the column {missing[0]!r}: "
-                    f"give {', '.join(CURVE_COLUMNS)}"
-                )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CounterfactualInputs(PageInputs):
+    """Everything that the page of a counterfactual shows.
+
+    ``teams`` are what the teams of condition 0 and of condition 1 do; ``seeds`` the training seeds
+    by method.
+    """
+
+    species: Species
+    asked: Mapping[str, Asked]
+    teams: tuple[Rollouts, Rollouts] | None
+    effects: Effects
+    seeds: Mapping[str, tuple[int, ...]]
+
+    @property
+    def unit(self) -> str:
+        return f"{self.species.length_unit}s"
+
+    @property
+    def planned(self) -> tuple[int, int]:
+        """The flip that was planned in advance; the first, where none was."""
+        return self.species.planned_flip or (0, 1)
+
+    def value(self, method: str, quantity: str, of: int, counting: str = "all") -> Interval:
+        """Return a quantity from starts of condition ``of``; undefined if there is none."""
+        row = pick(
+            self.effects.table, method=method, quantity=quantity, condition=of, counting=counting
+        )
+        return UNDEFINED if row is None else interval(row, "value")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InspectionInputs(PageInputs):
+    """Everything that the page of one episode shows; ``rollouts`` are those from its start."""
+
+    species: Species
+    learner: str
+    episode: int
+    recording: Rollouts
+    rollouts: Mapping[str, Rollouts]
+    decisions: Decisions
+    metrics: pd.DataFrame

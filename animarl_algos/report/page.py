@@ -1,6 +1,7 @@
-"""A page: templates, style sheets and scripts put together into one file that loads nothing.
+"""A page: blocks, templates, style sheets and scripts in one file that loads nothing.
 
-Whatever makes a page (a run, a comparison of runs) gives blocks; nothing here knows what they say.
+Whatever makes a page (a run, a counterfactual, an episode, a leaderboard) gives blocks; nothing
+here knows what they say.
 """
 
 from __future__ import annotations
@@ -8,23 +9,148 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from animarl_algos.report.blocks import Section
-from animarl_algos.report.scenes import Player
-from animarl_algos.report.themes import COLOURS
-from animarl_algos.report.verdict_section import Lead
+from animarl_algos.report.style import COLOURS, Image, figure_style
+from animarl_algos.report.words import glossary
 from animarl_envs.drawing.palette import to_hex
 from animarl_envs.errors import MissingExtraError
+from animarl_envs.files import write_then_rename
+
+if TYPE_CHECKING:
+    from animarl_algos.report.player import Player
 
 TEMPLATES = Path(__file__).parent / "templates"
 SCRIPTS = (
     "themes.js", "tables.js", "downloads.js", "paths.js", "stage.js", "player.js", "start.js",
 )  # fmt: skip
 """In this order, inside one function: a later one uses what an earlier one defines."""
+PAGE_FILE, FIGURES = "report.html", "figures"
+LONGEST_NAME = 60  # of a figure's file
+FORMATS: dict[str, dict[str, Any]] = {
+    "svg": {"metadata": {"Date": None}},
+    "png": {"dpi": 200, "metadata": {"Software": None}},
+    "pdf": {"metadata": {"CreationDate": None}},
+}  # without dates: the same figure gives the same bytes
+
+
+# -- blocks ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph or, by its kind, a heading, a sentence of a list, or text to copy."""
+
+    text: str
+    kind: str = "text"
+
+    @classmethod
+    def heading(cls, text: str) -> Text:
+        return cls(text, "heading")
+
+    @classmethod
+    def command(cls, text: str) -> Text:
+        return cls(text, "command")
+
+
+@dataclass(frozen=True)
+class Sentences:
+    kind: ClassVar[str] = "sentences"
+    sentences: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Gallery:
+    kind: ClassVar[str] = "gallery"
+    images: Sequence[Image]
+    caption: str
+    strip: bool = False  # small pictures that stay side by side on a narrow page
+
+
+class Row(NamedTuple):
+    cells: Sequence[str]
+    strong: bool = False
+    faint: bool = False
+
+
+class Group(NamedTuple):
+    title: str
+    rows: Sequence[Row]
+
+
+@dataclass(frozen=True)
+class Table:
+    kind: ClassVar[str] = "table"
+    label: str
+    columns: Sequence[str]
+    groups: Sequence[Group]
+    caption: str
+    left: int = 1  # so many leading columns hold words
+    folded: str = ""  # what a reader clicks to see the table; empty: it is shown
+
+
+@dataclass(frozen=True)
+class Pairs:
+    kind: ClassVar[str] = "pairs"
+    title: str
+    entries: Sequence[tuple[str, str]]
+
+
+Block = Text | Sentences | Gallery | Table | Pairs
+
+
+def tabulate(
+    label: str,
+    columns: Mapping[str, Callable[[Any], str]],
+    groups: Iterable[tuple[str, Iterable[Any]]],
+    caption: str,
+    *,
+    strong: Callable[[Any], bool] = lambda row: False,
+    faint: Callable[[Any], bool] = lambda row: False,
+    **options: Any,
+) -> Table:
+    """Return a table of things: each column says what it writes of one; empty groups are left out.
+
+    ``strong`` and ``faint`` say of which the row is so; ``options`` are those of :class:`Table`.
+    """
+    made = [
+        Group(
+            title,
+            [Row([c(one) for c in columns.values()], strong(one), faint(one)) for one in things],
+        )
+        for title, things in groups
+    ]
+    return Table(label, list(columns), [one for one in made if one.rows], caption, **options)
+
+
+# -- the page -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Section:
+    anchor: str
+    title: str
+    blocks: Sequence[Block]
+    folded: str = ""  # as of a table
+
+
+@dataclass(frozen=True)
+class Lead:
+    """What stands at the top of the page: the judgement, what differs, how surely, what limits it.
+
+    ``mark`` is a sign for the judgement, for readers who do not see its ``colour``.
+    """
+
+    judgement: str
+    colour: str
+    mark: str
+    headline: str
+    details: Sequence[str]
+    cautions: Sequence[str] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +163,12 @@ class Page:
         What sort of page it is, above its title.
     facts
         Names and values, below the title.
+    sections
+        Those without blocks are left out.
     lead, player
         The verdict and the player, side by side where there is room; either may be missing.
-    glossary
-        Terms and what they mean.
+    methods
+        As the page calls them; the glossary explains them and the page's terms. None: no glossary.
     """
 
     title: str
@@ -50,46 +178,77 @@ class Page:
     sections: Sequence[Section]
     lead: Lead | None = None
     player: Player | None = None
-    glossary: Sequence[tuple[str, str]] = ()
+    methods: Sequence[str] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sections", [one for one in self.sections if one.blocks])
+
+    def html(self) -> str:
+        """Return the page as HTML.
+
+        Raises
+        ------
+        MissingExtraError
+            If jinja2 is not installed.
+        """
+        try:
+            from jinja2 import Environment, FileSystemLoader, StrictUndefined
+        except ImportError as error:
+            raise MissingExtraError("the report", "algos") from error
+        environment = Environment(
+            loader=FileSystemLoader(TEMPLATES),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        program = script()
+        return environment.get_template("page.html.j2").render(
+            page=self,
+            colours=[(c.name, to_hex(c.light), to_hex(c.dark)) for c in COLOURS],
+            player_data=None if self.player is None else as_data(self.player.data),
+            script=program,
+            policy=policy(program),
+            glossary=lambda body: [] if self.methods is None else glossary(self.methods, body),
+        )
+
+    def write(self, folder: Path) -> None:
+        """Write the page as ``report.html``, and every figure of it into ``figures``."""
+        write_page(self, folder / PAGE_FILE)
+        for name, image in self.figures():
+            assert image.figure is not None  # of a page that was just drawn
+            image.figure.set_layout_engine(None)  # placed when the page drew it
+            for suffix, options in FORMATS.items():
+                file = folder / FIGURES / f"{name}.{suffix}"
+                with figure_style(), write_then_rename(file) as part:
+                    image.figure.savefig(part, format=suffix, **options)
+
+    def figures(self) -> Iterator[tuple[str, Image]]:
+        """Yield the images of all galleries, named by section, place and what they show."""
+        for section in self.sections:
+            galleries = [block for block in section.blocks if isinstance(block, Gallery)]
+            images = [image for gallery in galleries for image in gallery.images]
+            for place, image in enumerate(images, start=1):
+                words = re.sub(r"[^a-z0-9]+", "-", image.alt.casefold()).strip("-")
+                yield f"{section.anchor}-{place:02d}-{words[:LONGEST_NAME].rstrip('-')}", image
 
 
-def render_page(page: Page) -> str:
-    """The page as HTML.
-
-    Raises
-    ------
-    MissingExtraError
-        If jinja2 is not installed.
-    """
-    try:
-        from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    except ImportError as error:
-        raise MissingExtraError("the report", "algos") from error
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    program = script()
-    return environment.get_template("page.html.j2").render(
-        page=page,
-        colours=[(c.name, to_hex(c.light), to_hex(c.dark)) for c in COLOURS],
-        player_data=None if page.player is None else as_data(page.player.data),
-        script=program,
-        policy=policy(program),
-    )
+def write_page(page: Page, path: Path) -> Path:
+    """Write a page, whole or not at all, and return its path."""
+    html = page.html()
+    with write_then_rename(path) as part:
+        part.write_text(html, encoding="utf-8")
+    return path
 
 
 def script() -> str:
-    """All scripts as one function, so that they leave no name behind."""
+    """Return all scripts as one function, so that they leave no name behind."""
     parts = [(TEMPLATES / name).read_text(encoding="utf-8").strip() for name in SCRIPTS]
     return "\n".join(["(() => {", '"use strict";', *parts, "})();"])
 
 
 def policy(program: str) -> str:
-    """What the browser lets the page do: run this script and show what it holds; load nothing."""
+    """Return what the browser lets the page do: run this script and load nothing."""
     digest = base64.b64encode(hashlib.sha256(f"\n{program}\n".encode()).digest()).decode()
     return (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
@@ -98,7 +257,7 @@ def policy(program: str) -> str:
 
 
 def as_data(value: Any) -> str:
-    """JSON that can stand inside a script element."""
+    """Return JSON that can stand inside a script element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     for sign in "<>&":
         text = text.replace(sign, f"\\u{ord(sign):04x}")

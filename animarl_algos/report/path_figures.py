@@ -1,17 +1,20 @@
-"""Figures of paths: a rollout above its recording, in their arena, with names and a scale bar."""
+"""Figures in the arena: paths from one start, and what a learner values there and along a path."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.report import style
-from animarl_algos.report.words import Words
+from animarl_algos.report.words import Words, number
 from animarl_envs.arena import Arena
 from animarl_envs.demos.units import Unit
+from animarl_envs.locomotion import NUM_DIRECTIONS, action_directions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,52 +23,81 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 View = tuple[float, float, float]
 
+DIRECTIONS = {0: "towards focus", 3: "right", 6: "away", 9: "left"}
+DIVERGING = "RdBu_r"
+SEQUENTIAL = "cividis"  # readable with every colour vision deficiency, and in grey
 
-def trajectory_pair(
-    simulated: Floats,
-    recorded: Floats,
-    arena: Arena,
-    roles: Sequence[str],
-    names: Sequence[str],
-    words: Words,
-    title: str = "",
-) -> Figure:
-    """A rollout above the demonstration that it started from.
+
+@dataclass(frozen=True)
+class Stage:
+    """Where animals move and who they are: what is drawn beside every path.
 
     Parameters
     ----------
-    simulated, recorded
-        ``(frames, individuals, 2)``, arena frame [arena unit].
-    arena, roles, names
-        The field, whose outline is drawn, and what each individual is and is called.
+    arena
+        The recorded field, with walls if the world had them.
+    roles, names
+        What each individual is and is called.
     words
-        What the demonstration and the unit of the scale bar are called.
+        What demonstrations and the unit of lengths are called.
+    contact_radius
+        How near a pursuer comes to touch the target, or the searcher to reach the source [arena
+        unit]; the player draws it.
     """
+
+    arena: Arena
+    roles: Sequence[str]
+    names: Sequence[str]
+    words: Words
+    contact_radius: float | None = None
+
+
+# -- paths ----------------------------------------------------------------------------------------
+
+
+def path_panels(
+    paths: Sequence[tuple[str, Floats]],
+    recorded: Floats,
+    stage: Stage,
+    title: str = "",
+    *,
+    below: bool = False,
+) -> Figure:
+    """Draw paths from one start in one window, with a scale bar.
+
+    Parameters
+    ----------
+    paths
+        What stands above a panel, and ``(frames, individuals, 2)``, arena frame [arena unit].
+    recorded
+        The demonstration that the others started from; it stays in the window.
+    below
+        Panels below one another, with names of the individuals; else side by side.
+    """
+    view = view_of(stage.arena, recorded, *(path for _, path in paths))
+    x, y, half = view
     with style.figure_style():
         from matplotlib.patches import Rectangle
 
-        figure, axes = style.new_figure(1.9, 4.5, rows=2)
-        view = view_of(arena, simulated, recorded)
-        x, y, half = view
-        for panel, path, name in zip(
-            axes, (simulated, recorded), ("simulated", words.say("recorded"))
-        ):
-            draw_paths(panel, path, arena, roles, names)
+        size = (1.9, 4.5, len(paths), 1) if below else (1.55 * len(paths), 2.1, 1, len(paths))
+        figure, axes = style.new_figure(*size)
+        axes = np.atleast_1d(axes)
+        for panel, (name, path) in zip(axes, paths):
+            draw_paths(panel, path, stage.arena, stage.roles, stage.names)
             panel.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
-            if arena.shape == "open":
+            if stage.arena.shape == "open":
+                window = (x - half, y - half)
                 panel.add_patch(
-                    Rectangle((x - half, y - half), 2 * half, 2 * half, color=style.FLOOR, zorder=0)
+                    Rectangle(window, 2 * half, 2 * half, color=style.FLOOR.hex, zorder=0)
                 )
-            panel.text(
-                0.0, 1.02, name, transform=panel.transAxes, fontsize=8, color=style.MUTED,
-                va="bottom",
+            panel.set_title(name, fontsize=7.5, fontweight="normal", pad=3)
+        _scale_bar(axes[-1 if below else 0], view, stage.words.unit)
+        if below:
+            figure.legend(
+                *(part[::-1] for part in axes[0].get_legend_handles_labels()),
+                loc="outside lower left", fontsize=7, handlelength=2.6, labelspacing=0.25,
+                borderaxespad=0.2,
             )  # fmt: skip
-        _scale_bar(axes[-1], view, words.unit)
-        figure.legend(
-            *(part[::-1] for part in axes[0].get_legend_handles_labels()),
-            loc="outside lower left", fontsize=7, handlelength=2.6, labelspacing=0.25,
-            borderaxespad=0.2,
-        )  # fmt: skip
         if title:
             figure.suptitle(title, fontsize=8, x=0.02, ha="left")
     return figure
@@ -74,11 +106,11 @@ def trajectory_pair(
 def draw_paths(
     panel: Axes, path: Floats, arena: Arena, roles: Sequence[str], names: Sequence[str]
 ) -> None:
-    """Paths in an arena: open mark at the start, filled at the end, a cross at the source."""
+    """Draw paths in an arena: open mark at the start, filled at the end, a cross at the source."""
     from matplotlib.patches import Circle, Rectangle
 
     outline: dict[str, Any] = {
-        "fill": True, "facecolor": style.FLOOR, "edgecolor": style.MUTED,
+        "fill": True, "facecolor": style.FLOOR.hex, "edgecolor": style.MUTED.hex,
         "linewidth": 1.4 if arena.rebound else 0.8,
         "linestyle": "-" if arena.rebound else (0, (4, 2)), "zorder": 0,
     }  # fmt: skip
@@ -89,27 +121,28 @@ def draw_paths(
     elif arena.shape == "disc":
         panel.add_patch(Circle((0.0, 0.0), arena.size, **outline))
     if "searcher" in roles:
-        panel.plot(0.0, 0.0, "x", color=style.RECORDED_COLOUR, markersize=6, markeredgewidth=1.5)
+        panel.plot(0.0, 0.0, "x", color=style.TARGET.hex, markersize=6, markeredgewidth=1.5)
+    ground = style.PAGE.hex
     for k, look in reversed(list(enumerate(style.looks(roles)))):
-        xy = path[:, k]
         panel.plot(
-            xy[:, 0], xy[:, 1], color=look.colour, linestyle=look.dashes, linewidth=1.2,
-            label=names[k],
-        )  # fmt: skip
+            *path[:, k].T, color=look.colour, linestyle=look.dashes, linewidth=1.2, label=names[k]
+        )
         panel.plot(
-            *xy[0], look.marker, markersize=3.8, markerfacecolor=style.GROUND,
+            *path[0, k], look.marker, markersize=3.8, markerfacecolor=ground,
             markeredgecolor=look.colour, markeredgewidth=0.9,
         )  # fmt: skip
-        panel.plot(*xy[-1], look.marker, markersize=4.4, color=look.colour,
-                   markeredgecolor=style.GROUND, markeredgewidth=0.5)  # fmt: skip
+        panel.plot(
+            *path[-1, k], look.marker, markersize=4.4, color=look.colour, markeredgecolor=ground,
+            markeredgewidth=0.5,
+        )  # fmt: skip
     panel.set_aspect("equal")
     panel.set_axis_off()
 
 
-def view_of(arena: Arena, simulated: Floats, recorded: Floats) -> View:
-    """A square window: centre and half side [arena unit].
+def view_of(arena: Arena, recorded: Floats, *others: Floats) -> View:
+    """Return a square window: centre and half side [arena unit].
 
-    It holds the arena and both paths; in an open field, where a lost searcher may be anywhere, the
+    It holds the arena and all paths; in an open field, where a lost searcher may be anywhere, the
     recording and the source with room around them.
     """
     points = recorded.reshape(-1, 2)
@@ -118,7 +151,8 @@ def view_of(arena: Arena, simulated: Floats, recorded: Floats) -> View:
         margin = 1.5
     else:
         edge = min(1.08 * arena.boundary, 1.5 * arena.size)  # a step beyond stays in view
-        points = np.concatenate([points, simulated.reshape(-1, 2), [[-edge] * 2, [edge] * 2]])
+        moved = (path.reshape(-1, 2) for path in others)
+        points = np.concatenate([points, *moved, [[-edge] * 2, [edge] * 2]])
         margin = 1.04
     low, high = points.min(axis=0), points.max(axis=0)
     x, y = (low + high) / 2
@@ -126,7 +160,7 @@ def view_of(arena: Arena, simulated: Floats, recorded: Floats) -> View:
 
 
 def bar_length(half: float, unit: Unit) -> float:
-    """A round length for a scale bar, at most a quarter of the window, in the unit told."""
+    """Return a round length for a scale bar, at most a quarter of the window, in the unit told."""
     most = half * unit.per_arena_unit / 2
     power = 10.0 ** np.floor(np.log10(most))
     return float(max(step * power for step in (1, 2, 5) if step * power <= most))
@@ -137,11 +171,98 @@ def _scale_bar(panel: Axes, view: View, unit: Unit) -> None:
     x, y, half = view
     length = bar_length(half, unit)
     left, below = x - half, y - 1.06 * half
+    right = left + length / unit.per_arena_unit
     panel.plot(
-        [left, left + length / unit.per_arena_unit], [below, below], color=style.TEXT,
-        linewidth=1.4, clip_on=False, solid_capstyle="butt",
+        [left, right], [below, below], color=style.TEXT.hex, linewidth=1.4, clip_on=False,
+        solid_capstyle="butt",
     )  # fmt: skip
-    panel.text(
-        left + length / unit.per_arena_unit + 0.06 * half, below, f"{length:g} {unit.name}",
-        fontsize=7, va="center",
-    )  # fmt: skip
+    panel.text(right + 0.06 * half, below, f"{length:g} {unit.name}", fontsize=7, va="center")
+
+
+# -- values ---------------------------------------------------------------------------------------
+
+
+def action_labels(num_actions: int) -> dict[int, str]:
+    """Return names of actions for an axis: four directions of each thrust magnitude, and coasting.
+
+    With several magnitudes, the number in front counts them from the largest.
+    """
+    thrusts = (num_actions - 1) // NUM_DIRECTIONS
+    labels = {
+        NUM_DIRECTIONS * m + k: name if thrusts == 1 else f"{m + 1}: {name}"
+        for m in range(thrusts)
+        for k, name in DIRECTIONS.items()
+    }
+    return labels | {num_actions - 1: "coast"}
+
+
+def values_along_path(decisions: Decisions, dt: float) -> Figure:
+    """Draw the state value and the advantage of each action along a demonstration.
+
+    Dots are the actions that were found in it; ``dt`` is one decision step [s].
+    """
+    q, known = decisions.q, decisions.actions >= 0
+    time = np.arange(len(q)) * dt
+    with style.figure_style():
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(6.6, 3.6), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1, 2.2])
+        above.plot(time, q.mean(axis=1), color=style.TARGET.hex, label="mean over actions")
+        above.plot(time, q.max(axis=1), color=style.BLUE.hex, linewidth=1.0, label="best action")
+        above.set(ylabel="Q", title=decisions.individual)
+        above.legend(loc="best", ncols=2)
+        advantage = (q - q.mean(axis=1, keepdims=True)).T
+        reach = float(np.abs(advantage).max()) or 1.0
+        edges = np.append(time, time[-1] + dt) - dt / 2
+        mesh = below.pcolormesh(
+            edges, np.arange(q.shape[1] + 1) - 0.5, advantage, cmap=DIVERGING, vmin=-reach,
+            vmax=reach, rasterized=True,
+        )  # fmt: skip
+        below.plot(
+            time[known], decisions.actions[known], ".", color=style.TARGET.hex, markersize=3.5,
+            markeredgewidth=0,
+        )  # fmt: skip
+        labels = action_labels(q.shape[1])
+        below.set_yticks(list(labels), list(labels.values()))
+        below.invert_yaxis()
+        below.set(xlabel="Time (s)", ylabel="Acceleration")
+        figure.colorbar(mesh, ax=below, label="Advantage", pad=0.01)
+    return figure
+
+
+def value_map(decisions: Decisions, stage: Stage, dt: float) -> Figure:
+    """Draw the best action value at every place of the arena, with the accelerations called for.
+
+    The others stand where they were at that moment, targets as dark crosses.
+    """
+    q, unit, arena = decisions.map_q, stage.words.unit, stage.arena
+    direction = action_directions(q.argmax(axis=-1), decisions.focus, q.shape[-1])
+    direction[np.isnan(q[..., 0])] = np.nan  # no arrow outside the arena
+    x, y = unit.per_arena_unit * decisions.x, unit.per_arena_unit * decisions.y
+    others = unit.per_arena_unit * decisions.others
+    roles = [r for n, r in zip(stage.names, stage.roles) if n != decisions.individual]
+    aims = np.array([role == "target" for role in roles], dtype=bool)
+    with style.figure_style():
+        from matplotlib.patches import Circle
+
+        figure, panel = style.new_figure(4.2, 3.6)
+        mesh = panel.pcolormesh(
+            x, y, q.max(axis=-1), cmap=SEQUENTIAL, shading="nearest", rasterized=True
+        )
+        rows, columns = (slice(None, None, max(1, len(a) // 14)) for a in (y, x))
+        panel.quiver(
+            x[columns], y[rows], direction[rows, columns, 0], direction[rows, columns, 1],
+            color=style.ON_MAP, pivot="mid", scale=24, width=0.004,
+        )  # fmt: skip
+        marks: dict[str, Any] = {"markeredgecolor": style.ON_MAP, "markeredgewidth": 1.0}
+        panel.plot(*others[~aims].T, "o", color=style.VERMILION.hex, markersize=6, **marks)
+        panel.plot(*others[aims].T, "X", color=style.TARGET.hex, markersize=6, **marks)
+        panel.set_aspect("equal")
+        title = f"{decisions.individual} at {number(decisions.moment * dt)} s"
+        panel.set(xlabel=f"x ({unit.name})", ylabel=f"y ({unit.name})", title=title)
+        if arena.shape == "disc":
+            radius = unit.per_arena_unit * arena.size
+            panel.add_patch(Circle((0, 0), radius, fill=False, edgecolor=style.MUTED.hex))
+        figure.colorbar(mesh, ax=panel, label="Q of the best action", pad=0.02)
+    return figure

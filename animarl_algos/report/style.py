@@ -1,6 +1,8 @@
-"""The look of all figures: one colour per role, thin axes, text that stays text.
+"""The look of pages and figures: one table of colours, thin axes, text that stays text.
 
-Figures are made without pyplot, so nothing global changes and nothing has to be closed.
+Figures are drawn with the light colours. Where such a colour stands in a drawing it becomes a
+variable of the style sheet, with itself as what is taken where there is none. Figures are made
+without pyplot, so nothing global changes and nothing has to be closed.
 """
 
 from __future__ import annotations
@@ -15,21 +17,65 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.rollouts import RECORDED
-from animarl_algos.report import themes
+from animarl_envs.drawing.palette import RGB, to_hex
 from animarl_envs.errors import MissingExtraError
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-TEXT = themes.TEXT.hex
-MUTED = themes.MUTED.hex
-FAINT = themes.LINE.hex
-FLOOR = themes.FLOOR.hex
-GROUND = themes.PAGE.hex
-RECORDED_COLOUR = themes.TARGET.hex
-RECORDED_FILL = themes.FILL.hex
-SIMULATED_COLOUR = themes.BLUE.hex
+
+@dataclass(frozen=True)
+class Colour:
+    """One colour of the page: what it is called, and how it looks on either ground."""
+
+    name: str
+    light: RGB
+    dark: RGB
+
+    @property
+    def hex(self) -> str:
+        """As figures are drawn with it."""
+        return to_hex(self.light)
+
+
+PAGE = Colour("page", (255, 255, 255), (22, 23, 26))
+RAISED = Colour("raised", (246, 245, 241), (34, 35, 39))
+TEXT = Colour("text", (43, 43, 47), (232, 231, 227))
+MUTED = Colour("muted", (102, 100, 95), (173, 171, 165))
+LINE = Colour("line", (222, 220, 214), (62, 63, 68))
+FLOOR = Colour("floor", (250, 249, 247), (30, 31, 34))
+FILL = Colour("fill", (112, 112, 115), (150, 150, 152))  # of demonstrated values, under others
+WARM = Colour("warm", (150, 78, 0), (242, 181, 90))  # of what limits a conclusion
+TOUCH = Colour("touch", (186, 98, 0), (245, 170, 40))  # contact
+
+# Okabe and Ito's hues (2008), told apart with every common colour vision deficiency; the lighter
+# ones somewhat darker than theirs on white, all lighter on dark.
+BLUE = Colour("blue", (0, 114, 178), (92, 168, 230))
+VERMILION = Colour("vermilion", (200, 84, 0), (255, 132, 66))
+GREEN = Colour("green", (0, 132, 98), (64, 200, 160))
+PURPLE = Colour("purple", (178, 96, 146), (222, 146, 196))
+SKY = Colour("sky", (52, 142, 196), (168, 218, 255))
+ORANGE = Colour("orange", (178, 120, 0), (240, 190, 70))
+PLUM = Colour("plum", (140, 60, 110), (196, 110, 166))
+TARGET = Colour("target", (34, 34, 38), (240, 239, 235))
+STONE = Colour("stone", (132, 130, 124), (146, 144, 138))
+CLAY = Colour("clay", (118, 106, 92), (190, 176, 158))
+
+COLOURS = tuple(one for one in list(globals().values()) if isinstance(one, Colour))
+TEXTS = (TEXT, MUTED, WARM, BLUE)
+"""Those that words are written in, on the page and on raised ground."""
+PURSUERS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
+"""One per pursuer or searcher, in order; they repeat after the last."""
+
+METHODS = {
+    "recorded": TARGET, "random": STONE, "untrained": CLAY, "dqn": ORANGE, "bc": VERMILION,
+    "soft-bc": VERMILION, "dqaas": GREEN, "dqdil": SKY, "dqdil-pt": BLUE, "dqcil": PURPLE,
+    "dqcil-pt": PLUM,
+}  # fmt: skip
+"""One per recipe, so that a method looks alike in every figure."""
+
+_BY_HEX = {colour.hex: colour.name for colour in COLOURS}
+
 ON_MAP = "#fefefe"
 """White on a colour map, which does not follow the theme, and so neither does this."""
 
@@ -47,39 +93,46 @@ RC: Any = {
     "svg.hashsalt": "animarl",  # same figure, same bytes
     "font.family": ["sans-serif"],
     "font.size": 9.0,
+    "text.color": TEXT.hex,
     "axes.titlesize": 9.5,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 7.0,
     "axes.labelsize": 9.0,
-    "axes.labelcolor": TEXT,
-    "axes.edgecolor": MUTED,
+    "axes.labelcolor": TEXT.hex,
+    "axes.edgecolor": MUTED.hex,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelcolor": TEXT,
-    "ytick.labelcolor": TEXT,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "xtick.major.width": 0.7,
-    "ytick.major.width": 0.7,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 3.0,
-    "text.color": TEXT,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "legend.handlelength": 1.2,
     "lines.linewidth": 1.4,
     "lines.solid_capstyle": "round",
-}
+} | {
+    f"{axis}tick.{key}": value
+    for axis in "xy"
+    for key, value in {
+        "color": MUTED.hex, "labelcolor": TEXT.hex, "labelsize": 8.5, "major.width": 0.7,
+        "major.size": 3.0,
+    }.items()
+}  # fmt: skip
+
+
+def themed(drawing: str) -> str:
+    """Return a drawing in the page's colours: ``var(--text, #2b2b2f)`` for ``#2b2b2f``."""
+
+    def variable(found: re.Match[str]) -> str:
+        name = _BY_HEX.get(found[0])
+        return f"var(--{name}, {found[0]})" if name else found[0]
+
+    return re.sub(r"#[0-9a-f]{6}\b", variable, drawing)
 
 
 def is_method(name: str) -> bool:
     """Whether it is one of those with a colour of their own, or its quantile twin."""
-    return _recipe(name) in themes.METHODS
+    return _recipe(name) in METHODS
 
 
 def _recipe(name: str) -> str:
@@ -87,15 +140,19 @@ def _recipe(name: str) -> str:
 
 
 def method_colour(name: str, position: int = 0) -> str:
-    """The colour of a method, a quantile twin's that of its recipe; other names by position."""
-    known = themes.METHODS.get(_recipe(name))
-    return (known or themes.PURSUERS[position % len(themes.PURSUERS)]).hex
+    """Return the colour of a method, a quantile twin's that of its recipe; else by position."""
+    known = METHODS.get(_recipe(name))
+    return (known or PURSUERS[position % len(PURSUERS)]).hex
 
 
 def method_label(name: str) -> str:
-    """How figures and tables write a method: recipes in capitals, the rest as given."""
+    """Return how figures and tables write a method: recipes in capitals, the rest as given."""
     plain = ("recorded", "random", "untrained")
     return name if name.casefold() in plain or not name.islower() else name.upper()
+
+
+def is_recorded(name: str) -> bool:
+    return name.casefold() == RECORDED
 
 
 @dataclass(frozen=True)
@@ -111,7 +168,7 @@ def looks(roles: Sequence[str]) -> list[Look]:
     """Pursuers in hues, the target near-black and solid."""
     out = []
     for i, role in enumerate(roles):
-        hue = themes.TARGET if role == "target" else themes.PURSUERS[i % len(themes.PURSUERS)]
+        hue = TARGET if role == "target" else PURSUERS[i % len(PURSUERS)]
         dashes = DASHES[0] if role == "target" else DASHES[i % len(DASHES)]
         marker = "X" if role == "target" else MARKERS[i % len(MARKERS)]
         out.append(Look(hue.hex, dashes, marker))
@@ -141,15 +198,6 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> 
 
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns)
-
-
-def light_grid(axes: Axes, axis: str = "x") -> None:
-    """Hairlines across one axis."""
-    axes.grid(axis=axis, color=FAINT, linewidth=0.5)  # type: ignore[arg-type]
-
-
-def is_recorded(name: str) -> bool:
-    return name.casefold() == RECORDED
 
 
 @dataclass(frozen=True)
@@ -186,7 +234,7 @@ def to_image(figure: Figure, alt: str) -> Image:
         'style="stroke-linejoin: round; stroke-linecap: butt">'
     )
     body = drawing[drawing.index(">") + 1 :].strip()
-    return Image(themes.themed(opening + body), width, alt, figure)
+    return Image(themed(opening + body), width, alt, figure)
 
 
 def _with_own_ids(drawing: str) -> str:

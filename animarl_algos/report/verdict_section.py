@@ -1,11 +1,10 @@
-"""The verdict as the first section of the page, as a sentence, and as a table for the terminal."""
+"""The verdict as the first section of the page, as its headline, and as a sentence."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
@@ -13,73 +12,50 @@ from animarl_algos.evaluation.verdict import REFERENCES, Verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, LEVEL, SAME, UNKNOWN
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
-from animarl_algos.report.blocks import Block, Gallery, Group, Row, Table, Text
-from animarl_algos.report.sentences import NOTHING, number, with_interval
+from animarl_algos.report.page import Block, Gallery, Lead, Table, tabulate
 from animarl_algos.report.style import Image, method_label, to_image
-from animarl_algos.report.words import Words
-from animarl_envs.errors import MissingExtraError
+from animarl_algos.report.words import NOTHING, Words, capitalised, number, with_interval
 
-if TYPE_CHECKING:
-    from rich.table import Table as TerminalTable
-
-COLUMNS = (
-    "Question", "Recorded", "Simulated", "Difference\n[95 %]", "Distance", "Null",
-    "Verdict",
-)  # fmt: skip
-COLOURS = {SAME: "green", BY_LITTLE: "amber", DIFFERS: "red", UNKNOWN: "grey"}
-MARKS = {SAME: "\u2248", BY_LITTLE: "~", DIFFERS: "\u2260", UNKNOWN: "?"}
-SIZE = " at this sample size"
+SIGNS = {
+    SAME: ("green", "\u2248"), BY_LITTLE: ("amber", "~"), DIFFERS: ("red", "\u2260"),
+    UNKNOWN: ("grey", "?"),
+}  # fmt: skip
+"""Colour and mark of a judgement."""
+HEADLINES = {
+    SAME: "{learner} is not distinguishable from the recordings at this sample size ({size})",
+    BY_LITTLE: "{learner} differs from the recordings, but by little ({size})",
+    DIFFERS: "{learner} differs from the recordings ({size})",
+    UNKNOWN: "Too little data to say whether {learner} moves like the recordings ({size}{why})",
+}
 SHARE = "share"  # the unit of what is told in percent
 BESIDE = {
     "floor": "closed-loop tracking of the recordings (perfect control in this locomotion)",
     "ceiling": "random actions",
 }
-HEADLINES = {
-    SAME: "{learner} is not distinguishable from the recordings" + SIZE + " ({size})",
-    BY_LITTLE: "{learner} differs from the recordings, but by little ({size})",
-    DIFFERS: "{learner} differs from the recordings ({size})",
-    UNKNOWN: "Too little data to say whether {learner} moves like the recordings ({size}{why})",
-}
 DEMONSTRATED = Words(synthetic=True)
 """Where nobody says what the demonstrations are, they are called that."""
 
 
-@dataclass(frozen=True)
-class Lead:
-    """What stands at the top of the page: the judgement, what differs, how surely, what limits it.
-
-    The ``judgement`` is one of :data:`~animarl_algos.evaluation.verdict_rows.JUDGEMENTS`.
-    """
-
-    judgement: str
-    headline: str
-    details: Sequence[str]
-    cautions: Sequence[str] = ()
-
-    @property
-    def colour(self) -> str:
-        """Green, amber, red, or grey where there is too little data."""
-        return COLOURS[self.judgement]
-
-    @property
-    def mark(self) -> str:
-        """A sign for the judgement, for readers who do not see colours."""
-        return MARKS[self.judgement]
+# -- in words -------------------------------------------------------------------------------------
 
 
 def verdict_lead(verdict: Verdict, words: Words, cautions: Sequence[str] = ()) -> Lead:
-    """The verdict as a line and what it rests on, every figure with its interval."""
-    details = [f"{word[:1].upper()}{word[1:]}." for word in _differences(verdict)]
-    if math.isfinite(verdict.auc.estimate):
-        details.append(f"{_classifier(verdict)}.")
-    if math.isfinite(verdict.realism.estimate):
-        details.append(f"{_realism(verdict)}.")
+    """Return the verdict as a line and what it rests on, every figure with its interval."""
+    details = [*map(capitalised, _differences(verdict)), *_scores(verdict)]
     return Lead(
         verdict.judgement,
+        *SIGNS[verdict.judgement],
         words.say(f"{_headline(verdict)}."),
-        [words.say(detail) for detail in details],
+        [words.say(f"{detail}.") for detail in details],
         cautions,
     )
+
+
+def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
+    """Return the verdict in one sentence, with the intervals that it rests on."""
+    differences = ", ".join(_differences(verdict))
+    found = f"{_headline(verdict)}{f': {differences}' if differences else ''}"
+    return words.say(f"{'. '.join([found, *_scores(verdict)])}.")
 
 
 def _headline(verdict: Verdict) -> str:
@@ -90,103 +66,31 @@ def _headline(verdict: Verdict) -> str:
     )
 
 
-def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
-    """Sentence, table and the two figures of the classifier."""
-    say = words.say
-    yield Text(verdict_sentence(verdict, words))
-    lines = [
-        Row(cells, faint=row["judgement"] == SAME) for row, cells in verdict_lines(verdict, words)
-    ]
-    columns = [say(column) for column in COLUMNS]
-    yield Table("Verdict", columns, [Group("", lines)], say(_caption(verdict)))
-    yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
-    yield from _realism_blocks(verdict, say)
-    energies = [
-        Row([_asked(row), number(row["energy"]), number(row["energy_pooled"])])
-        for _, row in verdict.table.iterrows()
-        if math.isfinite(row["energy"])
-    ]
-    if energies:
-        yield Table(
-            "Energy score",
-            ["Question", "Energy score", "other starts"],
-            [Group("", energies)],
-            "Mean energy score per start (continuous ranked probability score; the smaller the "
-            "better, unbiased), which a simulator cannot lower by always returning the same value. "
-            "Beside it the score of the demonstrations of all other starts, taken as if they were "
-            "rollouts: below it, the simulator knows something of its start.",
+def _scores(verdict: Verdict) -> Iterator[str]:
+    if math.isfinite(verdict.auc.estimate):
+        yield (
+            "A classifier ranks a simulated window above a recorded one in "
+            f"{with_interval(verdict.auc, percent=True)} % of pairs (50: chance)"
         )
-
-
-def _realism_blocks(verdict: Verdict, say: Callable[[str], str]) -> Iterator[Block]:
-    """The realism score by component, beside what it is read by."""
-    table = verdict.components
-    if table is None or table.empty:
-        return
-    kinds: list[Row] = []
-    components: list[Row] = []
-    for _, row in table.iterrows():
-        name = str(row["component"]) if isinstance(row["component"], str) else ""
-        score = Interval(row["score"], row["low"], row["high"])
-        cells = [name or str(row["kind"]), number(row["weight"], 2), with_interval(score)]
-        cells += [number(row[one]) if one in row else NOTHING for one in REFERENCES]
-        (components if name else kinds).append(Row(cells, strong=row["kind"] == "total"))
-    columns = ["Kind", "Weight", "Score\n[95 %]", *(say(one).capitalize() for one in REFERENCES)]
-    yield Table(
-        "Realism",
-        columns,
-        [Group("", kinds[::-1])],
-        say(
-            "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
-            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
-            "recording itself in place of its rollouts, other recordings, and random actions."
-        ),
-    )
-    yield Table(
-        "Realism by component",
-        ["Component", *columns[1:]],
-        [Group("", components)],
-        "Components of a kind weigh alike.",
-        folded="Realism by component",
-    )
-
-
-def verdict_sentence(verdict: Verdict, words: Words = DEMONSTRATED) -> str:
-    """The verdict in one sentence, with the intervals that it rests on."""
-    differences = ", ".join(_differences(verdict))
-    found = f"{_headline(verdict)}{f': {differences}' if differences else ''}"
-    auc = f". {_classifier(verdict)}" if math.isfinite(verdict.auc.estimate) else ""
-    score = f". {_realism(verdict)}" if math.isfinite(verdict.realism.estimate) else ""
-    return words.say(f"{found}{auc}{score}.")
-
-
-def _realism(verdict: Verdict) -> str:
-    beside = ", ".join(f"{name} {number(v)}" for name, v in verdict.realism_beside.items())
-    return f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
-
-
-def _classifier(verdict: Verdict) -> str:
-    return (
-        "A classifier ranks a simulated window above a recorded one in "
-        f"{with_interval(verdict.auc, percent=True)} % of pairs (50: chance)"
-    )
+    if math.isfinite(verdict.realism.estimate):
+        beside = ", ".join(f"{name} {number(v)}" for name, v in verdict.realism_beside.items())
+        yield f"Realism {with_interval(verdict.realism)}{f' ({beside})' if beside else ''}"
 
 
 def _differences(verdict: Verdict) -> Iterator[str]:
     """What differs, each with the figure it rests on; nothing where nothing does."""
     rows = [row for _, row in verdict.table.iterrows()]
     for word in verdict.words:
-        if word == SAME:
-            continue
-        row = next((row for row in rows if row["verdict"] == word), None)
-        evidence = "" if row is None else _evidence(row)
-        yield f"{word} ({evidence})" if evidence else word
+        if word != SAME:
+            row = next((row for row in rows if row["verdict"] == word), None)
+            evidence = "" if row is None else _evidence(row)
+            yield f"{word} ({evidence})" if evidence else word
 
 
 def _evidence(row: Any) -> str:
     """The difference with its interval; where it might be none, also the distance and its null."""
     scale, unit = _scale(row)
-    gap = Interval(row["difference"], row["difference_low"], row["difference_high"])
+    gap = _gap(row)
     points = "percentage points" if unit == "%" else unit
     parts = []
     if math.isfinite(gap.estimate):
@@ -197,34 +101,8 @@ def _evidence(row: Any) -> str:
     return "; ".join(parts)
 
 
-def verdict_table(verdict: Verdict, words: Words = DEMONSTRATED) -> TerminalTable:
-    """The verdict for the terminal.
-
-    Raises
-    ------
-    MissingExtraError
-        If rich is not installed.
-    """
-    try:
-        from rich.box import SIMPLE_HEAD
-        from rich.table import Table as TerminalTable
-        from rich.text import Text
-    except ImportError as error:
-        raise MissingExtraError("the table", "algos") from error
-    table = TerminalTable(
-        title=Text(verdict_sentence(verdict, words)),
-        caption=Text(words.say(_caption(verdict))),
-        box=SIMPLE_HEAD, padding=(0, 1),
-    )  # fmt: skip
-    for i, heading in enumerate(COLUMNS):
-        wide = i in (0, len(COLUMNS) - 1)
-        table.add_column(
-            words.say(heading), justify="left" if wide else "right", no_wrap=not wide
-        )  # fmt: skip
-    for row, cells in verdict_lines(verdict, words):
-        style = "" if row["judgement"] == SAME else "bold"
-        table.add_row(*(Text(cell) for cell in cells), style=style)
-    return table
+def _gap(row: Any) -> Interval:
+    return Interval(row["difference"], row["difference_low"], row["difference_high"])
 
 
 def _scale(row: Any) -> tuple[float, str]:
@@ -237,46 +115,76 @@ def _asked(row: Any) -> str:
     return f"{row['label']} ({unit})" if unit else str(row["label"])
 
 
-def verdict_lines(verdict: Verdict, words: Words) -> Iterator[tuple[Any, list[str]]]:
-    """Each row of the table with its cells as texts."""
-    for _, row in verdict.table.iterrows():
-        scale, unit = _scale(row)
-        gap = Interval(row["difference"], row["difference_low"], row["difference_high"])
-        cells = [
-            _asked(row),
-            number(scale * row["recorded"]),
-            number(scale * row["simulated"]),
-            with_interval(gap, unit == "%"),
-            number(scale * row["distance"]),
-            number(scale * row["null"]),
-            words.say(str(row["verdict"])),
-        ]
-        if row["measure"] in (AUC, SEQUENCE):
-            among = verdict.areas.get(str(row["measure"]), {}).get("among", UNDEFINED)
-            cells[2] = with_interval(verdict.auc if row["measure"] == AUC else verdict.sequence)
-            cells[4], cells[5] = NOTHING, number(among.high)
-        yield row, cells
+# -- as tables and pictures -----------------------------------------------------------------------
+
+
+def verdict_blocks(verdict: Verdict, words: Words = DEMONSTRATED) -> Iterator[Block]:
+    """Yield the table, figures of the classifier, realism and energy scores."""
+    say = words.say
+    yield verdict_as_table(verdict, words)
+    yield Gallery(list(_pictures(verdict)), say(_classifier_caption(verdict)))
+    yield from _realism_tables(verdict, words)
+    energies = verdict.table[verdict.table["energy"].notna()]
+    if len(energies):
+        yield tabulate(
+            "Energy score",
+            {
+                "Question": _asked,
+                "Energy score": lambda row: number(row["energy"]),
+                "other starts": lambda row: number(row["energy_pooled"]),
+            },
+            [("", (row for _, row in energies.iterrows()))],
+            "Mean energy score per start (continuous ranked probability score; the smaller the "
+            "better, unbiased), which a simulator cannot lower by always returning the same value. "
+            "Beside it the score of the demonstrations of all other starts, taken as if they were "
+            "rollouts: below it, the simulator knows something of its start.",
+            folded="Energy score",
+        )
+
+
+def verdict_as_table(verdict: Verdict, words: Words) -> Table:
+    """Return one row per question, those that find nothing faint."""
+    judges = {AUC: verdict.auc, SEQUENCE: verdict.sequence}
+
+    def scaled(key: str) -> Any:
+        return lambda row: number(_scale(row)[0] * row[key])
+
+    def simulated(row: Any) -> str:
+        judge = judges.get(row["measure"])
+        return str(scaled("simulated")(row)) if judge is None else with_interval(judge)
+
+    def null(row: Any) -> str:
+        if row["measure"] not in judges:
+            return str(scaled("null")(row))
+        return number(verdict.areas.get(str(row["measure"]), {}).get("among", UNDEFINED).high)
+
+    return tabulate(
+        "Verdict",
+        {
+            "Question": _asked,
+            words.say("Recorded"): scaled("recorded"),
+            "Simulated": simulated,
+            "Difference\n[95 %]": lambda row: with_interval(_gap(row), _scale(row)[1] == "%"),
+            "Distance": lambda row: (
+                NOTHING if row["measure"] in judges else scaled("distance")(row)
+            ),
+            "Null": null,
+            "Verdict": lambda row: words.say(str(row["verdict"])),
+        },
+        [("", (row for _, row in verdict.table.iterrows()))],
+        words.say(_caption(verdict)),
+        faint=lambda row: row["judgement"] == SAME,
+    )
 
 
 def _caption(verdict: Verdict) -> str:
-    filtered = (
-        f" All positions, simulated ones too, went through a moving average of {verdict.smoothing} "
-        "frames first."
-        if verdict.smoothing > 1
-        else ""
-    )
-    return (
+    said = (
         "Means over episodes and their difference [95 % interval]. Distance: the difference that "
         "is tested, of means or of spreads. Null: what all distances together stay below in "
         f"{100 * (1 - LEVEL):.0f} % of cases if the recorded episode of each start is exchanged "
         "with one of its rollouts. For the classifiers: recordings among themselves. Of each kind "
-        f"of order the measure that differs most is told.{_floor(verdict)}{filtered}"
+        "of order the measure that differs most is told."
     )
-
-
-def _floor(verdict: Verdict) -> str:
-    """What the judges make of tracking and of random actions, as sentences; none if neither."""
-    said = ""
     for key, name in ((AUC, "classifier's AUC"), (SEQUENCE, "AUC of order")):
         areas = verdict.areas.get(key, {})
         told = [
@@ -285,7 +193,51 @@ def _floor(verdict: Verdict) -> str:
             if one in areas and math.isfinite(areas[one].estimate)
         ]
         said += f" The {name} is {' and '.join(told)}." if told else ""
+    if verdict.smoothing > 1:
+        said += (
+            " All positions, simulated ones too, went through a moving average of "
+            f"{verdict.smoothing} frames first."
+        )
     return said
+
+
+def _realism_tables(verdict: Verdict, words: Words) -> Iterator[Table]:
+    """The realism score by kind and, folded, by component, beside what it is read by."""
+    scores = verdict.components
+    if scores is None or scores.empty:
+        return
+
+    def beside(reference: str) -> Any:
+        return lambda row: number(row[reference]) if reference in row else NOTHING
+
+    columns = {
+        "Weight": lambda row: number(row["weight"], 2),
+        "Score\n[95 %]": lambda row: with_interval(Interval(row["score"], row["low"], row["high"])),
+        **{words.say(one).capitalize(): beside(one) for one in REFERENCES},
+    }
+    whole: list[Any] = []
+    parts: list[Any] = []
+    for _, row in scores.iterrows():
+        named = isinstance(row["component"], str) and row["component"]
+        (parts if named else whole).append(row)
+    yield tabulate(
+        "Realism",
+        {"Kind": lambda row: str(row["kind"]), **columns},
+        [("", whole[::-1])],
+        words.say(
+            "How likely the recordings are under the rollouts from their own start, from 0 to 1 "
+            "(after the Waymo Open Sim Agents Challenge, Montali et al. 2023). Beside it: the "
+            "recording itself in place of its rollouts, other recordings, and random actions."
+        ),
+        strong=lambda row: row["kind"] == "total",
+    )
+    yield tabulate(
+        "Realism by component",
+        {"Component": lambda row: str(row["component"]), **columns},
+        [("", parts)],
+        "Components of a kind weigh alike.",
+        folded="Realism by component",
+    )
 
 
 def _classifier_caption(verdict: Verdict) -> str:
@@ -318,15 +270,13 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
     if shown:
         figure = figures.interval_rows(
             shown, "Area under the ROC curve", title="Distinguished", reference=0.5,
-            limits=(min(0.4, *(a.low for a in shown.values())), 1.02), label=str,
+            limits=(min(0.4, *(a.low for a in shown.values())), 1.02),
         )  # fmt: skip
         yield to_image(figure, "Area under the ROC curve of the classifier, with its references")
     if verdict.importance:
         falls = {
-            kind: Interval(fall, math.nan, math.nan)
+            kind: Interval.without_ends(fall, "")
             for kind, fall in sorted(verdict.importance.items(), key=lambda item: -item[1])
         }
-        figure = figures.interval_rows(
-            falls, "Fall of the area", title="By what", reference=0.0, label=str
-        )
+        figure = figures.interval_rows(falls, "Fall of the area", title="By what", reference=0.0)
         yield to_image(figure, "By how much the area falls when one kind of feature is shuffled")

@@ -1,4 +1,4 @@
-"""Which words and which units a report uses: those of its demonstrations.
+"""Numbers and words of a report: units, digits, what demonstrations are called, a glossary.
 
 "Recorded" is said of recordings alone; what was generated is "demonstrated". Lengths are told in
 the unit of the recordings, or in arena units where nobody knows it.
@@ -6,17 +6,24 @@ the unit of the recordings, or in arena units where nobody knows it.
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animarl_algos.evaluation.comparison import interval
-from animarl_algos.evaluation.metrics import ARENA_UNITS, Metric
-from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.metrics import ARENA_UNITS, DTW, Metric
+from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.report.style import is_recorded, method_label
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.units import RECORDED_SCALE, Unit, unit_of
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+MINUS, NOTHING, ARROW = "\u2212", "\u2013", " \u2192 "
+FEW_SEEDS = 5
 GENERATED = {
     "recorded": "demonstrated",
     "recordings": "demonstrations",
@@ -26,15 +33,7 @@ GENERATED = {
 
 @dataclass(frozen=True)
 class Words:
-    """How one report speaks.
-
-    Parameters
-    ----------
-    synthetic
-        Whether the demonstrations were generated.
-    unit
-        Of lengths.
-    """
+    """How one report speaks: whether demonstrations were generated, and the unit of lengths."""
 
     synthetic: bool = False
     unit: Unit = RECORDED_SCALE
@@ -44,7 +43,7 @@ class Words:
         return cls(demos.synthetic, unit_of(demos))
 
     def say(self, text: str) -> str:
-        """A text that speaks of recordings, as it is true of these demonstrations."""
+        """Return a text that speaks of recordings, as it is true of these demonstrations."""
         if not self.synthetic:
             return text
 
@@ -55,27 +54,29 @@ class Words:
         return re.sub(r"\brecord(?:ed|ings?)\b", generated, text, flags=re.IGNORECASE)
 
     def label(self, method: str) -> str:
-        """A method's name, or what its demonstrations are called."""
+        """Return a method's name, or what its demonstrations are called."""
         return self.say(method) if is_recorded(method) else method_label(method)
 
     def unit_of(self, metric: Metric) -> str:
-        """The unit that a metric's values are told in."""
-        if metric.share:
-            return "%"
-        return metric.unit.replace(ARENA_UNITS, self.unit.name)
+        """Return the unit that a metric's values are told in."""
+        return "%" if metric.share else metric.unit.replace(ARENA_UNITS, self.unit.name)
 
     def axis(self, metric: Metric) -> str:
-        """Of a figure."""
+        """Return the label of a figure's axis."""
         unit = "% of episodes" if metric.share else self.unit_of(metric)
         return f"{metric.label} ({unit})" if unit else metric.label
 
     def factor(self, metric: Metric) -> float:
-        """By which the tables' values are multiplied, where they are not shares."""
+        """Return by what the tables' values are multiplied, where they are not shares."""
         return self.unit.per_arena_unit if metric.is_length else 1.0
 
     def interval(self, row: Any, key: str, metric: Metric) -> Interval:
-        """An estimate of a table with its interval, in the unit told (shares as shares)."""
-        return scaled(interval(row, key), self.factor(metric))
+        """Return an estimate of a table with its interval, in the unit told (shares as shares)."""
+        return scaled(UNDEFINED if row is None else interval(row, key), self.factor(metric))
+
+    def told(self, row: Any, key: str, metric: Metric) -> str:
+        """Return the same as text, shares in percent; a dash where there is no row."""
+        return with_interval(self.interval(row, key, metric), metric.share)
 
     @property
     def speed(self) -> str:
@@ -83,5 +84,154 @@ class Words:
 
 
 def scaled(value: Interval, factor: float) -> Interval:
-    """The same in another unit."""
-    return Interval(value.estimate * factor, value.low * factor, value.high * factor)
+    """Return the same in another unit."""
+    low, high = sorted((value.low * factor, value.high * factor))
+    return Interval(value.estimate * factor, low, high)
+
+
+def pick(table: pd.DataFrame, **values: Any) -> Any | None:
+    """Return the first row of a table that has these values; None if there is none."""
+    for key, value in values.items():
+        if table.empty:
+            return None
+        table = table[table[key] == value]
+    return None if table.empty else table.iloc[0]
+
+
+# -- numbers --------------------------------------------------------------------------------------
+
+
+def number(value: float, digits: int = 3) -> str:
+    """``digits`` significant digits, never more than whole numbers need; a dash for NaN."""
+    if not math.isfinite(value):
+        return NOTHING
+    if value == 0:
+        return "0"
+    if abs(value) < 1e-4:
+        return f"{value:.0e}".replace("-", MINUS)
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return _fixed(value, min(decimals, 4 if digits > 2 else 5))
+
+
+def with_interval(value: Interval, percent: bool = False) -> str:
+    """``1.23 [1.01, 1.46]``, all with the decimals that suit the interval's width."""
+    if not math.isfinite(value.estimate):
+        return NOTHING
+    scale = 100.0 if percent else 1.0
+    parts = [scale * part for part in (value.estimate, value.low, value.high)]
+    if not math.isfinite(parts[1]):
+        return number(parts[0])
+    decimals = 0 if percent else _decimals(parts[2] - parts[1], parts[0])
+    mean, low, high = (_fixed(part, decimals) for part in parts)
+    return f"{mean} [{low}, {high}]"
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """So many decimals, a true minus sign, and no negative zero."""
+    text = f"{value:.{decimals}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", MINUS)
+
+
+def _decimals(width: float, value: float) -> int:
+    """Two digits of the interval's width, or three of the value if there is no width."""
+    scale, digits = (width, 2) if width > 0 else (abs(value), 3)
+    if scale <= 0:
+        return 0
+    return min(4, max(0, digits - 1 - math.floor(math.log10(scale))))
+
+
+# -- sentences ------------------------------------------------------------------------------------
+
+
+def cautions(comparison: pd.DataFrame, learner: str, synthetic: bool) -> list[str]:
+    """Return what limits the conclusions: few seeds, synthetic demonstrations."""
+    row = pick(comparison, method=learner, metric=DTW.key, counting="all")
+    seeds = 0 if row is None else int(row["seeds"])
+    sentences = []
+    if synthetic:
+        sentences.append(
+            "The demonstrations are synthetic: they were generated, not recorded from animals."
+        )
+    if seeds == 1:
+        sentences.append(
+            "One training seed: the intervals speak of demonstrations, for the networks trained "
+            "here, not of what another training would give."
+        )
+    elif 1 < seeds < FEW_SEEDS:
+        sentences.append(
+            f"Only {seeds} training seeds: what another training would give is known but roughly, "
+            "and the intervals are wide for it."
+        )
+    return sentences
+
+
+def listed(names: list[str]) -> str:
+    """Return names in a sentence: ``a``, ``a and b``, ``a, b and c``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def capitalised(text: str) -> str:
+    """Return the text with a capital at its start, and the rest as it is."""
+    return text[:1].upper() + text[1:]
+
+
+# -- glossary -------------------------------------------------------------------------------------
+
+RECIPES = {
+    "BC": "Behaviour cloning: the network learns to take the demonstrated action.",
+    "SOFT-BC": "Behaviour cloning that is told, instead of one action, how near each action comes "
+    "to the demonstrated movement.",
+    "DQN": "Deep Q-network: learns from the task's reward alone, by trying.",
+    "DQAAS": "Deep Q-learning with adaptive action supervision: besides the reward, the network is "
+    "taught the demonstrated action.",
+    "DQDIL": "Deep Q-learning with a distance-based imitation reward: paid for staying near the "
+    "demonstrated path (by dynamic time warping).",
+    "DQCIL": "DQDIL that also learns of two experimental conditions, so that it can be asked what "
+    "the other condition would do.",
+    "PT": "After a recipe's name: pretrained on demonstrations before it begins to act.",
+    "QR": "Before a recipe's name: the network learns quantiles of the return, not only its mean.",
+    "untrained": "The same network before training.",
+    "random": "Every action equally often.",
+}
+TERMS = {
+    "AUC": "Area under the ROC curve: how often a classifier ranks a simulated window above a "
+    "demonstrated one. 0.5 is chance: it cannot tell them apart. 1 is always.",
+    "Advantage": "What one action is worth beyond the mean of all actions in that state.",
+    "DTW": "Dynamic time warping: the distance between two paths after the best alignment in time, "
+    "summed along it.",
+    "Energy score": "How far simulated values are from the demonstrated one, less how far they are "
+    "from each other; the smaller the better. Returning always the same value does not lower it.",
+    "Interval": "In brackets, 95 %: how far the estimate might be off by the choice of "
+    "demonstrations (and training seeds, where there are several).",
+    "KDE": "Kernel-density distance: the area between two smoothed histograms, from 0 (the same) "
+    "to 2 (disjoint).",
+    "Null": "How large a distance becomes by chance alone, were the simulator perfect.",
+    "Q": "Action value: the return that the network expects if it takes an action now.",
+    "Rollout": "One simulated episode, begun where a demonstration begins.",
+    "Start": "The first moment of a demonstration: places and velocities of everybody.",
+    "Wasserstein": "Wasserstein distance: how far values must be moved, on average, to turn one "
+    "distribution into the other; in the values' own unit.",
+}
+WRITTEN = {"KDE": "(KDE|kernel-density)", "Q": "(?-i:Q)"}
+"""Regular expressions of terms that a page writes in another way."""
+
+
+def glossary(methods: Iterable[str], page: str) -> list[tuple[str, str]]:
+    """Return the terms of a page, and the recipes among its methods, in alphabetical order.
+
+    Parameters
+    ----------
+    methods
+        As they are called on the page.
+    page
+        Its HTML; what stands in drawings does not count.
+    """
+    text = re.sub(r"<svg.*?</svg>|<[^>]+>", " ", page, flags=re.DOTALL)
+    parts = {part.casefold() for name in methods for part in (name, *name.split("-"))}
+    used = {name: told for name, told in RECIPES.items() if name.casefold() in parts}
+    used |= {
+        term: told
+        for term, told in TERMS.items()
+        if re.search(rf"\b{WRITTEN.get(term, term)}s?\b", text, re.IGNORECASE)
+    }
+    return sorted(used.items(), key=lambda item: item[0].casefold())

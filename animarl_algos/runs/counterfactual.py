@@ -20,10 +20,9 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.counterfactual_inputs import CounterfactualInputs
 from animarl_algos.report.counterfactual_page import counterfactual_page
-from animarl_algos.report.exporting import write_figures
-from animarl_algos.runs.evaluating import PAGE, command, refuse_run_folder
+from animarl_algos.report.inputs import CounterfactualInputs
+from animarl_algos.runs.evaluating import command, refuse_run_folder
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_world import world_in_words
@@ -122,7 +121,7 @@ def counterfactual_runs(
         versions=runs.first.record["versions"],
         command=command("counterfactual", folders, *more),
     )
-    sections, page = counterfactual_page(inputs)
+    page = counterfactual_page(inputs)
     tables = {
         "counterfactual": found.effects.table,
         "claims": found.effects.claims,
@@ -130,8 +129,7 @@ def counterfactual_runs(
     }
     with all_files_or_none(out) as part:
         write_tables(tables, part)
-        write_figures(sections, part / "figures")
-        (part / PAGE).write_text(page, encoding="utf-8")
+        page.write(part)
     return found
 
 

@@ -18,10 +18,8 @@ from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.tables import TABLES, Evaluation
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.report.exporting import write_figures
 from animarl_algos.report.inputs import ReportInputs
-from animarl_algos.report.report import render_report
-from animarl_algos.report.sections import build_sections
+from animarl_algos.report.run_page import run_page
 from animarl_algos.runs.rolling_out import (
     DECISIONS,
     RANDOM,
@@ -164,14 +162,13 @@ def evaluate_runs(
         command("evaluate", folders),
         test=None if demos is None else new_recordings(found.runs, demos),
     )
-    sections = build_sections(inputs)
+    page = run_page(inputs)
     evaluation = found.evaluation
     tables = {name: getattr(evaluation, name) for name in TABLES}
     with all_files_or_none(out) as part:
         evaluation.verdict.save(part)
         write_tables(tables | {"verdict": evaluation.verdict.table}, part)
-        write_figures(sections, part / "figures")
-        (part / PAGE).write_text(render_report(inputs, sections), encoding="utf-8")
+        page.write(part)
     return found
 
 
@@ -215,7 +212,7 @@ def report_inputs(
         demos=demos.select(split="test") if test is None else test,
         rollouts=rollouts,
         evaluation=evaluation,
-        conditions=species.conditions,
+        species=species,
         fit=first.fit,
         decisions=Decisions.load(along) if test is None and along.exists() else None,
         learning_curves=pd.concat([run.learning_curves() for run in runs.runs], ignore_index=True),
@@ -229,7 +226,6 @@ def report_inputs(
         command=command,
         created=created,
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
-        contact_radius=species.contact_radius,
         environment=first.environment_options,
         machine=runs.machine,
         wall_time=runs.wall_time,

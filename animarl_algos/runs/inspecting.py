@@ -12,9 +12,9 @@ from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.tidy import write_tables
-from animarl_algos.report.exporting import write_figures
-from animarl_algos.report.inspection_page import InspectionInputs, inspection_page
-from animarl_algos.runs.evaluating import PAGE, command, refuse_run_folder
+from animarl_algos.report.inputs import InspectionInputs
+from animarl_algos.report.inspection_page import inspection_page
+from animarl_algos.runs.evaluating import command, refuse_run_folder
 from animarl_algos.runs.machine import wall_times
 from animarl_algos.runs.rolling_out import stored_rollouts
 from animarl_algos.runs.run import Run, method_name
@@ -114,12 +114,11 @@ def inspect_run(folder: str | Path, episode: int, out: str | Path) -> Inspected:
         versions=run.record["versions"],
         command=command("inspect", [folder], "--episode", str(episode)),
     )
-    sections, page = inspection_page(inputs)
+    page = inspection_page(inputs)
     tables = {"steps": found.steps, "values": found.values, "metrics": found.metrics}
     with all_files_or_none(out) as part:
         write_tables(tables, part)
-        write_figures(sections, part / "figures")
-        (part / PAGE).write_text(page, encoding="utf-8")
+        page.write(part)
     return found
 
 

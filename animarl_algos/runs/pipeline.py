@@ -29,7 +29,7 @@ from animarl_algos.learner.collecting import check_environment_supports
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.report.report import write_report
+from animarl_algos.report.run_page import write_report
 from animarl_algos.runs.evaluating import PAGE, report_inputs
 from animarl_algos.runs.machine import timed
 from animarl_algos.runs.rolling_out import (

@@ -19,7 +19,7 @@ from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import SAME, UNKNOWN
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.report.provenance import flattened
-from animarl_algos.report.verdict_section import COLUMNS, verdict_lines, verdict_sentence
+from animarl_algos.report.verdict_section import verdict_as_table, verdict_sentence
 from animarl_algos.report.words import Words
 from animarl_algos.runs.evaluating import refuse_run_folder
 from animarl_algos.runs.run import DEMONSTRATIONS, Run
@@ -182,10 +182,11 @@ def model_card(
     licence = str(demos.provenance.get("licence") or "not stated")
     kind = "synthetic, recorded from no animal" if demos.synthetic else "recorded"
     counts = ", ".join(f"{(demos.split == s).sum()} {s}" for s in ("train", "val", "test"))
+    table = verdict_as_table(verdict, words)
     rows = "\n".join(
         f"| {' | '.join(cell.replace(chr(10), ' ') for cell in cells)} |"
-        for cells in ([words.say(c) for c in COLUMNS], ["---"] * len(COLUMNS),
-                      *(cells for _, cells in verdict_lines(verdict, words)))
+        for cells in (table.columns, ["---"] * len(table.columns),
+                      *(row.cells for row in table.groups[0].rows))
     )  # fmt: skip
     lines = [
         f"# {species.title}: {settings.algo}",

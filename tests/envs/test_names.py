@@ -103,11 +103,11 @@ def test_odd_names_are_shown_as_they_are(name: str, tmp_path: Path) -> None:
 
 
 def test_names_stand_escaped_in_the_report() -> None:
-    from animarl_algos.report.report import render_report
+    from animarl_algos.report.run_page import run_page
 
     inputs = report_inputs()
     odd = "<script>alert(1)</script>{{ 7 * 7 }}"
-    html = render_report(replace(inputs, title=odd))
+    html = run_page(replace(inputs, title=odd)).html()
     assert "<script>alert" not in html and "{{ 7 * 7 }}" in html and "&lt;script&gt;" in html
 
 

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_inputs import make_demos, report_inputs
+from report_inputs import make_demos, rendered, report_inputs
 
 from animarl_algos.evaluation.decisions import Decisions, decide_along
-from animarl_algos.report.report import render_report
 from animarl_envs.errors import InputError
 from animarl_envs.species import SPECIES
 
@@ -62,9 +61,7 @@ def test_a_policy_of_a_single_individual_tells_that_ones_values() -> None:
     assert not np.array_equal(prey.actions, decisions(Counter()).actions)
     assert prey.map_q.max(axis=-1) == pytest.approx(10.0 * prey.moment + 1.0 + FLAG)
     assert np.array_equal(prey.others[0], DEMOS.episode(MEDIAN).positions[prey.moment, 0])
-    assert "target a cross" not in render_report(
-        dataclasses.replace(report_inputs(), decisions=prey)
-    )
+    assert "target a cross" not in rendered(dataclasses.replace(report_inputs(), decisions=prey))
 
 
 def test_decisions_pass_through_a_file_onto_the_page(tmp_path: Path) -> None:
@@ -72,7 +69,7 @@ def test_decisions_pass_through_a_file_onto_the_page(tmp_path: Path) -> None:
     made.save(tmp_path / "decisions.npz")
     read = Decisions.load(tmp_path / "decisions.npz")
     assert all(np.array_equal(getattr(read, k), v) for k, v in dataclasses.asdict(made).items())
-    page = render_report(dataclasses.replace(report_inputs(), decisions=read))
+    page = rendered(dataclasses.replace(report_inputs(), decisions=read))
     assert 'id="decisions"' in page and "over the arena" in page
 
 

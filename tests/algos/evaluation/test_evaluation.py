@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from report_inputs import make_demos, make_rollouts, report_inputs, report_page
+from report_inputs import make_demos, make_rollouts, rendered, report_inputs, report_page
 from rich.console import Console
 
 from animarl_algos.benchmark.measured import labels
@@ -16,8 +16,7 @@ from animarl_algos.evaluation import Evaluation, evaluate, measure
 from animarl_algos.evaluation.metrics import METRICS, Metric, add_metric
 from animarl_algos.evaluation.verdict_rows import SAME
 from animarl_algos.report import evaluation_table
-from animarl_algos.report.examples import factual_rollouts
-from animarl_algos.report.report import render_report
+from animarl_algos.report.player import factual_rollouts
 from animarl_envs.errors import InputError
 
 
@@ -29,7 +28,7 @@ def test_an_evaluation_is_saved_and_loaded(tmp_path: Path) -> None:
             getattr(read, name), getattr(inputs.evaluation, name), check_dtype=False
         )
     # The same inputs give the same bytes, also after a passage through files.
-    assert render_report(dataclasses.replace(inputs, evaluation=read)) == report_page()
+    assert rendered(dataclasses.replace(inputs, evaluation=read)) == report_page()
     (tmp_path / "evaluation" / "metrics.csv").unlink()
     with pytest.raises(InputError, match=r"metrics\.csv is missing"):
         Evaluation.load(tmp_path / "evaluation")
@@ -116,7 +115,7 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
         pd.testing.assert_frame_equal(table, known)  # what was there stays as it was
     rows = again.comparison.query("metric == 'pace' and method == 'dqdil' and counting == 'all'")
     assert rows[["to_recorded", "kde", "wasserstein"]].notna().all(axis=None)
-    page = render_report(dataclasses.replace(inputs, evaluation=again))
+    page = rendered(dataclasses.replace(inputs, evaluation=again))
     assert page.count("Path length over duration.") == 1
     assert "Pace by method" in page and "Pace: gate" in page
     assert again.verdict.row("pace")["verdict"] in (SAME, "paces too fast", "pace too low")
@@ -124,4 +123,4 @@ def test_a_new_metric_is_measured_compared_and_shown(pace: Metric) -> None:
     columns = [str(column.header) for column in evaluation_table(again).columns]
     assert columns[-3:] == ["pace", "KDE", "within starts"]
     # An evaluation from before it was added still makes its page.
-    assert render_report(inputs) == report_page()
+    assert rendered(inputs) == report_page()

@@ -19,8 +19,9 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.survival import log_rank_scores, mean_survival
 from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, phrase_of
-from animarl_algos.report.blocks import Table
-from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence, verdict_table
+from animarl_algos.report.page import Table
+from animarl_algos.report.terminal import verdict_table
+from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentence
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged

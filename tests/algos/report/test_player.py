@@ -11,10 +11,17 @@ import pytest
 from report_inputs import make_demos, make_rollouts, report_inputs
 
 from animarl_algos.evaluation import evaluate
-from animarl_algos.report import ReportInputs, scenes
-from animarl_algos.report.examples import at_ranks, examples, factual_rollouts
+from animarl_algos.report import ReportInputs
+from animarl_algos.report import player as playing
 from animarl_algos.report.page import as_data
-from animarl_algos.report.scenes import LEVELS, Player
+from animarl_algos.report.player import (
+    LEVELS,
+    Player,
+    at_ranks,
+    examples,
+    factual_rollouts,
+    run_player,
+)
 
 
 def unpacked(scene: dict, kind: str, individuals: int = 3) -> np.ndarray:
@@ -26,7 +33,7 @@ def unpacked(scene: dict, kind: str, individuals: int = 3) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def player() -> Player:
-    return Player.of(report_inputs())
+    return run_player(report_inputs())
 
 
 def test_examples_are_of_different_starts_and_in_order() -> None:
@@ -85,7 +92,7 @@ def test_a_run_without_flips_has_one_view() -> None:
         title="x", learner="bc", demos=demos, rollouts=rollouts,
         evaluation=evaluate(rollouts, demos, seed=0, resamples=50, distance_resamples=50),
     )  # fmt: skip
-    data = Player.of(bare).data
+    data = run_player(bare).data
     assert [view["key"] for view in data["views"]] == ["simulated"]
     assert data["contact"] is None
     assert {kind for scene in data["scenes"] for kind in scene["tracks"]} == {
@@ -94,10 +101,10 @@ def test_a_run_without_flips_has_one_view() -> None:
 
 
 def test_long_paths_are_thinned_to_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = Player.of(report_inputs()).data
+    whole = run_player(report_inputs()).data
     size = sum(len(t["path"]) for s in whole["scenes"] for t in s["tracks"].values())
-    monkeypatch.setattr(scenes, "BUDGET", size // 3)
-    thin = Player.of(report_inputs()).data
+    monkeypatch.setattr(playing, "BUDGET", size // 3)
+    thin = run_player(report_inputs()).data
     less = sum(len(t["path"]) for s in thin["scenes"] for t in s["tracks"].values())
     assert less < size / 2
     assert thin["dt"] == pytest.approx(round(thin["dt"] / whole["dt"]) * whole["dt"])
@@ -106,9 +113,9 @@ def test_long_paths_are_thinned_to_the_budget(monkeypatch: pytest.MonkeyPatch) -
 
 def test_walls_and_names_are_told() -> None:
     inputs = report_inputs()
-    player = Player.of(dataclasses.replace(inputs, environment={"rebound": True}))
+    player = run_player(dataclasses.replace(inputs, environment={"rebound": True}))
     assert player.data["arena"]["walls"] and "a wall" in player.caption
-    assert not Player.of(inputs).data["arena"]["walls"]
+    assert not run_player(inputs).data["arena"]["walls"]
     individuals = player.data["individuals"]
     assert [one["name"] for one in individuals] == list(inputs.demos.individuals)
     assert len({one["mark"] for one in individuals}) == 3

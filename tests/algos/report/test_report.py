@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from html_page import Page
-from report_inputs import HOSTILE, make_demos, make_rollouts, report_inputs, report_page
+from report_inputs import HOSTILE, make_demos, make_rollouts, rendered, report_inputs, report_page
 
 from animarl_algos.evaluation import evaluate
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.report import ReportInputs, write_report
-from animarl_algos.report.report import render_report
-from animarl_algos.report.sentences import with_interval
+from animarl_algos.report.words import with_interval
 from animarl_envs.errors import InputError
 
 
@@ -55,7 +54,7 @@ def test_hostile_names_are_harmless() -> None:
     demos = make_demos((HOSTILE, "predator_1", "prey"))
     rollouts = {HOSTILE: make_rollouts(demos, HOSTILE)}
     result = evaluate(rollouts, demos, seed=0, resamples=50, distance_resamples=50)
-    html = render_report(
+    html = rendered(
         ReportInputs(
             title=HOSTILE,
             learner=HOSTILE,
@@ -96,6 +95,3 @@ def test_inputs_that_do_not_belong_together_are_refused() -> None:
         dataclasses.replace(inputs, demos=inputs.demos.select(condition=0))
     with pytest.raises(InputError, match="no rollouts of 'dqn'"):
         dataclasses.replace(inputs, learner="dqn")
-    assert inputs.learning_curves is not None
-    with pytest.raises(InputError, match="lack the column 'phase'"):
-        dataclasses.replace(inputs, learning_curves=inputs.learning_curves.drop(columns="phase"))

@@ -50,6 +50,7 @@ def open_page(browser: Any, folder: Path) -> Iterator[Open]:
             lambda asked: said.append(asked.url) if asked.url.startswith("http") else None,
         )
         page.goto((folder / f"{name}.html").as_uri())
+        page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
         return page
 
     yield opened
@@ -248,6 +249,15 @@ def test_nothing_overflows_and_pictures_are_there(
     )
     assert len(boxes) >= least
     assert all(w > 40 and h > 40 and right <= width for w, h, right in boxes)
+
+
+def test_details_are_folded_until_they_are_asked_for(open_page: Open) -> None:
+    page = open_page(1280, 900)
+    page.reload()
+    assert page.evaluate("document.documentElement.scrollHeight") < 9 * 900
+    assert not page.is_visible("#learning svg")
+    page.click("#learning summary")
+    assert page.is_visible("#learning svg")
 
 
 def test_the_first_column_stays_in_sight(open_page: Open) -> None:

@@ -7,17 +7,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
-import pytest
 
-from animarl_algos.report.figures import shared_bins
-from animarl_algos.report.interpretation import advantage, value_map, values_along_path
-from animarl_algos.report.learning_curves import chosen_curves
-from animarl_algos.report.path_figures import bar_length, trajectory_pair
+from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.report.figures import chosen_curves, shared_bins
+from animarl_algos.report.path_figures import (
+    Stage,
+    bar_length,
+    path_panels,
+    value_map,
+    values_along_path,
+)
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
 from animarl_envs.demos.units import Unit
-from animarl_envs.errors import InputError
 
 MM = Unit("mm", 4.0)
 
@@ -40,37 +43,30 @@ def test_learning_curves_are_chosen_and_named() -> None:
     ]  # fmt: skip
     rows = [(method, 0, step, name, 1.0) for method, name in logged for step in range(3)]
     curves = pd.DataFrame(rows, columns=["method", "seed", "step", "quantity", "value"])
-    shown = {c.title: sorted(c.rows["method"].unique()) for c in chosen_curves(curves, "DQDIL")}
+    chosen = chosen_curves(curves, "DQDIL")
+    shown = {title: sorted(rows["method"].unique()) for title, rows in chosen.items()}
     assert shown == {
         "Demonstrated action first (share)": ["bc", "dqdil"],
         "Temporal-difference loss": ["predator_0", "prey"],
         "odd_one": ["dqdil"],
     }
     assert list(shown)[-1] == "odd_one"
-    assert all(len(c.rows) == 6 for c in list(chosen_curves(curves, "DQDIL"))[:2])
+    assert [len(rows) for rows in chosen.values()][:2] == [6, 6]
 
 
-def test_interpretation_figures() -> None:
+def test_values_are_drawn_along_a_path_and_over_the_arena() -> None:
     rng = np.random.default_rng(0)
-    q = rng.normal(size=(30, 13))
-    assert advantage(q).mean(axis=1) == pytest.approx(0.0, abs=1e-12)
-    assert (advantage(q).argmax(axis=1) == q.argmax(axis=1)).all()
-    along = to_image(values_along_path(q, rng.integers(-1, 13, 30), 0.1), "values")
-    assert "Advantage" in along.drawing
-    x, y = np.linspace(-1, 1, 20), np.linspace(-1, 1, 15)
-    focus = np.tile([1.0, 0.0], (15, 20, 1))
-    others = np.array([[0.5, 0.5], [0.0, 0.0]])
-    drawn = to_image(
-        value_map(
-            x, y, rng.normal(size=(15, 20, 13)), focus, Arena("disc"), others=others, unit=MM
-        ),
-        "map",
-    )
-    assert drawn.drawing.startswith("<svg") and "x (mm)" in drawn.drawing
-    with pytest.raises(InputError, match="one value per action"):
-        values_along_path(q[:, :5], np.zeros(30, dtype=int), 0.1)
-    with pytest.raises(InputError, match="15 rows"):
-        value_map(x, y, rng.normal(size=(20, 15, 13)), focus, Arena())
+    decisions = Decisions(
+        individual="predator", demo=0, q=rng.normal(size=(30, 13)),
+        actions=rng.integers(-1, 13, 30), moment=15, x=np.linspace(-1, 1, 20),
+        y=np.linspace(-1, 1, 15), map_q=rng.normal(size=(15, 20, 13)),
+        focus=np.tile([1.0, 0.0], (15, 20, 1)), others=np.array([[0.5, 0.5], [0.0, 0.0]]),
+    )  # fmt: skip
+    assert "Advantage" in to_image(values_along_path(decisions, 0.1), "values").drawing
+    roles, names = ("pursuer", "pursuer", "target"), ("predator", "other", "prey")
+    stage = Stage(Arena("disc"), roles, names, Words(unit=MM))
+    drawn = to_image(value_map(decisions, stage, 0.1), "map").drawing
+    assert drawn.startswith("<svg") and "x (mm)" in drawn
 
 
 def test_a_drawing_stands_in_a_page_and_alone() -> None:
@@ -106,13 +102,12 @@ def test_a_scale_bar_is_round_and_fits() -> None:
 def test_a_lost_searcher_does_not_hide_the_recording() -> None:
     recorded = np.linspace([0.3, 0.0], [0.02, 0.01], 30)[:, None]
     lost = np.linspace([0.3, 0.0], [-40.0, 9.0], 90)[:, None]
-    open_field = Arena("open", size=0.35)
-    figure = trajectory_pair(lost, recorded, open_field, ("searcher",), ("moth",), Words())
-    for panel in figure.axes:
-        low, high = panel.get_xlim()
-        assert low < 0.0 and 0.3 < high < 1.0
-    indoors = trajectory_pair(
-        np.full((4, 1, 2), 1.1), recorded, Arena("square"), ("pursuer",), ("she",), Words()
-    )
-    low, high = indoors.axes[0].get_xlim()
-    assert low < -1.0 and high > 1.1
+    for arena, path, role, least, most in (
+        (Arena("open", size=0.35), lost, "searcher", (-1.0, 0.0), (0.3, 1.0)),
+        (Arena("square"), np.full((4, 1, 2), 1.1), "pursuer", (-2.0, -1.0), (1.1, 2.0)),
+    ):
+        stage = Stage(arena, (role,), ("she",), Words())
+        both = [("simulated", path), ("recorded", recorded)]
+        for panel in path_panels(both, recorded, stage, below=True).axes:
+            low, high = panel.get_xlim()
+            assert least[0] < low < least[1] and most[0] < high < most[1]

@@ -9,7 +9,7 @@ from functools import cache
 import pandas as pd
 import pytest
 from html_page import Page
-from report_inputs import locomotion_fit, make_demos, make_rollouts
+from report_inputs import locomotion_fit, make_demos, make_rollouts, rendered
 
 from animarl_algos.evaluation import evaluate
 from animarl_algos.evaluation.metrics import METRICS
@@ -17,10 +17,8 @@ from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import DIFFERS, SAME
 from animarl_algos.report import ReportInputs
-from animarl_algos.report.report import render_report
-from animarl_algos.report.sentences import cautions, number, with_interval
 from animarl_algos.report.verdict_section import verdict_lead, verdict_sentence
-from animarl_algos.report.words import Words
+from animarl_algos.report.words import Words, cautions, number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 
@@ -83,7 +81,7 @@ def page_of(synthetic: bool) -> Page:
         rollouts, demos, seed=0, learner="bc", resamples=50, distance_resamples=50
     )
     return Page(
-        render_report(
+        rendered(
             ReportInputs(
                 title="x", learner="bc", demos=demos, rollouts=rollouts, evaluation=evaluation,
                 fit=locomotion_fit(demos.individuals),

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from report_inputs import report_inputs
+from report_inputs import rendered, report_inputs
 
-from animarl_algos.report.report import render_report
 from animarl_algos.runs.run_warnings import (
     INFORMATION,
     far_acting_rules,
@@ -52,5 +51,5 @@ def test_acting_rules_that_are_all_far_are_said(tmp_path: Path, least: float, sa
 
 def test_warnings_stand_on_the_page_once() -> None:
     warned = replace(report_inputs(), warnings=("It jumps & jumps.", "It jumps & jumps."))
-    page = render_report(warned)
+    page = rendered(warned)
     assert page.count('<p class="caution">It jumps &amp; jumps.</p>') == 1

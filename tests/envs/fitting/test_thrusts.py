@@ -17,7 +17,7 @@ from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import decide_along
 from animarl_algos.recipes.registry import DQN
-from animarl_algos.report.interpretation import action_labels
+from animarl_algos.report.path_figures import action_labels
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import (

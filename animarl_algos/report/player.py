@@ -1,0 +1,324 @@
+"""What the player on a page plays: paths of a few starts, packed into little text."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from animarl_algos.evaluation.comparison import factual
+from animarl_algos.evaluation.metrics import DTW, PATH_LENGTH, Episodes
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.report import style
+from animarl_algos.report.inputs import (
+    CounterfactualInputs,
+    InspectionInputs,
+    PageInputs,
+    ReportInputs,
+)
+from animarl_algos.report.path_figures import Stage, bar_length, view_of
+from animarl_algos.report.style import method_label
+from animarl_algos.report.words import capitalised
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
+
+Floats = NDArray[np.float64]
+
+STARTS = 12  # that can be played, over all conditions
+BUDGET = 1_500_000  # characters of packed paths; longer ones are thinned in time, evenly
+LEVELS = 65_535  # of a packed coordinate, across the box that holds the scene
+MOST_ROLLOUTS = 4  # of one method, of a single start
+RECORDED, SIMULATED, FACTUAL, FLIPPED, TEAM = (
+    "recorded", "simulated", "factual", "flipped", "team"
+)  # fmt: skip
+TOLD_OTHER = "told the other condition"
+ENDINGS = {TARGET_OUT: "target left", PURSUER_OUT: "pursuer left"}
+
+
+class Track(NamedTuple):
+    """One episode: ``(frames, individuals, 2)`` [arena unit], and how it ended."""
+
+    path: Floats
+    ending: str
+
+
+class Scene(NamedTuple):
+    """One start: its tracks by kind."""
+
+    title: str
+    tracks: dict[str, Track]
+
+
+@dataclass(frozen=True, eq=False)
+class Player:
+    """What the script of the page plays, as plain data; ``caption`` says what it is."""
+
+    data: dict[str, Any]
+    caption: str
+
+
+def run_player(inputs: ReportInputs) -> Player:
+    """Play simulated beside demonstrated and, where a cue was flipped, factual beside flipped."""
+    scenes = list(_run_scenes(inputs))
+    learner = method_label(inputs.learner)
+    views = [view("simulated", inputs.recorded, RECORDED, learner, SIMULATED)]
+    if any(FLIPPED in scene.tracks for scene in scenes):
+        flipper = method_label(str(_flipper(inputs)))
+        views.append(view("flipped", f"{flipper}, factual", FACTUAL, TOLD_OTHER, FLIPPED))
+    chosen = "from rollouts near their recording to far from it (DTW distance)"
+    return play(inputs, scenes, views, _of_starts(len(scenes), chosen))
+
+
+def shift_player(inputs: CounterfactualInputs) -> Player:
+    """Play the first method: factual beside flipped, flipped beside the truth and the recording."""
+    name = method_label(next(iter(inputs.asked)))
+    factual = f"{name}, factual"
+    views = [view("flipped", factual, FACTUAL, TOLD_OTHER, FLIPPED)]
+    if inputs.teams is not None:
+        team = "team of the other condition"
+        views.append(view("truth", team, TEAM, f"{name}, {TOLD_OTHER}", FLIPPED))
+    views.append(view("simulated", inputs.recorded, RECORDED, factual, FACTUAL))
+    scenes = list(_shift_scenes(inputs))
+    chosen = f"from paths that get shorter to paths that get longer when {name} is {TOLD_OTHER}"
+    return play(inputs, scenes, views, _of_starts(len(scenes), chosen))
+
+
+def episode_player(inputs: InspectionInputs) -> Player:
+    """Play the recording beside the first rollouts of every method, a scene for each repetition."""
+    recorded = track(inputs.recording, 0)
+    views = [
+        view(name, inputs.recorded, RECORDED, method_label(name), name)
+        for name in dict.fromkeys([inputs.learner, *inputs.rollouts])
+    ]
+    count = min(MOST_ROLLOUTS, *(len(rollouts) for rollouts in inputs.rollouts.values()))
+    scenes = [
+        Scene(
+            f"Rollout {k}",
+            {RECORDED: recorded} | {name: track(r, k) for name, r in inputs.rollouts.items()},
+        )
+        for k in range(count)
+    ]
+    said = f"The {inputs.recorded} episode beside the first rollouts of each method from its start."
+    return play(inputs, scenes, views, said)
+
+
+def play(
+    inputs: PageInputs, scenes: Sequence[Scene], views: Sequence[dict[str, Any]], said: str
+) -> Player:
+    """Return a player of any scenes; the caption begins with what is ``said`` of them."""
+    demos, stage = inputs.demos, inputs.stage
+    numbers = sum(t.path.size for s in scenes for t in s.tracks.values())
+    stride = max(1, -(-numbers * 8 // (3 * BUDGET)))  # two bytes a number, four characters for 3
+    names = {colour.hex: colour.name for colour in style.COLOURS}
+    arena = stage.arena
+    data = {
+        "dt": demos.dt * stride,
+        "unit": inputs.words.unit.name,
+        "arena": {"shape": arena.shape, "size": arena.size, "walls": arena.rebound},
+        "contact": stage.contact_radius,
+        "individuals": [
+            {"name": name, "role": role, "colour": names[look.colour], "mark": look.marker}
+            for name, role, look in zip(
+                demos.individuals, demos.roles, style.looks(demos.roles), strict=True
+            )
+        ],
+        "views": list(views),
+        "scenes": [_packed(scene, stage, stride) for scene in scenes],
+    }
+    return Player(data, inputs.words.say(said) + _surroundings(stage))
+
+
+def view(key: str, left: str, first: str, right: str, second: str) -> dict[str, Any]:
+    """Return two panels side by side: a title and a kind of track for each."""
+    return {
+        "key": key,
+        "title": f"{right} beside {left}",
+        "panels": [
+            {"track": first, "title": capitalised(left)},
+            {"track": second, "title": capitalised(right)},
+        ],
+    }
+
+
+def track(rollouts: Rollouts, i: int) -> Track:
+    """Return an episode, and its ending in words."""
+    goal = "source" if "searcher" in rollouts.roles else "target"
+    outcome = int(rollouts.outcome[i])
+    reached = f"{goal} reached" if outcome > 0 else f"{goal} not reached"
+    return Track(rollouts.path(i), ENDINGS.get(outcome, reached))
+
+
+def _packed(scene: Scene, stage: Stage, stride: int) -> dict[str, Any]:
+    """A scene as plain data; paths as 16-bit numbers across the box that holds them, in base64."""
+    points = np.concatenate([t.path.reshape(-1, 2) for t in scene.tracks.values()])
+    low = points.min(axis=0)
+    span = float((points.max(axis=0) - low).max()) or 1.0
+    moved = [t.path for kind, t in scene.tracks.items() if kind != RECORDED]
+    shown = view_of(stage.arena, scene.tracks[RECORDED].path, *moved)
+    unit = stage.words.unit
+    length = bar_length(shown[2], unit)
+
+    def pack(path: Floats) -> str:
+        levels = np.round((path[::stride] - low) / span * LEVELS).astype("<u2")
+        return base64.b64encode(levels.tobytes()).decode()
+
+    return {
+        "title": scene.title,
+        "view": [round(v, 6) for v in shown],
+        "bar": {"length": length / unit.per_arena_unit, "label": f"{length:g} {unit.name}"},
+        "box": [float(low[0]), float(low[1]), span / LEVELS],
+        "tracks": {
+            kind: {"path": pack(track.path), "ending": track.ending}
+            for kind, track in scene.tracks.items()
+        },
+    }
+
+
+def _of_starts(count: int, chosen: str) -> str:
+    return f"{count} test starts, all different, {chosen}."
+
+
+def _surroundings(stage: Stage) -> str:
+    if stage.arena.shape == "open":
+        walls = "The field is open."
+    elif stage.arena.rebound:
+        walls = "The outline is a wall."
+    else:
+        walls = "The dashed outline is the edge of the field; there is no wall."
+    near = "The dotted ring shows how near is contact; it is drawn thick while there is any."
+    return f" {walls}{'' if stage.contact_radius is None else f' {near}'}"
+
+
+# -- which rollouts are shown ---------------------------------------------------------------------
+
+
+def at_ranks(values: ArrayLike, starts: ArrayLike, quantiles: Sequence[float]) -> NDArray[np.int64]:
+    """Return indices of the values nearest in rank to the quantiles, no two from one start.
+
+    There are fewer than asked for where there are fewer starts.
+    """
+    starts = np.asarray(starts)
+    order = np.argsort(np.asarray(values), kind="stable")
+    chosen: dict[int, int] = {}  # rank by start
+    for quantile in quantiles:
+        off = np.abs(np.arange(len(order)) - quantile * (len(order) - 1))
+        nearest = np.argsort(off, kind="stable").tolist()
+        rank = next((r for r in nearest if int(starts[order[r]]) not in chosen), None)
+        if rank is not None:
+            chosen[int(starts[order[rank]])] = rank
+    return np.asarray(order[sorted(chosen.values())], dtype=np.int64)
+
+
+def middles(count: int) -> list[float]:
+    """Return so many quantiles, evenly."""
+    return [(k + 0.5) / count for k in range(count)]
+
+
+def factual_rollouts(inputs: ReportInputs) -> tuple[Rollouts, Floats]:
+    """Return the rollouts of the learner that the tables compare, and their DTW distances."""
+    rollouts = inputs.rollouts[inputs.learner]
+    rows = inputs.evaluation.metrics
+    first = int(np.flatnonzero(rows["method"] == inputs.learner)[0])
+    compared = factual(rows)
+    compared = compared[compared["method"] == inputs.learner]
+    chosen = compared.index.to_numpy() - first  # rows stand in the order of the rollouts
+    return rollouts.select(chosen), compared[DTW.key].to_numpy(dtype=np.float64)
+
+
+def examples(inputs: ReportInputs, quantiles: Sequence[float]) -> Iterator[tuple[str, list[int]]]:
+    """Yield for each condition its name and factual rollouts at quantiles of the DTW distance.
+
+    The name is empty where there is one condition only.
+    """
+    rollouts, dtw = factual_rollouts(inputs)
+    present = np.unique(rollouts.condition).tolist()
+    for condition in present:
+        among = np.flatnonzero(rollouts.condition == condition)
+        ranked = at_ranks(dtw[among], rollouts.demo[among], quantiles)
+        yield inputs.condition(condition) if len(present) > 1 else "", among[ranked].tolist()
+
+
+def _run_scenes(inputs: ReportInputs) -> Iterator[Scene]:
+    rollouts, _ = factual_rollouts(inputs)
+    conditions = len(np.unique(rollouts.condition))
+    name = _flipper(inputs)
+    asked = None if name is None else inputs.rollouts[name]
+    demos = Rollouts.from_demonstrations(inputs.demos)
+    for condition, chosen in examples(inputs, middles(max(1, STARTS // conditions))):
+        for i in chosen:
+            start = int(rollouts.demo[i])
+            tracks = {RECORDED: track(demos, start), SIMULATED: track(rollouts, i)}
+            pair = None if asked is None else _flipped_pair(asked, rollouts, i)
+            if asked is not None and pair is not None:
+                tracks |= {FACTUAL: track(asked, pair[0]), FLIPPED: track(asked, pair[1])}
+            yield Scene(f"Start {start}{f', {condition}' if condition else ''}", tracks)
+
+
+def _flipper(inputs: ReportInputs) -> str | None:
+    """The method that was told the other condition: the learner if it was, else the first."""
+    for name in dict.fromkeys([inputs.learner, *inputs.rollouts]):
+        told = inputs.rollouts[name]
+        if ((told.cue >= 0) & (told.cue != told.condition)).any():
+            return name
+    return None
+
+
+def _flipped_pair(asked: Rollouts, rollouts: Rollouts, i: int) -> tuple[int, int] | None:
+    """Factual and flipped rollout from the start of rollout ``i``: one network, one repetition."""
+    here = np.flatnonzero(
+        (asked.demo == rollouts.demo[i]) & (asked.condition == rollouts.condition[i])
+    )
+    factual = here[asked.cue[here] == asked.condition[here]]
+    same = (asked.seed[factual] == rollouts.seed[i]) & (
+        asked.repetition[factual] == rollouts.repetition[i]
+    )
+    for first in factual[np.argsort(~same, kind="stable")].tolist():
+        other = here[
+            (asked.cue[here] == 1 - asked.condition[here]) & (asked.seed[here] == asked.seed[first])
+        ]
+        if len(other):
+            return first, int(other[np.argmin(asked.repetition[other] != asked.repetition[first])])
+    return None
+
+
+def _shift_scenes(inputs: CounterfactualInputs) -> Iterator[Scene]:
+    trained = next(iter(inputs.asked.values())).trained
+    recorded = Rollouts.from_demonstrations(inputs.demos)
+    present = np.unique(inputs.demos.condition).tolist()
+    for condition in present:
+        for start in changed_starts(inputs, condition, middles(max(1, STARTS // len(present)))):
+            tracks = {
+                RECORDED: track(recorded, start),
+                FACTUAL: track(trained.factual, first_from(trained.factual, start)),
+                FLIPPED: track(trained.flipped, first_from(trained.flipped, start)),
+            }
+            if inputs.teams is not None:
+                team = inputs.teams[1 - condition]
+                tracks[TEAM] = track(team, first_from(team, start))
+            yield Scene(f"Start {start}, {inputs.condition(condition)}", tracks)
+
+
+def changed_starts(
+    inputs: CounterfactualInputs, condition: int, quantiles: Sequence[float]
+) -> list[int]:
+    """Return starts of a condition by how much longer paths get when the first method is told so.
+
+    Means over seeds and rollouts, at quantiles over starts.
+    """
+    trained, number = next(iter(inputs.asked.values())).trained, inputs.demos.num_episodes
+    means = []
+    for rollouts in (trained.factual, trained.flipped):
+        lengths = PATH_LENGTH.measure(Episodes(rollouts, inputs.demos))
+        sums = np.bincount(rollouts.demo, weights=lengths, minlength=number)
+        means.append(sums / np.bincount(rollouts.demo, minlength=number))
+    starts = np.flatnonzero(inputs.demos.condition == condition)
+    ranked = at_ranks((means[1] - means[0])[starts], starts, quantiles)
+    return [int(start) for start in starts[ranked]]
+
+
+def first_from(rollouts: Rollouts, start: int) -> int:
+    """Return the first rollout from a start: of the first seed, the first repetition."""
+    return int(np.flatnonzero(rollouts.demo == start)[0])
