@@ -96,7 +96,7 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
     if out is None and not dry_run:
         raise InputError("nothing would be written: name --out, or ask for a --dry-run")
     reader = find_reader(files[0], given["source"])
-    if reader.read_demonstrations is not None:
+    if reader.finished:
         if len(files) > 1:
             raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
         _refuse_beside_finished(files[0], context)

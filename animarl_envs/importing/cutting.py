@@ -21,7 +21,7 @@ from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import runs
-from animarl_envs.importing.rows import read_rows
+from animarl_envs.importing.tables import read_rows
 
 FEWEST_PIECES = 10
 FEWEST_ENDS = 5  # recordings that say how recordings end

@@ -20,7 +20,7 @@ from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import Splitting, split_recordings
 from animarl_envs.errors import InputError
-from animarl_envs.importing.rows import read_rows
+from animarl_envs.importing.tables import read_rows
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.patterns import search_names
 

@@ -71,7 +71,7 @@ def result_of(case: Case) -> Any:
         os.chdir(folder)  # names of recordings then hold no folder
         try:
             reader = get_reader(case.source) if case.source else find_reader(path)
-            whole = case.whole or reader.read_tracks is None
+            whole = case.whole or reader.finished
             found = (read if whole else read_tracks)(path, case.source, **case.options)
         except InputError as error:
             return {"refused": str(error).replace(folder, "")}

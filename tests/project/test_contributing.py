@@ -67,8 +67,7 @@ def test_a_species_in_the_list_has_its_environment() -> None:
 NAMES_A_SPECIES = {
     "animarl_envs/drawing/bodies.py",  # shapes of bodies, named after animals
     "animarl_envs/__init__.py",
-    "animarl_envs/importing/readers/agents.py",
     "animarl_envs/importing/readers/authors.py",
-    "animarl_envs/importing/readers/column_names.py",
-    "animarl_envs/importing/readers/mothvr.py",
+    "animarl_envs/importing/readers/finished.py",
+    "animarl_envs/importing/readers/published.py",
 }

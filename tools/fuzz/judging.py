@@ -40,7 +40,7 @@ def values_of(found: Demonstrations | list[Tracks]) -> Values:
 
 def read_values(kind: Kind, path: Path) -> Values:
     """What the reader returns, after a passage through the whole import as well."""
-    if get_reader(kind.source).read_tracks is None:
+    if get_reader(kind.source).finished:
         return values_of(read(path, kind.source))
     found = values_of(read_tracks(path, kind.source))
     try:

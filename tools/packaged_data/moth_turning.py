@@ -21,7 +21,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing import markdown_table
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import HeadingErrors, along_travel, fit_turning, heading_errors
-from animarl_envs.importing.readers.mothvr import FRAME_RATE, read_mothvr
+from animarl_envs.importing.readers.published import FRAME_RATE, read_mothvr
 from animarl_envs.species.turning import Turning
 from tools.packaged_data.moth_statistics import recorded_moths
 

@@ -17,36 +17,7 @@ from animarl_envs.importing.readers.unpickle import load_npy
 from animarl_envs.importing.tracks import CENTROID, Tracks
 
 AXES = ("frame", "individual", "keypoint", "xy")
-DEFAULT_AXES = {
-    2: ("frame", "xy"),
-    3: ("frame", "individual", "xy"),
-    4: ("frame", "individual", "keypoint", "xy"),
-}
-
-
-@register_track_reader(
-    "numpy",
-    "NumPy arrays (.npy, .npz); option axes, such as [frame, individual, xy]",
-    sniff=lambda path: path.suffix.lower() == ".npy" or _lone_array(path),
-    extensions=(".npy", ".npz"),
-    generic=True,
-)
-def read_numpy(
-    path: Path,
-    key: str | None = None,
-    axes: Sequence[str] | None = None,
-    names: Sequence[str] | None = None,
-    keypoints: Sequence[str] | None = None,
-    fps: float | None = None,
-    unit: str = "px",
-    y_down: bool = False,
-) -> list[Tracks]:
-    """One recording, or every array of an archive as one where ``key`` is ``"*"``."""
-    if path.suffix.lower() == ".npz":
-        arrays = read_npz(path)
-    else:
-        arrays = {path.stem: load_npy(path.read_bytes(), path)}
-    return _recordings(path, arrays, key, axes, names, keypoints, fps, unit, y_down)
+DEFAULT_AXES = {2: ("frame", "xy"), 3: ("frame", "individual", "xy"), 4: AXES}
 
 
 @register_track_reader(
@@ -56,7 +27,14 @@ def read_numpy(
     extensions=(".mat",),
     generic=True,
 )
-def read_matlab(
+@register_track_reader(
+    "numpy",
+    "NumPy arrays (.npy, .npz); option axes, such as [frame, individual, xy]",
+    sniff=lambda path: path.suffix.lower() == ".npy" or len(npz_members(path)) == 1,
+    extensions=(".npy", ".npz"),
+    generic=True,
+)
+def read_arrays(
     path: Path,
     key: str | None = None,
     axes: Sequence[str] | None = None,
@@ -66,51 +44,21 @@ def read_matlab(
     unit: str = "px",
     y_down: bool = False,
 ) -> list[Tracks]:
-    """One recording, or every array as one where ``key`` is ``"*"``.
+    """One recording, or every array of a file as one where ``key`` is ``"*"``.
 
-    Axes are as MATLAB shows them (version 7.3 stores them reversed, which is undone).
+    Axes are as NumPy and MATLAB show them (MATLAB 7.3 stores them reversed, which is undone).
     """
-    arrays = _matlab_arrays(path)
-    return _recordings(path, arrays, key, axes, names, keypoints, fps, unit, y_down)
-
-
-def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    if is_hdf(path):
-        with open_hdf(path) as file:
-            names = [n for n in file if not n.startswith("#") and hasattr(file[n], "shape")]
-            return {name: read_dataset(path, file, name).T for name in names}
-    from scipy.io import loadmat
-
-    try:
-        found = loadmat(path)
-    except (InputError, MemoryError):
-        raise
-    except Exception as error:  # what SciPy raises over damage is of no one kind
-        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
-        raise InputError(f"{path}: the MATLAB file is damaged ({first}): copy it again") from None
-    return {name: value for name, value in found.items() if hasattr(value, "dtype")}
-
-
-def _recordings(
-    path: Path,
-    arrays: dict[str, NDArray[Any]],
-    key: str | None,
-    axes: Sequence[str] | None,
-    names: Sequence[str] | None,
-    keypoints: Sequence[str] | None,
-    fps: float | None,
-    unit: str,
-    y_down: bool,
-) -> list[Tracks]:
-    numeric = {name: a for name, a in arrays.items() if a.dtype.kind in "iuf" and a.ndim >= 2}
-    if key == "*":
-        chosen = numeric
-    elif key is not None and key in arrays:
-        chosen = {key: arrays[key]}
-    elif key is None and len(numeric) == 1:
-        chosen = numeric
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        arrays = read_npz(path)
+    elif suffix == ".mat":
+        arrays = _matlab_arrays(path)
     else:
-        chosen = {}
+        arrays = {path.stem: load_npy(path.read_bytes(), path)}
+    numeric = {name: a for name, a in arrays.items() if a.dtype.kind in "iuf" and a.ndim >= 2}
+    chosen = {} if key == "*" or key not in arrays else {key: arrays[key]}
+    if key == "*" or (key is None and len(numeric) == 1):
+        chosen = numeric
     if not chosen:
         known = [name for name, value in arrays.items() if value.dtype.kind in "iuf"]
         raise InputError(
@@ -134,6 +82,23 @@ def _recordings(
     return found
 
 
+def _matlab_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    if is_hdf(path):
+        with open_hdf(path) as file:
+            names = [n for n in file if not n.startswith("#") and hasattr(file[n], "shape")]
+            return {name: read_dataset(path, file, name).T for name in names}
+    from scipy.io import loadmat
+
+    try:
+        found = loadmat(path)
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # what SciPy raises over damage is of no one kind
+        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        raise InputError(f"{path}: the MATLAB file is damaged ({first}): copy it again") from None
+    return {name: value for name, value in found.items() if hasattr(value, "dtype")}
+
+
 def _ordered(
     path: Path, name: str, array: NDArray[Any], axes: Sequence[str] | None
 ) -> NDArray[np.float64]:
@@ -154,10 +119,7 @@ def _ordered(
         )
     present = [axis for axis in AXES if axis in given]
     positions = np.asarray(array, dtype=np.float64).transpose([given.index(a) for a in present])
-    for place, axis in enumerate(AXES):
-        if axis not in given:
-            positions = np.expand_dims(positions, place)
-    return positions
+    return np.expand_dims(positions, tuple(i for i, axis in enumerate(AXES) if axis not in given))
 
 
 def _names(path: Path, what: str, names: Sequence[str] | None, count: int) -> tuple[str, ...]:
@@ -166,7 +128,3 @@ def _names(path: Path, what: str, names: Sequence[str] | None, count: int) -> tu
     if len(names) != count:
         raise InputError(f"{path}: {len(names)} names for {count} {what}s: give one for each")
     return tuple(names)
-
-
-def _lone_array(path: Path) -> bool:
-    return path.suffix.lower() == ".npz" and len(npz_members(path)) == 1

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.files import check_npz, npz_members, refuse_unfinished
+from animarl_envs.importing.readers.published import MOTH_DEFAULTS
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.readers.unpickle import load_npy
 from animarl_envs.importing.tracks import Tracks
-from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH
+from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH, Species
 
 PAPER = {
     "source": "Fujii et al., Data-driven simulator of multi-animal behavior",
@@ -37,7 +38,7 @@ NEWT_COLUMNS = (0, 2, 4)  # positions of male 1, male 2, female
 MOTH_SECONDS = 300.0
 
 
-def _chase_defaults(species: Any) -> dict[str, Any]:
+def _chase_defaults(species: Species) -> dict[str, Any]:
     recording = species.recording
     return {
         "species": species.name,
@@ -53,14 +54,18 @@ def _chase_defaults(species: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _objects(path: Path) -> dict[str, Any]:
+def _objects(path: Path, *needed: str) -> dict[str, Any]:
     """Arrays of an archive, objects included, by name."""
     check_npz(path)
     with zipfile.ZipFile(path) as archive:
-        return {
+        found = {
             member.removesuffix(".npy"): load_npy(archive.read(member), path, member, objects=True)
             for member in archive.namelist()
         }
+    for name in needed:
+        if name not in found:
+            raise InputError(f"{path}: it has no array {name!r}: check --source")
+    return found
 
 
 def _nested(path: Path, value: Any, place: str) -> Any:
@@ -88,9 +93,8 @@ def _path_of(path: Path, value: Any, place: str) -> NDArray[np.float64]:
 
 
 def _tracks(
-    path: Path, number: int, paths: list[NDArray[np.float64]], names: tuple[str, ...], rate: float,
-    **more: Any,
-) -> Tracks:  # fmt: skip
+    path: Path, number: int, paths: list[NDArray[np.float64]], species: Species, **more: Any
+) -> Tracks:
     lengths = {len(one) for one in paths}
     if len(lengths) != 1:
         raise InputError(
@@ -99,9 +103,9 @@ def _tracks(
         )
     return Tracks(
         recording=f"{path.stem}/{number:04d}",
-        individuals=names,
+        individuals=species.individuals,
         positions=np.stack(paths, axis=1)[:, :, None],
-        frame_rate=rate,
+        frame_rate=species.recording.frame_rate,
         unit="arena unit",
         provenance=PAPER,
         **more,
@@ -118,23 +122,15 @@ def _tracks(
 )
 def read_authors_agents(path: Path) -> list[Tracks]:
     """Key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
-    objects = _objects(path)
-    if "pos" not in objects:
-        raise InputError(f"{path}: it has no array 'pos': check --source")
     condition = 1 if "share" in path.name else 0
     found = []
-    for number, episode in enumerate(_nested(path, objects["pos"], "pos")):
+    for number, episode in enumerate(_nested(path, _objects(path, "pos")["pos"], "pos")):
         prey, *predators = (
             _path_of(path, one, f"episode {number}")
             for one in _nested(path, episode, f"episode {number}")
         )
         if len(prey) >= FEWEST_AGENT_FRAMES:
-            found.append(
-                _tracks(
-                    path, number, [*predators, prey], AGENT.individuals,
-                    AGENT.recording.frame_rate, condition=condition,
-                )
-            )  # fmt: skip
+            found.append(_tracks(path, number, [*predators, prey], AGENT, condition=condition))
     return found
 
 
@@ -147,13 +143,11 @@ def read_authors_agents(path: Path) -> list[Tracks]:
 )
 def read_authors_fly(path: Path) -> list[Tracks]:
     """Key ``states``: [individual][episode] of (frames, 1, >= 2) at 30 Hz; ``rewards`` likewise."""
-    objects = _objects(path)
-    if not {"states", "rewards"} <= set(objects):
-        raise InputError(f"{path}: it lacks 'states' or 'rewards': check --source")
-    states = [_nested(path, one, "states") for one in _nested(path, objects["states"], "states")]
-    rewards = [
-        _nested(path, one, "rewards") for one in _nested(path, objects["rewards"], "rewards")
-    ]
+    objects = _objects(path, "states", "rewards")
+    states, rewards = (
+        [_nested(path, one, key) for one in _nested(path, objects[key], key)]
+        for key in ("states", "rewards")
+    )
     if len(states) != 3 or len({len(one) for one in states}) != 1:
         raise InputError(f"{path}: states are of {len(states)} individuals, not 3: check the file")
     found = []
@@ -161,22 +155,15 @@ def read_authors_fly(path: Path) -> list[Tracks]:
         paths = [_path_of(path, one[number], f"episode {number}") for one in states]
         if len(paths[0]) < FEWEST_FLY_FRAMES:
             continue
-        touched = [_last(path, rewards, male, number) > 0 for male in range(2)]
-        outcome = touched.index(True) + 1 if any(touched) else UNFINISHED
-        found.append(
-            _tracks(path, number, paths, FLY.individuals, FLY.recording.frame_rate, outcome=outcome)
-        )
+        try:
+            ends = [np.asarray(own[number], np.float64).ravel()[-1] > 0 for own in rewards[:2]]
+        except (IndexError, TypeError, ValueError) as error:
+            raise InputError(
+                f"{path}: a reward in episode {number} is missing ({error}): check the file"
+            ) from None
+        outcome = ends.index(True) + 1 if any(ends) else UNFINISHED
+        found.append(_tracks(path, number, paths, FLY, outcome=outcome))
     return found
-
-
-def _last(path: Path, rewards: list[Any], individual: int, number: int) -> float:
-    try:
-        return float(np.asarray(rewards[individual][number], dtype=np.float64).ravel()[-1])
-    except (IndexError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}: the reward of individual {individual} in episode {number} is missing "
-            f"({error}): check the file"
-        ) from None
 
 
 @register_track_reader(
@@ -206,7 +193,7 @@ def read_authors_newt(path: Path) -> list[Tracks]:
         paths = [array[-kept:, i] for i in range(3)]
         ends = [float(np.asarray(r[key]).ravel()[-1]) if key in r else 0.0 for r in rewards]
         outcome = ends.index(max(ends)) + 1 if max(ends) > 0 else UNFINISHED
-        found.append(_tracks(path, number, paths, NEWT.individuals, rate, outcome=outcome))
+        found.append(_tracks(path, number, paths, NEWT, outcome=outcome))
     return found
 
 
@@ -225,12 +212,8 @@ def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64
     sniff=lambda path: re.fullmatch(r"trial\d+_mod\.csv", path.name) is not None,
     extensions=(".csv",),
     defaults={
-        "species": SILKMOTH.name,
-        "searcher": True,
+        **MOTH_DEFAULTS,
         "decision_rate": 1.0 / SILKMOTH.dt,
-        "keep_last_frame": True,
-        "cutting": {"piece": math.inf},
-        "scaling": {"shape": "open", "units_per_arena_unit": 1000.0},
         "splitting": {"by": "group", "pattern": r"(Movie\d+)", "fractions": (0.6, 0.2, 0.2)},
     },
 )

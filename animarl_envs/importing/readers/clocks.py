@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.tables import Words
+from animarl_envs.importing.tables import Words
 
+Floats, Whole = NDArray[np.float64], NDArray[np.integer]
 Place = Callable[[int], str]  # what messages call a row, counted from 0
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame
@@ -24,7 +25,7 @@ CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
 DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"
 
 
-def even_rate(path: Path, time: NDArray[np.float64], place: Place) -> float:
+def even_rate(path: Path, time: Floats, place: Place) -> float:
     """Frame rate [Hz] of times [s] that must rise evenly from row to row."""
     step = np.diff(time)
     if len(step) == 0 or not np.isfinite(step).all() or not (step > 0).all():
@@ -41,7 +42,7 @@ def even_rate(path: Path, time: NDArray[np.float64], place: Place) -> float:
     return round(1.0 / float(step.mean()), 6)
 
 
-def refuse_uneven_frames(path: Path, frames: NDArray[np.float64], place: Place) -> None:
+def refuse_uneven_frames(path: Path, frames: Floats, place: Place) -> None:
     """Refuse frame numbers that do not rise by one from row to row."""
     wrong = np.flatnonzero(np.diff(frames) != 1)  # NaN too
     if len(wrong):
@@ -53,13 +54,9 @@ def refuse_uneven_frames(path: Path, frames: NDArray[np.float64], place: Place) 
 
 
 def frames_at(
-    path: Path,
-    time: NDArray[np.float64],
-    rate: float | None,
-    group: NDArray[np.integer],
-    place: Place,
-) -> tuple[float, NDArray[np.int32]]:
-    """Frame rate [Hz] and frame number ``(rows,)`` of times [s], repeats allowed.
+    path: Path, time: Floats, rate: float | None, group: Whole, place: Place
+) -> tuple[float, NDArray[np.int64], Floats]:
+    """Frame rate [Hz] and frame number ``(rows,)`` of times [s], and the first time of each group.
 
     The earliest time of each ``group`` is frame 0. Without ``rate`` the steps between different
     times give it: the median, made exact by all steps of few frames, whole where that fits.
@@ -71,7 +68,9 @@ def frames_at(
     np.minimum.at(first, group, time)
     since = time - first[group]
     if rate is None:
-        step = _steps(group, since)
+        order = np.lexsort((since, group))
+        step = np.diff(since[order])
+        step = step[(np.diff(group[order]) == 0) & (step > 0)]
         if len(step) == 0:
             raise InputError(f"{path}: all rows have the same time: give --option fps=...")
         usual = float(np.median(step))
@@ -86,16 +85,14 @@ def frames_at(
         numbers = np.rint(since * rate)
         off = np.abs(since * rate - numbers)
         if rate > 0 and off.max() <= UNEVEN and numbers.max() < LARGEST_FRAME:
-            return rate, numbers.astype(np.int32)
+            return rate, numbers.astype(np.int64), first
     raise InputError(
         f"{path}: the time of {place(int(off.argmax()))} lies between frames at {rate:g} Hz: "
         "correct it, or give the right --option fps=..."
     )
 
 
-def refuse_times_going_back(
-    path: Path, time: NDArray[np.float64], track: NDArray[np.integer], place: Place
-) -> None:
+def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place) -> None:
     """Refuse times [s] that are earlier than those of the same ``track`` on a line above.
 
     Clock times do so at midnight, and when daylight saving time ends. Sorted, they would be frames
@@ -112,16 +109,7 @@ def refuse_times_going_back(
         )
 
 
-def _steps(group: NDArray[np.integer], since: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Steps between different times of the same group."""
-    order = np.lexsort((since, group))
-    step = np.diff(since[order])
-    return np.asarray(step[(np.diff(group[order]) == 0) & (step > 0)])
-
-
-def rate_of_frames(
-    path: Path, frames: NDArray[np.integer], time: NDArray[np.float64], group: NDArray[np.integer]
-) -> float:
+def rate_of_frames(path: Path, frames: Whole, time: Floats, group: Whole) -> float:
     """Frame rate [Hz] of rows that have a frame number and a time [s] each."""
     order = np.lexsort((frames, group))
     steps, passed = np.diff(frames[order].astype(np.int64)), np.diff(time[order])
@@ -131,9 +119,7 @@ def rate_of_frames(
     return round(1.0 / float(np.median(passed[use] / steps[use])), 6)
 
 
-def seconds(
-    path: Path, column: str, values: NDArray[np.float64] | Words, unit: str | None
-) -> NDArray[np.float64]:
+def seconds(path: Path, column: str, values: Floats | Words, unit: str | None) -> Floats:
     """Return times in seconds: numbers of a unit, ISO 8601 dates, or clock times: 0:01:02.5."""
     if not isinstance(values, Words):
         if (unit or "s") not in IN_SECONDS:
@@ -146,17 +132,17 @@ def seconds(
     texts = pandas.Series(values.entries, dtype=str).str.replace(DECIMAL_COMMA, ".", regex=True)
     try:
         if texts.str.fullmatch(CLOCK).all():
-            since = pandas.to_timedelta(texts).dt.total_seconds()
-            return np.asarray(since, dtype=np.float64)[values.number]
-        moments = pandas.to_datetime(texts, format="ISO8601", utc=True)
+            passed = pandas.to_timedelta(texts)
+        else:
+            moments = pandas.to_datetime(texts, format="ISO8601", utc=True)
+            passed = moments - moments.min().normalize()  # since midnight: more digits than 1970
+        return np.asarray(passed.dt.total_seconds(), dtype=np.float64)[values.number]
     except (ValueError, OverflowError) as error:
         raise InputError(
             f"{path}: column {column!r} holds times that are neither ISO 8601, such as "
             f"2024-05-01 10:00:00.25, nor hours:minutes:seconds ({str(error)[:100]}): rewrite "
             "them, or use a column of seconds"
         ) from None
-    passed = moments - moments.min().normalize()  # since midnight: more digits than since 1970
-    return np.asarray(passed.dt.total_seconds(), dtype=np.float64)[values.number]
 
 
 def check_rate(path: Path, column: str, rate: float) -> None:

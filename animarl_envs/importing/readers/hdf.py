@@ -7,6 +7,7 @@ of it is followed: such a file is refused as a whole.
 
 from __future__ import annotations
 
+import contextlib
 import struct
 from pathlib import Path
 from typing import Any
@@ -25,12 +26,10 @@ FILTERS = {1, 2, 3, 32000}  # deflate, shuffle, checksum, lzf: those that h5py b
 
 def is_hdf(path: Path) -> bool:
     """Whether the file starts like HDF5 (or MATLAB 7.3)."""
-    try:
-        with path.open("rb") as file:
-            start = file.read(MATLAB_OFFSET + len(MAGIC))
-    except OSError:
-        return False
-    return start.startswith(MAGIC) or start[MATLAB_OFFSET:] == MAGIC
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        start = file.read(MATLAB_OFFSET + len(MAGIC))
+        return start.startswith(MAGIC) or start[MATLAB_OFFSET:] == MAGIC
+    return False
 
 
 def open_hdf(path: Path) -> Any:
@@ -48,29 +47,26 @@ def open_hdf(path: Path) -> Any:
     if not is_hdf(path):
         raise InputError(f"{path}: it is no HDF5 file: check --source, or copy the file again")
     _check_end(path)
-    file = None
-    try:
-        file = h5py.File(path, "r")
-        _check_contents(path, file)
-    except Exception as error:
-        if file is not None:
-            file.close()
-        if isinstance(error, (InputError, MemoryError)):
+    with contextlib.ExitStack() as stack:
+        try:
+            file = stack.enter_context(h5py.File(path, "r"))
+            _check_contents(path, file)
+        except (InputError, MemoryError):
             raise
-        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
-        raise InputError(f"{path}: the HDF5 file is damaged ({first}): copy it again") from None
+        except Exception as error:
+            first = (str(error).splitlines() or [type(error).__name__])[0][:160]
+            raise InputError(f"{path}: the HDF5 file is damaged ({first}): copy it again") from None
+        stack.pop_all()
     return file
 
 
 def hdf_keys(path: Path) -> set[str]:
     """Return the names at the top of an HDF5 file; none if it is none."""
-    try:
-        if not is_hdf(path):
-            return set()
-        with open_hdf(path) as file:
-            return set(file.keys())
-    except (InputError, MissingExtraError, OSError, RuntimeError, KeyError, ValueError):
-        return set()
+    with contextlib.suppress(InputError, MissingExtraError, OSError, RuntimeError, LookupError):
+        if is_hdf(path):
+            with open_hdf(path) as file:
+                return set(file.keys())
+    return set()
 
 
 def read_dataset(path: Path, file: Any, key: str) -> NDArray[Any]:
@@ -108,46 +104,45 @@ def _check_contents(path: Path, file: Any) -> None:
         if address in seen:
             continue
         seen.add(address)
+        place, found = thing.name, []
         kinds = [thing.attrs.get_id(name).get_type() for name in thing.attrs]
         if isinstance(thing, h5py.Dataset):
             settings = thing.id.get_create_plist()
             kinds.append(thing.id.get_type())
-            if thing.is_virtual:
-                raise _refused(path, thing.name, "a virtual dataset, made of other files")
-            if thing.external:
-                raise _refused(path, thing.name, "stored in another file")
-            if {settings.get_filter(i)[0] for i in range(settings.get_nfilters())} - FILTERS:
-                raise _refused(path, thing.name, "packed by an unusual filter")
+            packed = {settings.get_filter(i)[0] for i in range(settings.get_nfilters())}
+            found = [
+                "a virtual dataset, made of other files" * thing.is_virtual,
+                "stored in another file" * bool(thing.external),
+                "packed by an unusual filter" * bool(packed - FILTERS),
+            ]
         elif isinstance(thing, h5py.Group):
             for name in thing:
-                if not isinstance(thing.get(name, getlink=True), h5py.HardLink):
-                    inner = f"{thing.name.rstrip('/')}/{name}"
-                    raise _refused(path, inner, "a link to elsewhere")
-                waiting.append(thing[name])
-        for kind in kinds:
-            _check_kind(path, thing.name, kind)
+                if isinstance(thing.get(name, getlink=True), h5py.HardLink):
+                    waiting.append(thing[name])
+                else:
+                    place, found = f"{place.rstrip('/')}/{name}", ["a link to elsewhere"]
+                    break
+        if what := next(filter(None, [*found, *map(_unusual, kinds)]), ""):
+            raise InputError(
+                f"{path}: {place} is {what}: it is not followed, export plain arrays instead"
+            )
 
 
-def _check_kind(path: Path, place: str, kind: Any) -> None:
-    """Refuse numbers whose bits are laid out in no usual way, which would be read as others."""
+def _unusual(kind: Any) -> str:
+    """Say how bits of numbers are laid out in an unusual way, which would be read as others."""
     from h5py import h5t
 
     if isinstance(kind, h5t.TypeFloatID):
-        usual = (
-            h5t.IEEE_F16LE, h5t.IEEE_F16BE, h5t.IEEE_F32LE, h5t.IEEE_F32BE,
-            h5t.IEEE_F64LE, h5t.IEEE_F64BE,
-        )  # fmt: skip
-        if not any(kind.equal(one) for one in usual):
-            raise _refused(path, place, "of floats that are not IEEE's")
-    elif isinstance(kind, h5t.TypeIntegerID):
-        if kind.get_precision() != 8 * kind.get_size() or kind.get_offset() != 0:
-            raise _refused(path, place, "of whole numbers with unused bits")
-    elif isinstance(kind, h5t.TypeCompoundID):
-        for member in range(kind.get_nmembers()):
-            _check_kind(path, place, kind.get_member_type(member))
-    elif isinstance(kind, (h5t.TypeArrayID, h5t.TypeEnumID, h5t.TypeVlenID)):
-        _check_kind(path, place, kind.get_super())
-
-
-def _refused(path: Path, place: str, what: str) -> InputError:
-    return InputError(f"{path}: {place} is {what}: it is not followed, export plain arrays instead")
+        usual = [
+            getattr(h5t, f"IEEE_F{bits}{order}") for bits in (16, 32, 64) for order in ("LE", "BE")
+        ]
+        return "" if any(map(kind.equal, usual)) else "of floats that are not IEEE's"
+    if isinstance(kind, h5t.TypeIntegerID):
+        whole = kind.get_precision() == 8 * kind.get_size() and kind.get_offset() == 0
+        return "" if whole else "of whole numbers with unused bits"
+    if isinstance(kind, h5t.TypeCompoundID):
+        members = (_unusual(kind.get_member_type(i)) for i in range(kind.get_nmembers()))
+        return next(filter(None, members), "")
+    if isinstance(kind, (h5t.TypeArrayID, h5t.TypeEnumID, h5t.TypeVlenID)):
+        return _unusual(kind.get_super())
+    return ""

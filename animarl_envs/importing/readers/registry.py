@@ -21,6 +21,7 @@ from animarl_envs.errors import InputError, MissingExtraError, printable
 from animarl_envs.files import check_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
+from animarl_envs.importing.tables import EXTENSIONS, Progress
 from animarl_envs.importing.tracks import (
     Tracks,
     disambiguate_by_folder,
@@ -28,37 +29,35 @@ from animarl_envs.importing.tracks import (
     one_per_individual,
 )
 
-ReadDemonstrations = Callable[..., Demonstrations]
-ReadTracks = Callable[..., list[Tracks]]
-Sniff = Callable[[Path], bool]
-Progress = Callable[[float], None] | None
+Read = Callable[..., Demonstrations | list[Tracks]]
+# Seconds and bytes that a file may take beyond those of any file, by its size.
+BYTES_PER_SECOND, MEMORY_PER_BYTE = 5_000_000, 24
+LIBRARIES = {
+    ".parquet": ("pandas", "pyarrow.parquet"), ".pq": ("pandas", "pyarrow.parquet"),
+    ".h5": ("h5py",), ".hdf5": ("h5py",), ".mat": ("h5py", "scipy.io"),
+    ".slp": ("h5py", "sleap_io.io.slp"), ".xlsx": ("pandas", "openpyxl"), ".npz": (), ".npy": (),
+}  # fmt: skip
+"""What files of an ending are read by, loaded once; tables by pandas."""
 
 
 @dataclass(frozen=True)
 class Reader:
     """One source of recorded animals.
 
-    ``sniff`` says from a look at the file whether it is of this source; it never raises. Either
-    ``read_demonstrations`` or ``read_tracks`` is given; both take the path and options.
-    ``defaults`` are recipe entries that fit what the source is. ``generic`` readers of arrays and
-    tables are asked last, so that a tracker's own layout is recognised first.
+    ``sniff`` says from a look at the file whether it is of this source; it never raises.
+    ``function`` takes the path and options; it returns demonstrations if ``finished``, else a list
+    of tracks. ``defaults`` are recipe entries that fit what the source is. ``generic`` readers of
+    arrays and tables are asked last, so that a tracker's own layout is recognised first.
     """
 
     name: str
     description: str
     extensions: tuple[str, ...]
-    sniff: Sniff
-    read_demonstrations: ReadDemonstrations | None = None
-    read_tracks: ReadTracks | None = None
+    sniff: Callable[[Path], bool]
+    function: Read
+    finished: bool = False
     defaults: Mapping[str, Any] = field(default_factory=dict)
     generic: bool = False
-
-    @property
-    def function(self) -> ReadDemonstrations | ReadTracks:
-        """The one that reads."""
-        function = self.read_demonstrations or self.read_tracks
-        assert function is not None
-        return function
 
     @property
     def is_own(self) -> bool:
@@ -68,51 +67,59 @@ class Reader:
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the reader's options."""
-        parameters = inspect.signature(self.function).parameters
-        return tuple(name for name in parameters if name not in _NOT_OPTIONS)
+        return tuple(name for name in self._parameters if name not in ("path", "progress"))
+
+    @property
+    def _parameters(self) -> Mapping[str, inspect.Parameter]:
+        return inspect.signature(self.function).parameters
+
+    def read(
+        self, path: Path, options: dict[str, Any], progress: Progress = None
+    ) -> Demonstrations | list[Tracks]:
+        """Read a file, those of other software in a process of its own."""
+        unknown = sorted(set(options) - set(self.options))
+        if unknown:
+            known = ", ".join(self.options) or "none"
+            raise InputError(
+                f"source {self.name} has no option {unknown[0]!r}: its options are {known}"
+            )
+        if "progress" not in self._parameters:
+            progress = None
+        if not self.is_own or self.name == "animarl":
+            with _one_sentence_for(path, self.name):
+                told = {} if progress is None else {"progress": progress}
+                return self.function(path, **options, **told)
+        found = _call_behind_wall(_read_plainly, path, self.name, options, progress=progress)
+        if isinstance(found, dict):
+            return Demonstrations(**found | {"arena": Arena(**found["arena"])})
+        return [Tracks(**record) for record in found]
 
 
-# Seconds and bytes that a file may take beyond those of any file, by its size.
-BYTES_PER_SECOND, MEMORY_PER_BYTE = 5_000_000, 24
-TABLES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet")
-LIBRARIES = {
-    ".parquet": ("pandas", "pyarrow.parquet"), ".pq": ("pandas", "pyarrow.parquet"),
-    ".h5": ("h5py",), ".hdf5": ("h5py",), ".mat": ("h5py", "scipy.io"),
-    ".slp": ("h5py", "sleap_io.io.slp"), ".xlsx": ("pandas", "openpyxl"), ".npz": (), ".npy": (),
-}  # fmt: skip
-"""What files of an ending are read by, loaded once; tables by pandas."""
-_NOT_OPTIONS = ("path", "progress")
 _READERS: dict[str, Reader] = {}
-
-
-def register_reader(
-    name: str, description: str, sniff: Sniff, extensions: Sequence[str]
-) -> Callable[[ReadDemonstrations], ReadDemonstrations]:
-    """Decorator: make a function ``read(path, **options) -> Demonstrations`` known by ``name``."""
-
-    def register(function: ReadDemonstrations) -> ReadDemonstrations:
-        _add(Reader(name, description, tuple(extensions), sniff, read_demonstrations=function))
-        return function
-
-    return register
 
 
 def register_track_reader(
     name: str,
     description: str,
-    sniff: Sniff,
+    sniff: Callable[[Path], bool],
     extensions: Sequence[str],
     defaults: Mapping[str, Any] | None = None,
     generic: bool = False,
-) -> Callable[[ReadTracks], ReadTracks]:
+    finished: bool = False,
+) -> Callable[[Read], Read]:
     """Decorator: make a function ``read(path, **options) -> list[Tracks]`` known by ``name``.
 
-    A function with a parameter ``progress`` is handed a callable that takes the share done.
+    A function with a parameter ``progress`` is handed a callable that takes the share done. One
+    that reads ``finished`` episodes returns demonstrations. The other parameters are those of
+    :class:`Reader`.
     """
 
-    def register(function: ReadTracks) -> ReadTracks:
-        entries = dict(defaults or {})
-        _add(Reader(name, description, tuple(extensions), sniff, None, function, entries, generic))
+    def register(function: Read) -> Read:
+        if name in _READERS:
+            raise ValueError(f"reader {name!r} is registered twice")
+        _READERS[name] = Reader(
+            name, description, tuple(extensions), sniff, function, finished, defaults or {}, generic
+        )
         return function
 
     return register
@@ -125,13 +132,10 @@ def available_readers() -> tuple[Reader, ...]:
 
 def get_reader(name: str) -> Reader:
     """The reader of that name, or one sentence that lists the names."""
-    try:
-        return _READERS[name]
-    except KeyError:
-        raise InputError(
-            f"source {name!r} is unknown: choose one of "
-            f"{', '.join(reader.name for reader in available_readers())}"
-        ) from None
+    if name not in _READERS:
+        known = ", ".join(sorted(_READERS))
+        raise InputError(f"source {name!r} is unknown: choose one of {known}")
+    return _READERS[name]
 
 
 def find_reader(path: str | Path, source: str | None = None) -> Reader:
@@ -158,20 +162,17 @@ def _find_own_reader(path: Path) -> str:
     for reader in sorted(own, key=lambda reader: reader.generic):
         if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
             return reader.name
+    from animarl_envs.importing.readers.columns import suggested_command
+    from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
+
     refuse_special(path)
     if path.suffix.lower() == ".npz":
         check_npz(path)  # says so if it is damaged
-    from animarl_envs.importing.readers.column_names import suggested_command
-    from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
-
     if is_hdf(path):
         open_hdf(path).close()  # says so if the extra is missing or the file is damaged
-    if path.suffix.lower() in TABLES and (words := suggested_command(path)):
-        raise InputError(f"{path}: no reader recognises it: {words}")
-    raise InputError(
-        f"{path}: no reader recognises it: name its --source "
-        f"({', '.join(reader.name for reader in own)})"
-    )
+    words = suggested_command(path) if path.suffix.lower() in EXTENSIONS else None
+    known = ", ".join(reader.name for reader in own)
+    raise InputError(f"{path}: no reader recognises it: {words or f'name its --source ({known})'}")
 
 
 def read(path: str | Path, source: str | None = None, **options: Any) -> Demonstrations:
@@ -194,8 +195,8 @@ def read(path: str | Path, source: str | None = None, **options: Any) -> Demonst
     """
     path = Path(path)
     reader = find_reader(path, source)
-    if reader.read_demonstrations is not None:
-        found = _read_with(reader, path, options)
+    if reader.finished:
+        found = reader.read(path, options)
         assert isinstance(found, Demonstrations)
         return found
     own = {key: options.pop(key) for key in reader.options if key in options}
@@ -210,54 +211,29 @@ def default_recipe(reader: Reader, **changes: Any) -> ImportRecipe:
 
 
 def read_tracks(
-    path: str | Path,
-    source: str | None = None,
-    progress: Progress = None,
-    **options: Any,
+    path: str | Path, source: str | None = None, progress: Progress = None, **options: Any
 ) -> list[Tracks]:
     """Read the recordings of one tracker's file, as they are."""
     path = Path(path)
     reader = find_reader(path, source)
-    if reader.read_tracks is None:
+    if reader.finished:
         raise InputError(
             f"{path}: source {reader.name} holds finished episodes, not tracks: "
             "use it as it is, or convert it with 'animarl data convert'"
         )
-    found = _read_with(reader, path, options, progress)
+    found = reader.read(path, options, progress)
     assert isinstance(found, list)
     return found
 
 
-def _read_with(
-    reader: Reader, path: Path, options: dict[str, Any], progress: Progress = None
-) -> Demonstrations | list[Tracks]:
-    """Read a file, those of other software in a process of its own."""
-    unknown = sorted(set(options) - set(reader.options))
-    if unknown:
-        known = ", ".join(reader.options) or "none"
-        raise InputError(
-            f"source {reader.name} has no option {unknown[0]!r}: its options are {known}"
-        )
-    if "progress" not in inspect.signature(reader.function).parameters:
-        progress = None
-    if not reader.is_own or reader.name == "animarl":
-        with one_sentence_for(path, reader.name):
-            told = {} if progress is None else {"progress": progress}
-            return reader.function(path, **options, **told)
-    found = _call_behind_wall(_read_plainly, path, reader.name, options, progress=progress)
-    if isinstance(found, dict):
-        return Demonstrations(**found | {"arena": Arena(**found["arena"])})
-    return [Tracks(**record) for record in found]
-
-
 def _read_plainly(path: Path, name: str, options: dict[str, Any], **told: Any) -> Any:
     """Return tracks or demonstrations as plain values and arrays."""
-    with one_sentence_for(path, name):
+    with _one_sentence_for(path, name):
         found = get_reader(name).function(path, **options, **told)
     if isinstance(found, Demonstrations):
         record = {one.name: getattr(found, one.name) for one in fields(found) if one.init}
         return record | {"arena": vars(found.arena)}
-    return [{one.name: getattr(tracks, one.name) for one in fields(tracks)} for tracks in found]
+    return [vars(tracks) for tracks in found]
 
 
 def _call_behind_wall(
@@ -273,7 +249,7 @@ def _call_behind_wall(
 
 
 @contextlib.contextmanager
-def one_sentence_for(path: Path, source: str) -> Iterator[None]:
+def _one_sentence_for(path: Path, source: str) -> Iterator[None]:
     """Turn what a library raises over a damaged file into one sentence."""
     try:
         yield
@@ -322,27 +298,13 @@ def follow(
         parts += [(file, tracks) for tracks in found]
     name = str(files[0]) if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
     if recipe.merge_individuals:
-        return demonstrations_from_tracks(
-            merge(one_per_individual([tracks for _, tracks in parts])), recipe, name
-        )
+        parts_of_one = one_per_individual([tracks for _, tracks in parts])
+        return demonstrations_from_tracks(merge(parts_of_one), recipe, name)
     parts = disambiguate_by_folder(parts)
-    with _naming_files({tracks.recording: file for file, tracks in parts}):
-        return demonstrations_from_tracks(merge([tracks for _, tracks in parts]), recipe, name)
-
-
-@contextlib.contextmanager
-def _naming_files(files: Mapping[str, Path]) -> Iterator[None]:
-    """Put the file before a sentence about a recording."""
     try:
-        yield
-    except InputError as error:
-        for recording, file in files.items():
-            if str(error).startswith((f"{recording}: ", f"{recording}, ")):
+        return demonstrations_from_tracks(merge([tracks for _, tracks in parts]), recipe, name)
+    except InputError as error:  # put the file before a sentence about a recording
+        for file, tracks in parts:
+            if str(error).startswith((f"{tracks.recording}: ", f"{tracks.recording}, ")):
                 raise InputError(f"{file}: {error}") from None
         raise
-
-
-def _add(reader: Reader) -> None:
-    if reader.name in _READERS:
-        raise ValueError(f"reader {reader.name!r} is registered twice")
-    _READERS[reader.name] = reader

@@ -1,7 +1,8 @@
-"""TRex and idtracker.ai."""
+"""Trackers of whole bodies: EthoVision, TRex and idtracker.ai."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,80 @@ from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.clocks import even_rate
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.tables import plain_table
+from animarl_envs.importing.tables import (
+    EXTENSIONS,
+    PARQUET,
+    Progress,
+    Table,
+    is_workbook,
+    open_table,
+    plain_table,
+    sheet_names,
+    table_or_none,
+)
 from animarl_envs.importing.tracks import Tracks
 
+ETHOVISION = "Number of header lines:"  # the first cell
+ETHOVISION_CLOCKS = ("Trial time", "Recording time")
 _TREX_NAME = re.compile(r"^(?P<recording>.+)_(?P<individual>(?:fish|id|agent)\d+)$")
 _TREX_X = ("X#wcentroid", "X#pcentroid", "X")
+
+
+def _is_ethovision(path: Path) -> bool:
+    if path.suffix.lower() in PARQUET:
+        return False
+    with contextlib.suppress(InputError, ImportError, IndexError):
+        table = table_or_none(path, sheet_names(path)[0] if is_workbook(path) else None)
+        return table is not None and table.layout.before[0][0] == ETHOVISION
+    return False
+
+
+@register_track_reader(
+    "ethovision",
+    "EthoVision exports (text, Excel): a subject per file or sheet, merged by the trial's name",
+    sniff=_is_ethovision,
+    extensions=EXTENSIONS,
+)
+def read_ethovision(
+    path: Path, encoding: str | None = None, progress: Progress = None
+) -> list[Tracks]:
+    """All subjects of the file; unit and frame rate are in it. In EthoVision y grows upwards.
+
+    Points (``X center``, ``X nose``, ``X tail``) become keypoints; what was not found is ``-``.
+    """
+    sheets = sheet_names(path) if is_workbook(path) else [None]
+    return [_ethovision(open_table(path, encoding, sheet), progress) for sheet in sheets]
+
+
+def _ethovision(table: Table, progress: Progress) -> Tracks:
+    path, layout = table.path, table.layout
+    said = {row[0].rstrip(":").lower(): row[1] for row in layout.before if len(row) > 1}
+    points = {name[2:]: (name, "Y" + name[1:]) for name in layout.names if re.match(r"X .", name)}
+    clock = next((name for name in ETHOVISION_CLOCKS if name in layout.names), None)
+    lacking = [y for _, y in points.values() if y not in layout.names]
+    if clock is None or not points or lacking:
+        what = "a time" if clock is None else (lacking or ["X center"])[0]
+        raise InputError(f"{path}: it lacks the column {what!r}: export it with time, X and Y")
+    names = [name for pair in points.values() for name in pair]
+    units = {layout.units[layout.names.index(name)] for name in names}
+    if len(units) != 1:
+        raise InputError(f"{path}: its points have several units: export them in one")
+    number, _ = table.columns([clock, *names], progress=progress)
+    values = np.column_stack([number[name] for name in names])
+    return Tracks(
+        recording=said.get("trial name") or path.stem,
+        individuals=(said.get("subject name") or table.sheet or "subject",),
+        keypoints=tuple(points),
+        positions=values.reshape(len(values), 1, -1, 2),
+        frame_rate=even_rate(path, number[clock], table.place),
+        start=float(number[clock][0]),
+        unit=units.pop() or "px",
+        provenance={"file": path.name, "tracker": "EthoVision", "read_as": table.description},
+    )
+
+
+def _trex_x(members: set[str]) -> str | None:
+    return next((name for name in _TREX_X if f"{name}.npy" in members), None)
 
 
 @register_track_reader(
@@ -36,9 +106,9 @@ def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tr
     y_name = "Y" + x_name[1:]
     if y_name not in arrays:
         raise InputError(f"{path}: it lacks the array {y_name!r}: export it from TRex")
-    frame = np.asarray(arrays["frame"], dtype=np.float64).ravel()
-    x = np.asarray(arrays[x_name], dtype=np.float64).ravel()
-    y = np.asarray(arrays[y_name], dtype=np.float64).ravel()
+    frame, x, y = (
+        np.asarray(arrays[name], dtype=np.float64).ravel() for name in ("frame", x_name, y_name)
+    )
     if not len(frame) == len(x) == len(y) or len(frame) == 0:
         raise InputError(
             f"{path}: frame, {x_name} and {y_name} have {len(frame)}, {len(x)} and {len(y)} "
@@ -49,24 +119,19 @@ def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tr
         raise InputError(f"{path}: frame numbers are not whole, or repeat: export the file again")
     positions = np.full((int(frame.max()) + 1, 1, 1, 2), np.nan)
     index = frame.astype(np.int64)
-    positions[index, 0, 0, 0], positions[index, 0, 0, 1] = x, y
+    positions[index, 0, 0] = np.column_stack([x, y])
     if "missing" in arrays and arrays["missing"].shape == frame.shape:
         positions[index[arrays["missing"].astype(bool)]] = np.nan
-    if fps is None and "frame_rate" in arrays:
-        fps = float(np.asarray(arrays["frame_rate"]).ravel()[0])
     match = _TREX_NAME.match(path.stem)
     return [
         Tracks(
             recording=match["recording"] if match else path.stem,
             individuals=(match["individual"] if match else path.stem,),
-            positions=positions, frame_rate=fps, unit=unit, y_down=True,
+            positions=positions, unit=unit, y_down=True,
+            frame_rate=fps if fps is not None else _number(arrays.get("frame_rate")),
             provenance={"file": path.name, "tracker": "TRex"},
         )
     ]  # fmt: skip
-
-
-def _trex_x(members: set[str]) -> str | None:
-    return next((name for name in _TREX_X if f"{name}.npy" in members), None)
 
 
 @register_track_reader(
@@ -83,7 +148,13 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     """All individuals, in pixels; the frame rate is in the file. Recording: the folder's name."""
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        positions, rate = _idtracker_csv(path)
+        table = plain_table(path)
+        count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
+        names = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
+        number, _ = table.columns(["time", *names])
+        values = np.column_stack([number[name] for name in names])
+        positions = values.reshape(len(values), count, 2)
+        rate: float | None = even_rate(path, number["time"], table.place)
     elif suffix == ".npy":
         raise InputError(
             f"{path}: it holds a pickle, which is never opened: import trajectories.h5 or "
@@ -110,20 +181,7 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
     ]  # fmt: skip
 
 
-def _idtracker_csv(path: Path) -> tuple[NDArray[np.float64], float | None]:
-    table = plain_table(path)
-    count = sum(1 for name in table.names if re.fullmatch(r"x\d+", name))
-    columns = [f"{axis}{i + 1}" for i in range(count) for axis in "xy"]
-    number, _ = table.columns(["time", *columns])
-    values = np.column_stack([number[name] for name in columns])
-    rate = even_rate(path, number["time"], table.place)
-    return values.reshape(len(values), count, 2), rate
-
-
-def _number(value: Any) -> float | None:
-    if value is None:
-        return None
-    try:
-        return float(np.asarray(value, dtype=np.float64).ravel()[0])
-    except (TypeError, ValueError, IndexError):
-        return None
+def _number(value: NDArray[Any] | None) -> float | None:
+    with contextlib.suppress(TypeError, ValueError, IndexError):
+        return None if value is None else float(np.asarray(value, dtype=np.float64).ravel()[0])
+    return None

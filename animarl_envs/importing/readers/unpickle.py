@@ -12,14 +12,14 @@ import math
 import pickle
 import re
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.files import HIGHEST_CHARACTER, check_size, checked_text, npy_header
+from animarl_envs.files import check_size, checked_text, npy_header
 
-PLAIN_CODE = re.compile(r"[<>|=]?(b1|\?|i[1248]|u[1248]|f[248]|[US]\d{1,6}|O8?)")
+PLAIN_CODE = re.compile(r"[<>|=]?(b1|\?|i[1248]|u[1248]|f[248]|[US][1-9]\d{0,5}|O8?)")
 DEEPEST = 40  # lists within lists; no recording nests deeper
 
 
@@ -51,17 +51,17 @@ def load_npy(raw: bytes, path: Path, member: str = "", objects: bool = False) ->
         raise
     except Exception as error:
         raise InputError(f"{place}: it is no npy array ({error}): copy it again") from None
+    held = len(raw) - stream.tell()
     if dtype.hasobject:
         if not objects:
             raise InputError(
                 f"{place}: it holds a pickle of Python objects, which is never opened: check "
                 "--source, or save numbers"
             )
-        value = load_plain(raw[stream.tell() :], place)
+        value = load_plain(raw[-held:], place)
         if isinstance(value, np.ndarray) and value.shape != shape:
             raise InputError(f"{place}: its header and content differ in shape: copy it again")
         return value
-    held = len(raw) - stream.tell()
     if size != held:
         raise InputError(
             f"{place}: its header announces {size:,} bytes and it holds {held:,}: copy it again"
@@ -71,62 +71,67 @@ def load_npy(raw: bytes, path: Path, member: str = "", objects: bool = False) ->
     return checked_text(path, np.load(stream, allow_pickle=False))
 
 
+def _need(met: bool, what: str) -> None:
+    if not met:
+        raise pickle.UnpicklingError(what)
+
+
+def _text(value: Any) -> Any:
+    return value.decode("ascii") if isinstance(value, bytes) else value
+
+
+def _bytes(value: Any) -> Any:
+    return value.encode("latin1") if isinstance(value, str) else value
+
+
 class _Dtype:
     """Stands for a dtype: its code and byte order."""
 
-    __slots__ = ("code", "filled")
-
     def __init__(self, code: Any, *_: Any) -> None:
-        code = code.decode("ascii") if isinstance(code, bytes) else code
-        if not isinstance(code, str) or not PLAIN_CODE.fullmatch(code):
-            _refuse("an array is not of plain numbers, text or objects")
-        self.code, self.filled = code, False
+        self.code, self.order = _text(code), ""
+        plain = isinstance(self.code, str) and PLAIN_CODE.fullmatch(self.code) is not None
+        _need(plain, "an array is not of plain numbers, text or objects")
 
     def __setstate__(self, state: Any) -> None:
         """The state that NumPy writes; only its byte order is used, and fields are refused."""
-        if self.filled or type(state) is not tuple or len(state) < 5 or state[2:5] != (None,) * 3:
-            _refuse("a dtype has fields, or an unusual state")
-        order = state[1].decode("ascii") if isinstance(state[1], bytes) else state[1]
-        if order not in ("<", ">", "|", "="):
-            _refuse("a dtype has an unusual byte order")
-        self.filled = True
-        if order in ("<", ">"):
-            self.code = order + self.code.lstrip("<>|=")
+        plain = type(state) is tuple and len(state) > 4 and state[2:5] == (None,) * 3
+        _need(plain and not self.order, "a dtype has fields, or an unusual state")
+        self.order = _text(state[1])
+        _need(self.order in ("<", ">", "|", "="), "a dtype has an unusual byte order")
+
+    def made(self) -> np.dtype[Any]:
+        order = self.order if self.order in ("<", ">") else ""
+        return np.dtype(order + self.code.lstrip("<>|=") if order else self.code)
 
 
 class _Array:
     """Stands for an array: a dtype, a shape, and its bytes or the list of its objects."""
 
-    __slots__ = ("state",)
+    state: tuple[Any, ...] = (None,) * 4
 
     def __setstate__(self, state: Any) -> None:
         """As NumPy writes it: (version,) shape, dtype, whether in Fortran's order, content."""
-        if hasattr(self, "state") or type(state) is not tuple or len(state) not in (4, 5):
-            _refuse("an array has an unusual state")
+        usual = type(state) is tuple and len(state) in (4, 5) and self.state[0] is None
+        _need(usual, "an array has an unusual state")
         self.state = state[-4:]
 
-    def made(self, depth: int) -> np.ndarray[Any, Any]:
+    def made(self, depth: int) -> Any:
         """The array, once kind, shape and length of the content agree."""
-        shape, kind, fortran, content = getattr(self, "state", (None,) * 4)
-        if type(kind) is not _Dtype or type(shape) is not tuple:
-            _refuse("an array is made and never filled")
-        if len(shape) > 16 or not all(type(n) is int and n >= 0 for n in shape):
-            _refuse("an array has an unusual shape")
-        if type(content) is str:
-            content = content.encode("latin1")
-        content = bytes(content) if type(content) is bytearray else content
-        dtype, count = np.dtype(kind.code), math.prod(shape)
-        if dtype.hasobject:
-            if type(content) is not list or len(content) != count:
-                _refuse("an array holds more or fewer objects than its shape says")
-            array = np.empty(shape, dtype=object)
-            flat = array.reshape(-1)  # NumPy lists objects in C's order, whatever the array's is
-            for place, entry in enumerate(content):
-                flat[place] = _made(entry, depth)
-            return array
-        if type(content) is not bytes or len(content) != count * dtype.itemsize:
-            _refuse("an array holds more or fewer bytes than its shape says")
-        return _numbers(content, dtype).reshape(shape, order="F" if fortran else "C")
+        shape, kind, fortran, content = self.state
+        filled = type(kind) is _Dtype and type(shape) is tuple
+        _need(filled, "an array is made and never filled")
+        usual = len(shape) <= 16 and all(type(n) is int and n >= 0 for n in shape)
+        _need(usual, "an array has an unusual shape")
+        dtype, count = kind.made(), math.prod(shape)
+        if not dtype.hasobject:
+            return _numbers(content, dtype, count).reshape(shape, order="F" if fortran else "C")
+        whole = type(content) is list and len(content) == count
+        _need(whole, "an array holds more or fewer objects than its shape says")
+        array = np.empty(shape, dtype=object)
+        flat = array.reshape(-1)  # NumPy lists objects in C's order, whatever the array's is
+        for place, entry in enumerate(content):
+            flat[place] = _made(entry, depth)
+        return array
 
 
 class _Ndarray:
@@ -137,8 +142,7 @@ class _Ndarray:
 
 
 def _reconstruct(kind: Any, shape: Any, code: Any) -> _Array:
-    if kind is not _Ndarray:
-        _refuse("an array is made in an unusual way")
+    _need(kind is _Ndarray, "an array is made in an unusual way")
     return _Array()
 
 
@@ -149,19 +153,14 @@ def _frombuffer(content: Any, kind: Any, shape: Any, order: Any) -> _Array:
 
 
 def _scalar(kind: Any, raw: Any = b"") -> Any:
-    raw = raw.encode("latin1") if isinstance(raw, str) else raw
-    if type(kind) is not _Dtype or type(raw) is not bytes or "O" in kind.code:
-        _refuse("a number is made in an unusual way")
-    dtype = np.dtype(kind.code)
-    if len(raw) != dtype.itemsize:
-        _refuse("a number holds more or fewer bytes than its kind")
-    return _numbers(raw, dtype)[0].item()
+    plain = type(kind) is _Dtype and "O" not in kind.code
+    _need(plain, "a number is made in an unusual way")
+    return _numbers(raw, kind.made(), 1)[0].item()
 
 
 def _encode(text: Any, encoding: Any) -> bytes:
-    if not isinstance(text, str) or encoding != "latin1":
-        _refuse("bytes are made in an unusual way")
-    return str(text).encode("latin1")
+    _need(isinstance(text, str) and encoding == "latin1", "bytes are made in an unusual way")
+    return bytes(_bytes(text))
 
 
 STAND_INS: dict[tuple[str, str], Any] = {
@@ -177,30 +176,23 @@ class _Restricted(pickle.Unpickler):
     """Looks up nothing but the stand-ins."""
 
     def find_class(self, module: str, name: str) -> Any:
-        try:
-            return STAND_INS[module, name]
-        except KeyError:
-            raise pickle.UnpicklingError(f"it names {module}.{name}") from None
+        _need((module, name) in STAND_INS, f"it names {module}.{name}")
+        return STAND_INS[module, name]
 
 
-def _numbers(raw: bytes, dtype: np.dtype[Any]) -> np.ndarray[Any, Any]:
+def _numbers(content: Any, dtype: np.dtype[Any], count: int) -> np.ndarray[Any, Any]:
     """A copy of the bytes as an array, if each of its values exists."""
-    if dtype.itemsize == 0:
-        _refuse("a text has no length")
-    if dtype.kind == "b" and any(raw.count(bytes([value])) for value in range(2, 256)):
-        _refuse("a truth value is neither true nor false")
-    if dtype.kind == "U":
-        codes = np.frombuffer(raw, dtype=dtype.str[0] + "u4")
-        if codes.size and int(codes.max()) > HIGHEST_CHARACTER:
-            _refuse("a text holds characters that do not exist")
-    return np.frombuffer(raw, dtype=dtype).copy()
+    raw = bytes(content) if type(content) is bytearray else _bytes(content)
+    whole = type(raw) is bytes and len(raw) == count * dtype.itemsize
+    _need(whole, "numbers have more or fewer bytes than their kind")
+    _need(dtype.kind != "b" or not raw.strip(b"\0\1"), "a truth value is neither true nor false")
+    return checked_text(Path("a text"), np.frombuffer(raw, dtype=dtype).copy())
 
 
 def _made(value: Any, depth: int) -> Any:
     """The value with arrays in place of their stand-ins, all of it copied."""
     kind, below = type(value), depth + 1
-    if depth > DEEPEST:
-        _refuse("its lists nest too deep")
+    _need(depth <= DEEPEST, "its lists nest too deep")
     if kind in (str, bytes, int, float, bool, type(None)):
         return value
     if kind is dict:
@@ -209,16 +201,10 @@ def _made(value: Any, depth: int) -> Any:
         return kind([_made(entry, below) for entry in value])
     if kind in (set, frozenset):
         return kind(map(_key, value))
-    if kind is not _Array:
-        _refuse(f"it holds a bare {kind.__name__}")
+    _need(kind is _Array, f"it holds a bare {kind.__name__}")
     return value.made(below)
 
 
 def _key(key: Any) -> Any:
-    if type(key) not in (str, int, bool):
-        _refuse("a dictionary or set has an unusual key")
+    _need(type(key) in (str, int, bool), "a dictionary or set has an unusual key")
     return key
-
-
-def _refuse(what: str) -> NoReturn:
-    raise pickle.UnpicklingError(what)

@@ -32,18 +32,17 @@ HEADER_LINES = 120  # most lines before the first row
 LOOKED_AT = 40  # rows that tell the number of cells
 BLANK = " "
 SEPARATORS = ",;\t|" + BLANK
-UNIT_NAMES = {
-    "pixel": "px", "pixels": "px", "pix": "px", "px": "px", "mm": "mm", "millimeter": "mm",
-    "millimetre": "mm", "cm": "cm", "centimeter": "cm", "centimetre": "cm", "m": "m", "meter": "m",
-    "metre": "m", "µm": "um", "um": "um", "micron": "um", "inch": "inch", "in": "inch",
-    "s": "s", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "ms": "ms",
-    "millisecond": "ms", "milliseconds": "ms", "msec": "ms", "min": "min", "us": "us", "µs": "us",
+_UNITS = {
+    "px": "px pixel pixels pix", "mm": "mm millimeter millimetre", "cm": "cm centimeter centimetre",
+    "m": "m meter metre", "um": "um µm micron", "inch": "inch in", "s": "s sec secs second seconds",
+    "ms": "ms millisecond milliseconds msec", "min": "min", "us": "us µs",
 }  # fmt: skip
-OTHER_UNITS = {
-    "", "-", "deg", "°", "degrees", "rad", "cm/s", "mm/s", "m/s", "px/s", "cm²", "mm²", "px²",
-    "cm2", "mm2", "cm^2", "%", "frame", "frames", "counts", "quality", "n", "a.u.", "au", "1/s",
-    "deg/s", "°/s", "pixel²",
-}  # fmt: skip
+UNIT_NAMES = {name: unit for unit, names in _UNITS.items() for name in names.split()}
+_OTHERS = (
+    "- deg ° degrees rad cm/s mm/s m/s px/s cm² mm² px² cm2 mm2 cm^2 % frame frames counts quality "
+    "n a.u. au 1/s deg/s °/s pixel²"
+)
+OTHER_UNITS = {"", *_OTHERS.split()}
 
 
 @dataclass(frozen=True)
@@ -74,16 +73,16 @@ def encoding_of(path: Path) -> str:
     """
     with path.open("rb") as file:
         start = file.read(SAMPLE)
-    if start.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
-        return "utf-32"
-    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    nothing = np.frombuffer(start, dtype=np.uint8) == 0
-    for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
-        other = nothing[1 - first :: 2]
-        if len(other) and nothing[first::2].mean() > WIDE and not other.any():
-            return name
-    with path.open("rb") as file:
+        if start.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+            return "utf-32"
+        if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return "utf-16"
+        nothing = np.frombuffer(start, dtype=np.uint8) == 0
+        for first, name in ((1, "utf-16-le"), (0, "utf-16-be")):
+            other = nothing[1 - first :: 2]
+            if len(other) and nothing[first::2].mean() > WIDE and not other.any():
+                return name
+        file.seek(0)
         try:
             for _ in codecs.iterdecode(iter(partial(file.read, SAMPLE), b""), "utf-8"):
                 pass
@@ -152,7 +151,11 @@ def is_number(cell: str, decimal: str = ".") -> bool:
 
 def bare_unit(cell: str) -> str:
     """Return the usual short form of a unit, empty if it is none of a length or time."""
-    return UNIT_NAMES.get(re.sub(r"[\[\]()]", "", cell).strip().lower(), "")
+    return UNIT_NAMES.get(_without_brackets(cell), "")
+
+
+def _without_brackets(cell: str) -> str:
+    return re.sub(r"[\[\]()]", "", cell).strip().lower()
 
 
 def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
@@ -168,14 +171,16 @@ def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
     def numbers(row: Sequence[str]) -> int:
         return sum(is_number(cell, decimal) for cell in row)
 
-    is_row = [len(row) == width and _may_be_header(row) and numbers(row) > 0 for row in rows]
-    first = next((i for i, found in enumerate(is_row) if found), len(rows))
-    if first > HEADER_LINES or first == len(rows):
+    def may_be_header(row: Sequence[str]) -> bool:  # a remark fills one or two cells
+        return len(row) == width and any(row[2:] if width > 3 else row)
+
+    first = next((i for i, row in enumerate(rows) if may_be_header(row) and numbers(row)), -1)
+    if not 0 <= first <= HEADER_LINES:
         return none
     if first + 1 < len(rows) and _is_xy(rows[first + 1], width):  # animals that are called 1, 2
         first = next((i for i in range(first + 2, len(rows)) if numbers(rows[i])), len(rows))
     top = first
-    while top > 0 and len(rows[top - 1]) == width and _may_be_header(rows[top - 1]):
+    while top > 0 and may_be_header(rows[top - 1]):
         top -= 1
     if top == first:  # the first row is damaged, or there is no header
         above = [i for i in range(first) if len(rows[i]) == width and not numbers(rows[i])]
@@ -227,8 +232,10 @@ def _names_and_units(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Of several header rows those that together tell the columns apart."""
     rows, units = [list(row) for row in header], [""] * width
-    if len(rows) > 1 and _is_units(rows[-1]):
-        units = [bare_unit(cell) for cell in rows.pop()]
+    if len(rows) > 1:
+        bare = set(map(_without_brackets, rows[-1]))
+        if bare <= UNIT_NAMES.keys() | OTHER_UNITS and bare & UNIT_NAMES.keys():
+            units = [bare_unit(cell) for cell in rows.pop()]
     if not rows:
         return (), tuple(units)
     filled = [cell for cell in rows[0] if cell]
@@ -241,17 +248,6 @@ def _names_and_units(
     return tuple("_".join(filter(None, cells)) for cells in zip(*rows, strict=True)), tuple(units)
 
 
-def _may_be_header(row: Sequence[str]) -> bool:
-    """Whether a row of the right length may be one of names: a remark fills one or two cells."""
-    return any(row[2:]) if len(row) > 3 else any(row)
-
-
 def _is_xy(row: Sequence[str], width: int) -> bool:
     named = [cell.lower() for cell in row if cell]
     return len(row) == width and {"x", "y"} <= set(named) and len(named) > len(set(named))
-
-
-def _is_units(row: Sequence[str]) -> bool:
-    bare = [re.sub(r"[\[\]()]", "", cell).strip().lower() for cell in row]
-    known = [cell in UNIT_NAMES or cell in OTHER_UNITS for cell in bare]
-    return all(known) and any(cell in UNIT_NAMES for cell in bare)

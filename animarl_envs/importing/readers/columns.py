@@ -9,37 +9,35 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.readers.tables import Table, open_table
-from animarl_envs.importing.readers.text_layout import UNIT_NAMES, bare_unit
+from animarl_envs.importing.table_layout import UNIT_NAMES, bare_unit
+from animarl_envs.importing.tables import Table, open_table
 
 # Names without blanks, underscores, points and capitals; those of an earlier rank are preferred,
 # two of one rank are unclear.
-USUAL_NAMES: dict[str, tuple[tuple[str, ...], ...]] = {
+USUAL_NAMES = {
     "frame": (
-        ("frame", "frames", "framenumber", "frameno", "frameid", "frameidx", "frameindex",
-         "framenum", "nframe", "fnum", "imagenumber", "imageid", "bild"),
-        ("image", "img", "slice"),
+        "frame frames framenumber frameno frameid frameidx frameindex framenum nframe fnum "
+        "imagenumber imageid bild",
+        "image img slice",
     ),
     "time": (
-        ("time", "times", "t", "seconds", "sec", "secs", "trialtime", "zeit", "positiont"),
-        ("timestamp", "timestamps", "datetime", "recordingtime", "elapsed", "elapsedtime",
-         "clock", "date"),
+        "time times t seconds sec secs trialtime zeit positiont",
+        "timestamp timestamps datetime recordingtime elapsed elapsedtime clock date",
     ),
     "individual": (
-        ("trackid", "individual", "individuals", "individualid", "individualname", "animal",
-         "animalid", "animalname", "subject", "subjectid", "subjectname", "track", "tier"),
-        ("id", "object", "objectid", "obj", "ind", "agent", "agentid", "identity", "ids", "tagid",
-         "particle", "particleid", "mouse", "mouseid", "fly", "flyid", "fish", "fishid", "rat",
-         "ant", "antid", "bird", "birdid"),
-        ("name", "tag", "label"),
+        "trackid individual individuals individualid individualname animal animalid animalname "
+        "subject subjectid subjectname track tier",
+        "id object objectid obj ind agent agentid identity ids tagid particle particleid mouse "
+        "mouseid fly flyid fish fishid rat ant antid bird birdid",
+        "name tag label",
     ),
     "recording": (
-        ("recording", "recordingid", "recordingname", "trial", "trialid", "trialname"),
-        ("session", "sessionid", "video", "videoid", "videoname", "movie", "clip", "run", "runid",
-         "experiment", "episode", "episodeid", "replicate", "file", "filename", "aufnahme"),
+        "recording recordingid recordingname trial trialid trialname",
+        "session sessionid video videoid videoname movie clip run runid experiment episode "
+        "episodeid replicate file filename aufnahme",
     ),
-    "confidence": (("confidence", "likelihood", "score", "probability", "prob"),),
-}  # fmt: skip
+    "confidence": ("confidence likelihood score probability prob",),
+}
 _WORDS = r"pos|position|coord|coordinate|centroid|center|centre|loc|location|wcentroid"
 _AXIS = re.compile(rf"(?:(?:{_WORDS}|c)?[xy]|[xy](?:{_WORDS}|c)?)")
 EXACT = ("x", "y")
@@ -64,15 +62,15 @@ class Named:
 class Columns:
     """Which columns play which part; ``None`` where there is none or it is not clear."""
 
-    frame: str | None
-    time: str | None
-    individual: str | None
-    recording: str | None
-    confidence: str | None
-    x: str | None
-    y: str | None
-    unit: str
-    time_unit: str
+    frame: str | None = None
+    time: str | None = None
+    individual: str | None = None
+    recording: str | None = None
+    confidence: str | None = None
+    x: str | None = None
+    y: str | None = None
+    unit: str = ""
+    time_unit: str = ""
     unclear: tuple[str, ...] = ()
 
     @property
@@ -138,58 +136,36 @@ def refuse_unused_pair(table: Table, found: Columns) -> None:
 def find_columns(table: Table) -> Columns:
     """Return the part that each column plays, from its name."""
     known = parsed_names(table.names, table.layout.units)
-    unclear: list[str] = []
-
-    def one(part: str) -> Named | None:
-        for rank in USUAL_NAMES[part]:
-            fitting = [name for name in known if name.key in rank]
-            if len(fitting) > 1:
-                unclear.append(part)
-            if fitting:
-                return fitting[0] if len(fitting) == 1 else None
-        return None
-
-    frame, time = one("frame"), one("time")
-    individual, recording, confidence = one("individual"), one("recording"), one("confidence")
-    pairs = _axes(known)
+    parts: dict[str, str] = {}
+    unclear = []
+    for part, ranks in USUAL_NAMES.items():
+        fitting = [[one for one in known if one.key in rank.split()] for rank in ranks]
+        best = next(filter(None, fitting), [])
+        if len(best) == 1:
+            parts[part] = best[0].column
+            parts |= {"time_unit": best[0].unit} if part == "time" else {}
+        elif best:
+            unclear.append(part)
+    by_key = {one.key: one for one in known}
+    pairs = [
+        (one, by_key[partner])
+        for one in known
+        if "x" in one.key and _AXIS.fullmatch(one.key)  # with no animal's name
+        if (partner := one.key.replace("x", "y")) in by_key
+    ]
     if len(pairs) > 1:
         pairs = [pair for pair in pairs if (pair[0].key, pair[1].key) == EXACT] or pairs
     if len(pairs) > 1:
         unclear.append("x")
-    x, y = pairs[0] if len(pairs) == 1 else (None, None)
-
-    def column(part: Named | None) -> str | None:
-        return None if part is None else part.column
-
-    return Columns(
-        frame=column(frame), time=column(time), individual=column(individual),
-        recording=column(recording), confidence=column(confidence), x=column(x), y=column(y),
-        unit=_common_unit(x, y), time_unit="" if time is None else time.unit,
-        unclear=tuple(unclear),
-    )  # fmt: skip
-
-
-def _axes(known: Sequence[Named]) -> list[tuple[Named, Named]]:
-    """Pairs of columns that are an x and its y, with no animal's name."""
-    by_key = {name.key: name for name in known}
-    found = []
-    for name in known:
-        if "x" in name.key and _AXIS.fullmatch(name.key):
-            partner = by_key.get(name.key.replace("x", "y"))
-            if partner is not None:
-                found.append((name, partner))
-    return found
-
-
-def _common_unit(x: Named | None, y: Named | None) -> str:
-    if x is None or y is None:
-        return ""
-    if x.unit != y.unit:
-        raise InputError(
-            f"columns {x.column!r} and {y.column!r} have units {x.unit or 'none'} and "
-            f"{y.unit or 'none'}: give both the same"
-        )
-    return x.unit
+    if len(pairs) == 1:
+        ((x, y),) = pairs
+        if x.unit != y.unit:
+            raise InputError(
+                f"columns {x.column!r} and {y.column!r} have units {x.unit or 'none'} and "
+                f"{y.unit or 'none'}: give both the same"
+            )
+        parts |= {"x": x.column, "y": y.column, "unit": x.unit}
+    return Columns(**parts, unclear=tuple(unclear))  # type: ignore[arg-type]
 
 
 def suggested_command(path: Path) -> str | None:

@@ -23,9 +23,14 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.files import check_size, npz_members, refuse_special
-from animarl_envs.importing.readers.lines import BLOCK, CheckedLines
-from animarl_envs.importing.readers.text_layout import (
+from animarl_envs.files import (
+    check_size,
+    npz_members,
+    refuse_special,
+    refuse_unfinished,
+    unfinished,
+)
+from animarl_envs.importing.table_layout import (
     BLANK,
     UTF_8,
     Layout,
@@ -40,14 +45,12 @@ EXTENSIONS = (
 )  # fmt: skip
 PARQUET = {".parquet", ".pq"}
 HEAD = 2**18  # [bytes] that are looked at
+BLOCK = 2**20  # [bytes] that are checked at once
 LONGEST_LINE = 2**20
 MOST_COLUMNS = 10_000
-MOST_ROWS_OF_EXCEL, MOST_COLUMNS_OF_EXCEL = 2**20, 2**14
 OLD_EXCEL = bytes.fromhex("d0cf11e0a1b11ae1")
 NO_VALUE = "-"  # of EthoVision
 MISSING = {"", NO_VALUE, "NA", "N/A", "n/a", "NULL", "null", "None", "#N/A", "#NA", "<NA>"}
-SWALLOWED = "Calling read(nbytes) on source failed"
-"""What pandas makes of Ctrl-C while it asks for more; errors of the source come through as such."""
 Progress = Callable[[float], None] | None
 
 
@@ -57,9 +60,6 @@ class Words:
 
     entries: list[str]
     number: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.number)
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,11 @@ class Table:
         return self.layout.names
 
     @property
+    def separator(self) -> str:
+        """Between cells as they are parsed: blanks were made tabs."""
+        return "\t" if self.layout.separator == BLANK else self.layout.separator
+
+    @property
     def description(self) -> str:
         """How it was read, for messages and provenance."""
         if self.kind == "Parquet":
@@ -92,12 +97,13 @@ class Table:
         """Return what messages call a row, counted from 0: its line, of Parquet the row."""
         if self.kind == "Parquet":
             return f"row {row + 1}"
-        line = self.layout.first
         with contextlib.closing(self._rows()) as file:
-            while row >= 0 and (text := file.readline(LONGEST_LINE)):
-                line += 1
+            for line in itertools.count(self.layout.first + 1):
+                text = file.readline(LONGEST_LINE)
                 row -= bool(text.strip())  # blank lines are no rows
-        return f"line {line}"
+                if row < 0 or not text:
+                    return f"line {line}"
+        raise AssertionError
 
     def check_names(self) -> None:
         """Refuse a first line that is no header, or one of absurdly many columns."""
@@ -112,6 +118,12 @@ class Table:
                 "them"
             )
 
+    def check_lines(self) -> None:
+        """Check all lines of a table that another package is going to read."""
+        with contextlib.closing(self._rows()) as file:
+            for _ in self._checked_blocks(file, None):
+                pass
+
     def columns(
         self, numbers: Sequence[str], words: Sequence[str] = (), progress: Progress = None
     ) -> tuple[dict[str, NDArray[np.float64]], dict[str, Words]]:
@@ -122,6 +134,7 @@ class Table:
         InputError
             It names the line and column of what cannot be read.
         """
+        numbers = list(dict.fromkeys(numbers))
         self.check_names()
         times = Counter(self.names)
         for name in (*numbers, *words):
@@ -131,8 +144,8 @@ class Table:
                     f"{', '.join(self.names)[:200]}): name the column by an option"
                 )
         read = self._parquet if self.kind == "Parquet" else self._text
-        column, rows = read(list(numbers), list(words), progress)
-        if not rows:
+        column = read(numbers, list(words), progress)
+        if not column or not len(next(iter(column.values()))):
             raise InputError(f"{self.path}: it has a header but no rows: check the file")
         found = {name: self._words(name, column[name]) for name in words}
         return {name: column[name].to_numpy(np.float64) for name in numbers}, found
@@ -179,7 +192,57 @@ class Table:
             file.readline(LONGEST_LINE)
         return file
 
-    def _text(self, numbers: list[str], words: list[str], progress: Progress) -> tuple[Any, int]:
+    def _checked_blocks(self, file: IO[bytes], progress: Progress) -> Iterator[bytes]:
+        """Blocks of whole lines, each with as many cells as the header.
+
+        Parsers fill short lines with nothing and drop what a long line has too much. After a cut or
+        a lost piece that shifts numbers into the wrong columns without a word. Separators and line
+        ends inside quotes belong to the cell; blank lines count for none.
+        """
+        size, seen = max(len(self._content or b"") or self.path.stat().st_size, 1), 0
+        line = 1 + self.layout.first
+        while block := file.read(BLOCK) + file.readline():
+            parts, quotes = [block], block.count(b'"')
+            while quotes % 2:
+                if not (more := file.read(BLOCK) + file.readline()):
+                    raise InputError(f"{self.path}: a quote is never closed: correct the file")
+                parts.append(more)
+                quotes += more.count(b'"')
+            block = b"".join(parts)
+            line += self._check_block(np.frombuffer(block, dtype=np.uint8), line, quotes > 0)
+            if not block.endswith(b"\n"):
+                raise unfinished(self.path)
+            yield block
+            seen += len(block)
+            if progress is not None:
+                progress(min(seen / size, 1.0))
+
+    def _check_block(self, block: NDArray[np.uint8], line: int, quoted: bool) -> int:
+        """Return the number of lines of a block; ``line`` is the number of the first one."""
+        if (block == 0).any():
+            raise InputError(f"{self.path}: it holds NUL bytes: it is no text table")
+        returns = np.flatnonzero(block[:-1] == ord("\r"))
+        if (block[returns + 1] != ord("\n")).any():
+            raise InputError(
+                f"{self.path}: a carriage return stands alone: end lines with a line feed"
+            )
+        inside = np.cumsum(block == ord('"')) % 2 == 1 if quoted else np.False_
+        ends = np.flatnonzero((block == ord("\n")) & ~inside)
+        if block[-1] != ord("\n"):
+            ends = np.append(ends, len(block))
+        separators = np.flatnonzero((block == ord(self.separator)) & ~inside)
+        cells = np.diff(np.searchsorted(separators, ends), prepend=0) + 1
+        length = np.diff(ends, prepend=-1) - 1
+        length -= (block[ends - 1] == ord("\r")) & (length > 0)
+        wrong = np.flatnonzero((cells != len(self.names)) & (length > 0))
+        if len(wrong):
+            raise InputError(
+                f"{self.path}: line {line + wrong[0]} has {cells[wrong[0]]} cells, the header "
+                f"{len(self.names)}: correct the line, or copy the file again"
+            )
+        return len(ends)
+
+    def _text(self, numbers: list[str], words: list[str], progress: Progress) -> dict[str, Any]:
         pandas, layout = _pandas(), self.layout
         if layout.unclear:
             plain, decimal = (layout.unclear.replace(layout.decimal, sign) for sign in ("", "."))
@@ -188,53 +251,39 @@ class Table:
                 f"signs between thousands, or say --option decimal={layout.decimal!r} if it is the "
                 "decimal sign"
             )
-        separator = "\t" if layout.separator == BLANK else layout.separator
         at = {name: self.names.index(name) for name in (*numbers, *words)}
         kinds = {i: "category" if name in words else np.float64 for name, i in at.items()}
-        size = max(len(self._content) if self._content else self.path.stat().st_size, 1)
-
-        def told(seen: int) -> None:
-            if progress is not None:
-                progress(min(seen / size, 1.0))
-
         try:
             with contextlib.closing(self._rows()) as file:
-                lines = CheckedLines(
-                    file, self.path, separator, len(self.names), layout.first, told
-                )
                 frame = pandas.read_csv(
-                    io.BufferedReader(lines, BLOCK), names=range(len(self.names)), header=None,
-                    usecols=list(at.values()), index_col=False, sep=separator, encoding=UTF_8,
-                    dtype=kinds, skipinitialspace=True, decimal=layout.decimal,
+                    _Blocks(self._checked_blocks(file, progress)), names=range(len(self.names)),
+                    header=None, usecols=list(at.values()), index_col=False, sep=self.separator,
+                    encoding=UTF_8, dtype=kinds, skipinitialspace=True, decimal=layout.decimal,
                     float_precision="round_trip",
                     na_values={at[name]: [NO_VALUE] for name in numbers},
                 )  # fmt: skip
         except InputError:
             raise
         except pandas.errors.EmptyDataError:
-            return {}, 0  # a header without rows
-        except (ValueError, pandas.errors.ParserError) as error:
+            return {}  # a header without rows
+        except ValueError as error:
             first = str(error).splitlines()[0][:200]
-            if SWALLOWED in first:
-                raise KeyboardInterrupt from None
             self._refuse_bad_cell(numbers)
             raise InputError(f"{self.path}: a line cannot be read ({first}): correct it") from None
-        told(size)
         # Columns of True and False alone are parsed as numbers.
         doubted = [name for name in numbers if frame[at[name]].iloc[:1000].isin([0.0, 1.0]).all()]
         self._refuse_bad_cell([name for name in doubted if frame[at[name]].isin([0.0, 1.0]).all()])
-        return {name: frame[i] for name, i in at.items()}, len(frame)
+        return {name: frame[i] for name, i in at.items()}
 
     def _refuse_bad_cell(self, numbers: Sequence[str]) -> None:
         """Name line and column of the first cell that is no number, where one should be."""
-        separator = "\t" if self.layout.separator == BLANK else self.layout.separator
         places = {name: self.names.index(name) for name in numbers}
         with contextlib.closing(self._rows()) as file:
             for line in itertools.count(self.layout.first + 1):
                 text = file.readline(LONGEST_LINE).decode(errors="replace")
                 if not text or not places:
                     return
-                cells = split_cells(text.rstrip("\r\n"), separator)
+                cells = split_cells(text.rstrip("\r\n"), self.separator)
                 for name, at in places.items():
                     cell = cells[at] if at < len(cells) else ""
                     if not (cell in MISSING or is_number(cell, self.layout.decimal)):
@@ -245,14 +294,13 @@ class Table:
 
     # -- Parquet -------------------------------------------------------------------------------
 
-    def _parquet(self, numbers: list[str], words: list[str], progress: Progress) -> tuple[Any, int]:
+    def _parquet(self, numbers: list[str], words: list[str], progress: Progress) -> dict[str, Any]:
         import pyarrow
-        import pyarrow.parquet
+        from pyarrow import types
 
         with _open_parquet(self.path, words) as file:
             announced = file.metadata.num_rows
             arrow = file.read([*numbers, *words], use_threads=False)
-        types = pyarrow.types
         for name in (*numbers, *words):
             kind = arrow.schema.field(name).type
             kind = kind.value_type if types.is_dictionary(kind) else kind
@@ -282,7 +330,20 @@ class Table:
             )
         if progress is not None:
             progress(1.0)
-        return frame, len(frame)
+        return {name: frame[name] for name in (*numbers, *words)}
+
+
+class _Blocks:
+    """What pandas takes for a file: it is handed one block after another."""
+
+    def __init__(self, blocks: Iterator[bytes]) -> None:
+        self._blocks = blocks
+
+    def read(self, size: int = -1) -> bytes:
+        return next(self._blocks, b"")
+
+    def __iter__(self) -> Iterator[bytes]:
+        return self._blocks
 
 
 def open_table(
@@ -305,12 +366,11 @@ def open_table(
     return replace(table, layout=replace(table.layout, decimal=decimal, unclear=""))
 
 
-def table_or_none(path: Path) -> Table | None:
+def table_or_none(path: Path, sheet: str | None = None) -> Table | None:
     """Return the table in a file, ``None`` where there is none. For sniffing: it never raises."""
-    try:
-        return open_table(path)
-    except (InputError, ImportError, OSError, LookupError, ValueError):
-        return None
+    with contextlib.suppress(InputError, ImportError, OSError, LookupError, ValueError):
+        return open_table(path, sheet=sheet)
+    return None
 
 
 def plain_table(path: Path) -> Table:
@@ -324,6 +384,44 @@ def plain_table(path: Path) -> Table:
     separator = "\t" if path.suffix.lower() == ".tsv" else separator
     names = tuple(split_cells(header, separator))
     return Table(path, Layout(names, ("",) * len(names), separator))
+
+
+def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, str]]], list[str]]:
+    """Return the lines of a small table beside recordings, and the names of its columns.
+
+    Of each line that is not blank its number, and its cells by column.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, lacks a needed column, or has a line of another length.
+    """
+    refuse_unfinished(path)
+    try:
+        with path.open(newline="", encoding=encoding_of(path)) as file:
+            header = file.readline()
+            separator = max(",;\t", key=header.count)
+            file.seek(0)
+            table = [
+                [cell.strip() for cell in row] for row in csv.reader(file, delimiter=separator)
+            ]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: it cannot be read ({error}): check it") from None
+    names = [name.lower() for name in table[0]] if table else []
+    if lacking := sorted(needed - set(names)):
+        raise InputError(
+            f"{path}: it lacks the column {lacking[0]} (it has {', '.join(names) or 'none'}): add "
+            "it"
+        )
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: two columns have one name: rename one of them")
+    rows = [(number, cells) for number, cells in enumerate(table[1:], 2) if any(cells)]
+    for number, cells in rows:
+        if len(cells) != len(names):
+            raise InputError(
+                f"{path}: line {number} has {len(cells)} cells, the header {len(names)}: correct it"
+            )
+    return [(number, dict(zip(names, cells, strict=True))) for number, cells in rows], names
 
 
 @lru_cache(maxsize=4)
@@ -420,8 +518,6 @@ def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
             )
         for cells in book[sheet].iter_rows(values_only=True):
             last = max((i for i, cell in enumerate(cells, 1) if cell is not None), default=0)
-            if len(rows) >= MOST_ROWS_OF_EXCEL or last > MOST_COLUMNS_OF_EXCEL:
-                raise InputError(f"{path}: it has more rows or columns than Excel: correct it")
             walked += len(cells)
             check_size(path, walked * 8, f"sheet {sheet}")
             rows.append([_text_of(cell) for cell in cells[:last]])
@@ -455,7 +551,7 @@ def _open_workbook(path: Path) -> Iterator[Any]:
 def _text_of(cell: Any) -> str:
     if cell is None:
         return ""
-    if isinstance(cell, (datetime.datetime, datetime.date, datetime.time)):
+    if isinstance(cell, (datetime.date, datetime.time)):
         return cell.isoformat()
     if isinstance(cell, datetime.timedelta):
         return repr(cell.total_seconds())

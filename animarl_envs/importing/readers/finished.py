@@ -1,10 +1,10 @@
-"""Artificial predators and prey: ``episodes_*.npz`` with the layout of its SOURCE.md.
+"""Files of finished episodes: this project's own, Minari datasets, and recorded artificial agents.
 
-Arrays: ``pos`` float32 ``(sum(n_steps + 1), individuals, 2)``, predators first, prey last;
-``actions`` int8 ``(sum(n_steps), individuals)``; ``n_steps`` per episode; ``outcome`` (k > 0:
-captured by predator k; -1 the prey left, -2 a predator left; 0 time-out), the codes of
-:class:`Demonstrations`; ``meta`` JSON with ``dt``, ``damping``, ``speed_pred``, ``speed_prey``,
-``cond``.
+Artificial predators and prey are ``episodes_*.npz`` with the layout of its SOURCE.md: ``pos``
+float32 ``(sum(n_steps + 1), individuals, 2)``, predators first, prey last; ``actions`` int8
+``(sum(n_steps), individuals)``; ``n_steps`` per episode; ``outcome`` (k > 0: captured by predator
+k; -1 the prey left, -2 a predator left; 0 time-out), the codes of :class:`Demonstrations`; ``meta``
+JSON with ``dt``, ``damping``, ``speed_pred``, ``speed_prey``, ``cond``.
 
 Recorded actions are relative to the opponent: the prey for a predator, the nearest predator for the
 prey, action k at -30 deg * k, 12 for none. Measured against the accelerations of all 1,000
@@ -25,20 +25,47 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.errors import InputError
 from animarl_envs.files import npz_members, read_npz
-from animarl_envs.importing.readers.registry import register_reader
+from animarl_envs.importing.minari_io import DATA_FILE, import_minari
+from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.locomotion import NUM_ACTIONS
 
 HALF_SIDE = 1.0  # leaving [-1, 1]^2 ends an episode
 SPLIT_SEED = 20240
 CONDITIONS = {"indiv": 0, "share": 1}  # by the end of meta["cond"]
-_MEMBERS = {"pos.npy", "actions.npy", "n_steps.npy", "outcome.npy", "meta.npy"}
+_AXES = {"pos": 3, "actions": 2, "n_steps": 1, "outcome": 1}
+_OWN_MEMBERS = {"positions.npy", "lengths.npy", "initial_velocity.npy", "meta.npy"}
 
 
-@register_reader(
+@register_track_reader(
+    "animarl",
+    "demonstrations of this project (.npz)",
+    sniff=lambda path: npz_members(path) >= _OWN_MEMBERS,
+    extensions=(".npz",),
+    finished=True,
+)
+def read_native(path: Path) -> Demonstrations:
+    """Read a file written by :meth:`Demonstrations.save`."""
+    return Demonstrations.load(path)
+
+
+@register_track_reader(
+    "minari",
+    "a Minari dataset written by 'animarl data convert' (its folder, or the file in it)",
+    sniff=lambda path: path.name == DATA_FILE or (path / "data" / DATA_FILE).is_file(),
+    extensions=(".hdf5", ""),  # a folder has no suffix
+    finished=True,
+)
+def read_minari(path: Path) -> Demonstrations:
+    """Read the dataset back, exactly as it was exported."""
+    return import_minari(path.parent.parent if path.name == DATA_FILE else path)
+
+
+@register_track_reader(
     "agents",
     "artificial predators and prey, episodes_*.npz of collaborative hunting",
-    sniff=lambda path: npz_members(path) >= _MEMBERS,
+    sniff=lambda path: npz_members(path) >= {f"{name}.npy" for name in (*_AXES, "meta")},
     extensions=(".npz",),
+    finished=True,
 )
 def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
     """Read one file of episodes; individuals ``predator_0 ... prey``, condition from the file.
@@ -46,16 +73,20 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
     Episodes start at rest. Four fifths are for training, a tenth each for validation and test.
     """
     arrays = read_npz(path)
-    missing = sorted(m[:-4] for m in _MEMBERS if m[:-4] not in arrays)
-    if missing:
+    if missing := sorted({*_AXES, "meta"} - set(arrays)):
         raise InputError(
             f"{path}: it lacks the array {missing[0]!r}: it is no episodes file of the agents"
         )
     meta = _meta(path, arrays["meta"])
-    pos = _numbers(path, arrays, "pos", 3)
-    actions = _numbers(path, arrays, "actions", 2)
-    steps = _numbers(path, arrays, "n_steps", 1).astype(np.int64)
-    outcome = _numbers(path, arrays, "outcome", 1)
+    for key, axes in _AXES.items():
+        array = arrays[key]
+        if array.ndim != axes or array.dtype.kind not in "iuf":
+            raise InputError(
+                f"{path}: {key} is {array.dtype} of shape {array.shape}: give numbers with {axes} "
+                "axes"
+            )
+    pos, actions, steps, outcome = (arrays[key] for key in _AXES)
+    steps = steps.astype(np.int64)
     num = pos.shape[1]
     if num < 2 or pos.shape[2] != 2:
         raise InputError(
@@ -113,22 +144,12 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
 
 def _meta(path: Path, raw: NDArray[Any]) -> dict[str, Any]:
     try:
-        meta = json.loads(str(raw))
+        meta = dict(json.loads(str(raw)))
         meta["dt"] = float(meta["dt"])
-        name = str(meta["cond"]).rsplit("_", 1)[-1]
-        meta["condition"] = CONDITIONS[name]
+        meta["condition"] = CONDITIONS[str(meta["cond"]).rsplit("_", 1)[-1]]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path}: meta is not the JSON of an episodes file ({type(error).__name__}: {error}): "
             "it must give dt and cond, ending in _indiv or _share"
         ) from None
-    return dict(meta)
-
-
-def _numbers(path: Path, arrays: dict[str, NDArray[Any]], key: str, ndim: int) -> NDArray[Any]:
-    array = arrays[key]
-    if array.ndim != ndim or array.dtype.kind not in "iuf":
-        raise InputError(
-            f"{path}: {key} is {array.dtype} of shape {array.shape}: give numbers with {ndim} axes"
-        )
-    return array
+    return meta
