@@ -1,27 +1,51 @@
 """Tests of numbers and names, and dataclass fields that are options of the command line."""
 
-from collections.abc import Iterable
-from dataclasses import field
-from typing import Any
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import field, fields
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from animarl_envs.errors import InputError, printable
+from animarl_envs.errors import InputError, printable, require
 
-__all__ = ["check_names", "is_number", "is_whole", "option", "option_metadata", "printable"]
+__all__ = ["check_names", "check_options", "is_number", "is_whole", "option", "printable"]
 
 LONGEST_NAME = 200  # characters
 FORMULA = "=+-@"  # with which a spreadsheet begins to compute
 
 
-def option(default: Any, name: str, prose: str) -> Any:
-    """Return a field of a dataclass that a command offers as the option ``name``."""
-    return field(default=default, metadata=option_metadata(name, prose))
+ALLOWED: dict[str, Callable[[float], bool]] = {
+    "a number": lambda value: -math.inf < value < math.inf,
+    "a positive number": lambda value: 0 < value < math.inf,
+    "positive": lambda value: value > 0,  # infinity is
+    "zero or positive": lambda value: 0 <= value < math.inf,
+}
 
 
-def option_metadata(name: str, prose: str) -> dict[str, str]:
-    """Return what :func:`option` notes: the option's name, ``on/off`` for two, and its help."""
-    return {"option": name, "help": prose}
+def option(default: Any, name: str, prose: str, allowed: str = "", unit: str = "") -> Any:
+    """Return a field of a dataclass that a command offers as the option ``name``.
+
+    ``name`` is ``on/off`` for two, empty for none. ``allowed`` is one of :data:`ALLOWED`, for
+    :func:`check_options`. A callable ``default`` makes it.
+    """
+    notes = {"option": name, "help": prose, "allowed": allowed, "unit": unit and f" {unit}"}
+    if callable(default):
+        return field(default_factory=default, metadata=notes)
+    return field(default=default, metadata=notes)
+
+
+def check_options(settings: Any) -> None:
+    """Refuse values of a dataclass's options that are not allowed, or none of the choices."""
+    hints = get_type_hints(type(settings))
+    for one in fields(settings):
+        value, notes = getattr(settings, one.name), one.metadata
+        choices = get_args(hints[one.name]) if get_origin(hints[one.name]) is Literal else [value]
+        known = ", ".join(map(str, choices))
+        require(value in choices, f"{one.name} {value!r} is unknown: choose one of {known}")
+        if value is not None and (allowed := notes.get("allowed")):
+            said = f"{one.name} is {value}{notes['unit']}: it must be {allowed}"
+            require(ALLOWED[allowed](value), said)
 
 
 def is_number(value: object) -> bool:

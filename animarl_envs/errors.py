@@ -35,6 +35,12 @@ class InputError(ValueError):
         super().__init__(printable(sentence).replace("\n", " "))
 
 
+def require(holds: object, sentence: str) -> None:
+    """Raise an :class:`InputError` with ``sentence`` unless something holds."""
+    if not holds:
+        raise InputError(sentence)
+
+
 class UnknownOptionError(InputError, TypeError):
     """A keyword that an environment does not take.
 

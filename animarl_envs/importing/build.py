@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING, INTERVAL
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
-from animarl_envs.importing.cleaning import clean, resample, resample_index, runs
+from animarl_envs.importing.cleaning import Floats, clean, resample, runs, shorter_turn
 from animarl_envs.importing.cutting import (
     FEWEST_PIECES,
     Cut,
@@ -23,11 +23,10 @@ from animarl_envs.importing.cutting import (
     find_contact_distance,
     in_pieces,
 )
-from animarl_envs.importing.headings import in_arena_frame, resample_headings
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
 from animarl_envs.importing.roles import apply_names, assign_focus, assign_roles
-from animarl_envs.importing.scaling import scales_of, to_centimetres
-from animarl_envs.importing.sessions import TARGET, apply_session, load_sessions
+from animarl_envs.importing.scaling import scales_of
+from animarl_envs.importing.sessions import TARGET, load_sessions
 from animarl_envs.importing.tracks import Tracks
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
@@ -45,36 +44,34 @@ def demonstrations_from_tracks(
     InputError
         One sentence that names the file, the place and the remedy.
     """
-    if not recordings:
-        raise InputError(f"{name}: there is no recording in it: give at least one")
-    if all(len(tracks) < 2 for tracks in recordings):
-        raise InputError(
-            f"{name}: its recordings have one frame each, an episode needs two or more: check it"
-        )
+    require(recordings, f"{name}: there is no recording in it: give at least one")
+    require(
+        any(len(tracks) > 1 for tracks in recordings),
+        f"{name}: its recordings have one frame each, an episode needs two or more: check it",
+    )
     sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
     cleaned, done = [], {}
     for tracks in recordings:
-        tracks = apply_session(apply_names(tracks, recipe), sessions)
+        tracks = sessions.apply(apply_names(tracks, recipe))
         tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
-        scale = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
-        cleaned.append(to_centimetres(tracks, scale))
+        per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
+        if per_cm is not None:
+            tracks = replace(tracks, positions=tracks.positions / per_cm, unit="cm")
+        cleaned.append(tracks)
     cleaned, focus = assign_focus(cleaned, recipe, sessions, name)
     scales = scales_of(cleaned, recipe.scaling, recipe.searcher)
-    bodies = [scale.to_arena(tracks.bodies) for scale, tracks in zip(scales, cleaned, strict=True)]
-    cleaned = [in_arena_frame(one, scale) for one, scale in zip(cleaned, scales, strict=True)]
     individuals, roles, order = assign_roles(cleaned, focus, recipe, name)
-    bodies = [body[:, order] for body in bodies]
-    contact = recipe.cutting.contact
+    bodies = [s.to_arena(one.bodies)[:, order] for s, one in zip(scales, cleaned, strict=True)]
+    cleaned = [s.turn_headings(one) for s, one in zip(scales, cleaned, strict=True)]
+    cutting = recipe.cutting
     if all(tracks.outcome is None for tracks in cleaned):
-        contact = _contact(bodies, roles, cleaned, recipe)
-    touching = replace(recipe, cutting=replace(recipe.cutting, contact=contact))
-    if recipe.cutting.mode == "events" and recipe.cutting.events is not None:
-        check_events(Path(recipe.cutting.events), [tracks.recording for tracks in cleaned])
+        cutting = replace(cutting, contact=_contact(bodies, roles, cleaned, recipe))
+    if cutting.mode == "events" and cutting.events is not None:
+        check_events(Path(cutting.events), [tracks.recording for tracks in cleaned])
     episodes = []
-    for tracks, body, cuts in zip(
-        cleaned, bodies, _cuts(cleaned, bodies, roles, touching), strict=True
-    ):
-        if len(cuts) == 1 and tracks.outcome is not None and recipe.cutting.mode == "whole":
+    all_cuts = _cuts(cleaned, bodies, roles, replace(recipe, cutting=cutting))
+    for tracks, body, cuts in zip(cleaned, bodies, all_cuts, strict=True):
+        if len(cuts) == 1 and tracks.outcome is not None and cutting.mode == "whole":
             cuts = [replace(cuts[0], outcome=tracks.outcome)]
         made = [_episode(tracks, body, cut, order, recipe) for cut in cuts]
         long_enough = [one for one in made if len(one["positions"]) >= FEWEST_SAMPLES]
@@ -83,10 +80,15 @@ def demonstrations_from_tracks(
         episodes += long_enough
     if not episodes:
         raise InputError(f"{name}: {_why_none(cleaned)}")
-    recording = np.array([one["recording"] for one in episodes])
+
+    def joined(key: str, kind: Any = None) -> NDArray[Any]:
+        return np.array([one[key] for one in episodes], dtype=kind)
+
     rate = recipe.decision_rate or cleaned[0].frame_rate
     assert rate is not None
     first = {k: v for k, v in recordings[0].provenance.items() if k != "file"}
+    stated = {} if recipe.licence == NOT_STATED else {"licence": recipe.licence}
+    contact = cutting.contact
     return Demonstrations(
         species=recipe.species,
         individuals=individuals,
@@ -95,11 +97,11 @@ def demonstrations_from_tracks(
         arena=recipe.scaling.arena,
         positions=np.concatenate([one["positions"] for one in episodes]),
         lengths=np.array([len(one["positions"]) for one in episodes]),
-        initial_velocity=np.array([one["initial_velocity"] for one in episodes]),
-        condition=np.array([one["condition"] for one in episodes], dtype=np.int8),
-        outcome=np.array([one["outcome"] for one in episodes], dtype=np.int8),
-        split=sessions.splits(recording, recipe.splitting),
-        recording=recording,
+        initial_velocity=joined("initial_velocity"),
+        condition=joined("condition", np.int8),
+        outcome=joined("outcome", np.int8),
+        split=sessions.splits(joined("recording"), recipe.splitting),
+        recording=joined("recording"),
         signals={
             key: np.concatenate([one["signals"][key] for one in episodes])
             for key in episodes[0]["signals"]
@@ -109,14 +111,13 @@ def demonstrations_from_tracks(
             "licence": recipe.licence,
             "synthetic": recipe.synthetic,
             **first,
-            **({} if recipe.licence == NOT_STATED else {"licence": recipe.licence}),
+            **stated,
             "files": sorted({str(one.provenance.get("file", name)) for one in recordings}),
             "unit": cleaned[0].unit,
             "keypoints": list(recordings[0].keypoints),
             "recipe": recipe.to_dict(),
             "scales": {
-                tracks.recording: scale.to_dict()
-                for tracks, scale in zip(cleaned, scales, strict=True)
+                one.recording: scale.to_dict() for one, scale in zip(cleaned, scales, strict=True)
             },
             "cleaning": done,
             **({} if contact == recipe.cutting.contact else {"contact_radius": contact}),
@@ -126,19 +127,14 @@ def demonstrations_from_tracks(
     )
 
 
-def _seen(tracks: Tracks) -> NDArray[np.bool_]:
-    """Who is tracked in which frame, ``(frames, individuals)``."""
-    return np.asarray(np.isfinite(tracks.bodies).all(axis=2))
-
-
 def _why_none(cleaned: Sequence[Tracks]) -> str:
     """Why there is no episode, and what to do."""
-    for tracks in cleaned:
-        if any(stop - start > 1 for start, stop in runs(_seen(tracks).all(axis=1))):
-            return "the cut leaves no episode: loosen the distances or the length limits"
-    for tracks in cleaned:
-        for who, name in enumerate(tracks.individuals):
-            if not _seen(tracks)[:, who].any():
+    seen = [np.asarray(np.isfinite(tracks.bodies).all(axis=2)) for tracks in cleaned]
+    if any(stop - start > 1 for own in seen for start, stop in runs(own.all(axis=1))):
+        return "the cut leaves no episode: loosen the distances or the length limits"
+    for tracks, own in zip(cleaned, seen, strict=True):
+        for name, tracked in zip(tracks.individuals, own.any(axis=0), strict=True):
+            if not tracked:
                 return (
                     f"{name} is never tracked in recording {tracks.recording}: leave it out by "
                     "--individuals, or see to --min-confidence"
@@ -150,7 +146,7 @@ def _why_none(cleaned: Sequence[Tracks]) -> str:
 
 
 def _contact(
-    bodies: Sequence[NDArray[np.float64]],
+    bodies: Sequence[Floats],
     roles: tuple[str, ...],
     cleaned: Sequence[Tracks],
     recipe: ImportRecipe,
@@ -178,7 +174,7 @@ def _contact(
 
 def _cuts(
     cleaned: Sequence[Tracks],
-    bodies: Sequence[NDArray[np.float64]],
+    bodies: Sequence[Floats],
     roles: tuple[str, ...],
     recipe: ImportRecipe,
 ) -> list[list[Cut]]:
@@ -209,32 +205,34 @@ def _cuts(
 
 
 def _episode(
-    tracks: Tracks, body: NDArray[np.float64], cut: Cut, order: list[int], recipe: ImportRecipe
+    tracks: Tracks, body: Floats, cut: Cut, order: list[int], recipe: ImportRecipe
 ) -> dict[str, Any]:
     """One episode at the decision rate; its first sample only serves to make the first velocity.
 
     Events are united over the frames of the step that led to each sample.
     """
-    assert tracks.frame_rate is not None
-    rate = recipe.decision_rate or tracks.frame_rate
-    every = tracks.frame_rate / rate
+    frame_rate = tracks.frame_rate or 1.0
+    rate = recipe.decision_rate or frame_rate
+    every = frame_rate / rate
     frames = slice(cut.start, cut.stop)
-    if every < 1 - 1e-9:
-        raise InputError(
-            f"{tracks.recording}: it has {tracks.frame_rate:g} frames a second: choose a decision "
-            "rate no higher than that"
-        )
+    require(
+        every >= 1 - 1e-9,
+        f"{tracks.recording}: it has {frame_rate:g} frames a second: choose a decision rate no "
+        "higher than that",
+    )
     even = abs(every - round(every)) < 1e-9
+    require(
+        even or not recipe.keep_last_frame,
+        f"{tracks.recording}: the last frame can be kept only if the decision rate divides "
+        f"{frame_rate:g} Hz: choose another rate",
+    )
     if even:
-        index = resample_index(cut.stop - cut.start, round(every), recipe.keep_last_frame)
+        index = np.arange(0, cut.stop - cut.start, round(every))
+        if recipe.keep_last_frame:
+            index = np.union1d(index, cut.stop - cut.start - 1)
         samples = body[frames][index]
     else:
-        if recipe.keep_last_frame:
-            raise InputError(
-                f"{tracks.recording}: the last frame can be kept only if the decision rate divides "
-                f"{tracks.frame_rate:g} Hz: choose another rate"
-            )
-        samples = resample(body[frames], tracks.frame_rate, rate)
+        samples = resample(body[frames], frame_rate, rate)
         index = np.round(np.arange(len(samples)) * every).astype(np.int64)
     several = len(tracks.individuals)
     signals = {}
@@ -244,16 +242,16 @@ def _episode(
             taken = np.maximum.reduceat(value[frames][: index[-1] + 1], index[:-1] + 1)
         own = taken.ndim > 1 and taken.shape[1] == several
         if key == HEADING and own and not even:
-            taken = resample_headings(value[frames], tracks.frame_rate, rate)[1:]
+            taken = resample(value[frames], frame_rate, rate, shorter_turn)[1:]
         signals[key] = taken[:, order] if own else taken
     if recipe.keep_last_frame:
-        signals[INTERVAL] = np.diff(index) / tracks.frame_rate
-    condition = cut.condition if cut.condition is not None else tracks.condition
+        signals[INTERVAL] = np.diff(index) / frame_rate
+    condition = tracks.condition if cut.condition is None else cut.condition
     first = (samples[1] - samples[0]) * rate if len(samples) > 1 else np.zeros((several, 2))
     return {
         "positions": samples[1:],
         "initial_velocity": first,
-        "condition": recipe.condition if recipe.condition is not None else condition,
+        "condition": condition if recipe.condition is None else recipe.condition,
         "outcome": cut.outcome,
         "recording": tracks.recording,
         "signals": signals,

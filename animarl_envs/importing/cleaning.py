@@ -7,8 +7,7 @@ shifted in time: the low-pass filter runs forwards and backwards, and filled gap
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,11 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import option
+from animarl_envs.checks import check_options, option
 from animarl_envs.demos.episode import FILLED, HEADING
-from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.importing.headings import direction, fill_headings, smooth_headings
+from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing.tracks import CENTROID, Tracks
+
+Floats = NDArray[np.float64]
 
 JUMP_FACTOR = 8.0  # a step so many times longer than the 99th percentile is flagged as a jump
 SHOWN_JUMPS = 20
@@ -29,39 +29,27 @@ LIKELY = 0.6  # below it a likelihood is not believed by default, as in DeepLabC
 
 @dataclass(frozen=True, kw_only=True)
 class Cleaning:
-    """What is done to the tracks of every recording.
+    """What is done to the tracks of every recording."""
 
-    Parameters
-    ----------
-    keypoint
-        Name of the keypoint that stands for the body, or ``"centroid"``, the mean of those seen.
-    heading
-        Names of two keypoints: bodies point from the first to the second. Frames without both are
-        gaps like those without a position. ``None``: headings as the file tells them, if it does.
-    min_confidence
-        Keypoints below it count as not tracked; 0 takes all. ``None``: ``LIKELY`` where all
-        confidences are likelihoods, between 0 and 1, and no threshold elsewhere.
-    max_gap
-        Gaps up to this long are filled by straight lines [s]; longer ones cut the recording.
-    smoothing_cutoff
-        Butterworth low-pass of first order, run forwards and backwards [Hz]; ``None`` or 0: none.
-    drop_jumps
-        Whether frames after a jump (there and back within a frame) become gaps; else only flagged.
-    """
-
-    keypoint: str = option(CENTROID, "keypoint", "Body part, or centroid.")
+    keypoint: str = option(
+        CENTROID, "keypoint", "Body part, or centroid, the mean of those that are seen."
+    )
     heading: tuple[str, str] | None = option(
         None, "heading", "Bodies point from one keypoint to another: thorax,head."
     )
     min_confidence: float | None = option(
-        None,
-        "min_confidence",
-        "Below it: not tracked. Default: 0.6 of likelihoods; 0: all are used.",
-    )
-    max_gap: float = option(0.0, "max_gap", "Fill gaps up to so many seconds.")
+        None, "min_confidence",
+        "Keypoints below it count as not tracked. Default: 0.6 of likelihoods; 0: all are used.",
+        "a number",
+    )  # fmt: skip
+    max_gap: float = option(
+        0.0, "max_gap", "Fill gaps up to so many seconds by straight lines; longer ones cut.",
+        "zero or positive", "s",
+    )  # fmt: skip
     smoothing_cutoff: float | None = option(
-        None, "smoothing", "Low-pass cutoff in Hz (Butterworth, zero phase); 0: none."
-    )
+        None, "smoothing", "Low-pass cutoff in Hz (Butterworth, order 1, zero phase); 0: none.",
+        "zero or positive", "Hz",
+    )  # fmt: skip
     drop_jumps: bool = option(
         False, "drop_jumps/keep_jumps", "Make gaps of jumps, or only flag them."
     )
@@ -69,22 +57,15 @@ class Cleaning:
     def __post_init__(self) -> None:
         if self.heading is not None:
             pair = tuple(self.heading) if isinstance(self.heading, Sequence) else ()
-            if isinstance(self.heading, str) or len(pair) != 2 or pair[0] == pair[1]:
-                raise InputError(
-                    f"heading is {self.heading!r}: name two keypoints, the rear one first, such as "
-                    "thorax,head"
-                )
+            require(
+                not isinstance(self.heading, str) and len(pair) == 2 and pair[0] != pair[1],
+                f"heading is {self.heading!r}: name two keypoints, the rear one first, such as "
+                "thorax,head",
+            )
             object.__setattr__(self, "heading", pair)
-        if not 0 <= self.max_gap < math.inf:
-            raise InputError(f"max_gap is {self.max_gap} s: it must be zero or positive")
         if self.smoothing_cutoff == 0:
             object.__setattr__(self, "smoothing_cutoff", None)
-        if self.smoothing_cutoff is not None and not 0 < self.smoothing_cutoff < math.inf:
-            raise InputError(
-                f"smoothing_cutoff is {self.smoothing_cutoff} Hz: give a positive one, or 0"
-            )
-        if self.min_confidence is not None and not math.isfinite(self.min_confidence):
-            raise InputError(f"min_confidence is {self.min_confidence}: it must be a number")
+        check_options(self)
 
 
 def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
@@ -95,8 +76,8 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     if tracks.frame_rate is None:
         raise InputError(f"{tracks.recording}: its frame rate is not known: give it with --fps")
     done: dict[str, Any] = {"frames": len(tracks)}
-    rate = tracks.frame_rate
-    positions = tracks.positions
+    rate, positions = tracks.frame_rate, tracks.positions
+    longest = round(settings.max_gap * rate)
     limit = _least_confidence(tracks, settings.min_confidence)
     if limit is not None and tracks.confidence is not None:
         unknown = np.isnan(tracks.confidence) & (settings.min_confidence is None)
@@ -104,7 +85,7 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
         positions = np.where(weak[..., None], np.nan, positions)
         done["below_confidence"] = int(weak.sum())
         done["confidence_of_at_least"] = limit
-    bodies = body_positions(positions, tracks.keypoints, settings.keypoint, tracks.recording)
+    bodies = _body_positions(positions, tracks.keypoints, settings.keypoint, tracks.recording)
     done["keypoint"] = settings.keypoint
     heading = _headings(tracks, positions, settings)
     jumps, swaps = find_jumps(bodies)
@@ -112,47 +93,49 @@ def clean(tracks: Tracks, settings: Cleaning) -> tuple[Tracks, dict[str, Any]]:
     done["identity_swaps"], done["first_swaps"] = len(swaps), _flags(tracks, swaps)
     done["jumps_dropped"] = settings.drop_jumps
     if settings.drop_jumps:
-        bodies = bodies.copy()
         bodies[jumps[:, 0], jumps[:, 1]] = np.nan
         if heading is not None:
             heading[jumps[:, 0], jumps[:, 1]] = np.nan
     gaps: NDArray[np.bool_] = np.asarray(np.isnan(bodies).any(axis=2))
     seen = np.flatnonzero(~gaps.all(axis=1))  # before and after, nobody was in the recording
     done["untracked"] = int(np.count_nonzero(gaps[seen[0] : seen[-1] + 1])) if len(seen) else 0
-    bodies, done["filled"] = fill_gaps(bodies, round(settings.max_gap * rate))
+    bodies, done["filled"] = fill_gaps(bodies, longest)
     if heading is not None:
-        heading = fill_headings(heading, round(settings.max_gap * rate))
+        heading, _ = fill_gaps(heading, longest, shorter_turn)
         lost = np.isnan(heading) & np.isfinite(bodies).all(axis=2)
         bodies[lost] = np.nan
         done["heading"], done["heading_unknown"] = list(settings.heading or ()), int(lost.sum())
+    signals = dict(tracks.signals)
     if settings.max_gap > 0:
-        inside = np.asarray(gaps & np.isfinite(bodies).all(axis=2))
-        tracks = replace(tracks, signals={**tracks.signals, FILLED: inside})
+        signals[FILLED] = np.asarray(gaps & np.isfinite(bodies).all(axis=2))
     if settings.smoothing_cutoff is not None:
-        low_pass = partial(
-            smooth, cutoff=settings.smoothing_cutoff, frame_rate=rate, name=tracks.recording
-        )
+        cutoff = settings.smoothing_cutoff
+        low_pass = partial(smooth, cutoff=cutoff, frame_rate=rate, name=tracks.recording)
         bodies = low_pass(bodies)
-        heading = None if heading is None else smooth_headings(heading, low_pass)
+        if heading is not None:  # angles of smoothed unit vectors
+            x, y = np.moveaxis(
+                low_pass(np.stack([np.cos(heading), np.sin(heading)], axis=-1)), -1, 0
+            )
+            heading = np.arctan2(y, x)
         done["smoothing"] = {
-            "filter": "Butterworth low-pass, order 1, forward and backward",
-            "cutoff_hz": settings.smoothing_cutoff,
-        }
+            "filter": "Butterworth low-pass, order 1, forward and backward", "cutoff_hz": cutoff,
+        }  # fmt: skip
     if heading is not None:
-        tracks = replace(tracks, signals={**tracks.signals, HEADING: heading})
+        signals[HEADING] = heading
+    tracks = replace(tracks, signals=signals)
     return tracks.with_bodies(bodies, keypoints=(settings.keypoint,)), done
 
 
-def _headings(
-    tracks: Tracks, positions: NDArray[np.float64], settings: Cleaning
-) -> NDArray[np.float64] | None:
+def _headings(tracks: Tracks, positions: Floats, settings: Cleaning) -> Floats | None:
     """Headings ``(frames, individuals)`` [rad] from two keypoints, or as the file has them."""
     if settings.heading is not None:
         rear, front = (
-            body_positions(positions, tracks.keypoints, name, f"{tracks.recording}, heading")
+            _body_positions(positions, tracks.keypoints, name, f"{tracks.recording}, heading")
             for name in settings.heading
         )
-        return direction(rear, front)
+        apart = front - rear
+        angle = np.arctan2(apart[..., 1], apart[..., 0])
+        return np.where((apart == 0.0).all(axis=-1), np.nan, angle)
     told = tracks.signals.get(HEADING)
     if told is None or told.shape != (len(tracks), len(tracks.individuals)):
         return None  # one column for all is handed on as it is
@@ -166,35 +149,34 @@ def _least_confidence(tracks: Tracks, stated: float | None) -> float | None:
             return None
         least, most = float(np.nanmin(tracks.confidence)), float(np.nanmax(tracks.confidence))
         return LIKELY if least >= 0 and most <= 1 else None
-    if tracks.confidence is None and stated > 0:
-        raise InputError(f"{tracks.recording}: it holds no confidence: leave the threshold out")
+    require(
+        tracks.confidence is not None or stated <= 0,
+        f"{tracks.recording}: it holds no confidence: leave the threshold out",
+    )
     return stated if stated > 0 else None
 
 
 def _flags(tracks: Tracks, found: NDArray[np.int64]) -> list[dict[str, Any]]:
     """The first of the flagged frames: frame, time [s] and names."""
-    assert tracks.frame_rate is not None
+    rate = tracks.frame_rate or 1.0
     return [
-        {
-            "frame": frame,
-            "time": round(frame / tracks.frame_rate, 3),
-            "individuals": [tracks.individuals[i] for i in who],
-        }
+        {"frame": frame, "time": round(frame / rate, 3),
+         "individuals": [tracks.individuals[i] for i in who]}
         for frame, *who in found[:SHOWN_JUMPS].tolist()
-    ]
+    ]  # fmt: skip
 
 
-def body_positions(
-    positions: NDArray[np.float64], keypoints: tuple[str, ...], keypoint: str, name: str
-) -> NDArray[np.float64]:
+def _body_positions(
+    positions: Floats, keypoints: tuple[str, ...], keypoint: str, name: str
+) -> Floats:
     """One position per individual ``(frames, individuals, 2)`` from all keypoints."""
     if keypoint in keypoints:
         return positions[:, :, keypoints.index(keypoint)].copy()
-    if keypoint != CENTROID:
-        raise InputError(
-            f"{name}: there is no keypoint {keypoint!r}: choose {CENTROID} or one of "
-            f"{', '.join(keypoints)}"
-        )
+    require(
+        keypoint == CENTROID,
+        f"{name}: there is no keypoint {keypoint!r}: choose {CENTROID} or one of "
+        f"{', '.join(keypoints)}",
+    )
     if len(keypoints) == 1:
         return positions[:, :, 0].copy()
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(positions).all(axis=-1))
@@ -203,7 +185,7 @@ def body_positions(
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
-def find_jumps(bodies: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def find_jumps(bodies: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Suspect frames: ``(n, 2)`` (frame, individual) after a far jump, ``(m, 3)`` (frame, i, j).
 
     A swap is a pair whose tracks fit better exchanged: each lands nearer to the other's last place,
@@ -213,7 +195,6 @@ def find_jumps(bodies: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[
         step = np.linalg.norm(np.diff(bodies, axis=0), axis=2)
     usual = np.nanquantile(step, 0.99) if np.isfinite(step).any() else 0.0
     far = np.argwhere(step > JUMP_FACTOR * usual) if usual > 0 else np.empty((0, 2), int)
-    far = far + [1, 0]
     swaps = []
     for i in range(bodies.shape[1]):
         for j in range(i + 1, bodies.shape[1]):
@@ -223,29 +204,37 @@ def find_jumps(bodies: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[
             own = step[:, i] + step[:, j]
             frames = np.flatnonzero((crossed < 0.5 * own) & (own > 4 * usual)) + 1
             swaps += [(frame, i, j) for frame in frames.tolist()]
-    return np.asarray(far, dtype=np.int64), np.array(swaps, dtype=np.int64).reshape(-1, 3)
+    return np.asarray(far + [1, 0], dtype=np.int64), np.array(swaps, np.int64).reshape(-1, 3)
 
 
-def fill_gaps(bodies: NDArray[np.float64], longest: int) -> tuple[NDArray[np.float64], int]:
-    """Straight lines over inner gaps of at most ``longest`` frames; the count of frames filled."""
-    out, filled = bodies.copy(), 0
-    if longest < 1:
-        return out, 0
-    for i in range(bodies.shape[1]):
-        known = np.flatnonzero(np.isfinite(bodies[:, i]).all(axis=1))
+def shorter_turn(end: Floats, start: Floats) -> Floats:
+    """Turns between angles [rad] by the shorter way, in [-pi, pi)."""
+    return np.asarray((end - start + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def fill_gaps(
+    values: Floats, longest: int, way: Callable[[Floats, Floats], Floats] = np.subtract
+) -> tuple[Floats, int]:
+    """Even ways over inner gaps of at most ``longest`` frames; the count of frames filled.
+
+    ``values`` are ``(frames, individuals, ...)``, NaN where not known; of angles ``way`` is
+    :func:`shorter_turn`.
+    """
+    out, filled = values.copy(), 0
+    for i in range(values.shape[1]):
+        own = out[:, i]
+        known = np.flatnonzero(np.isfinite(own).reshape(len(own), -1).all(axis=1))
         gaps = np.diff(known) - 1
         for k in np.flatnonzero((gaps > 0) & (gaps <= longest)):
-            inside = np.arange(known[k] + 1, known[k + 1])
-            share = (inside - known[k]) / (known[k + 1] - known[k])
-            start, end = bodies[known[k], i], bodies[known[k + 1], i]
-            out[inside, i] = start + share[:, None] * (end - start)
-            filled += len(inside)
+            first, last = known[k], known[k + 1]
+            share = (np.arange(first + 1, last) - first) / (last - first)
+            share = share.reshape(-1, *[1] * (own.ndim - 1))
+            own[first + 1 : last] = own[first] + share * way(own[last], own[first])
+            filled += len(share)
     return out, filled
 
 
-def smooth(
-    bodies: NDArray[np.float64], cutoff: float, frame_rate: float, name: str = "tracks"
-) -> NDArray[np.float64]:
+def smooth(bodies: Floats, cutoff: float, frame_rate: float, name: str = "tracks") -> Floats:
     """Zero-phase Butterworth low-pass of first order, on each stretch without gaps.
 
     The two passes together halve the power twice: the amplitude at the cutoff is 1/2.
@@ -254,11 +243,11 @@ def smooth(
         from scipy.signal import butter, filtfilt
     except ImportError as error:
         raise MissingExtraError("smoothing", "data") from error
-    if cutoff >= frame_rate / 2:
-        raise InputError(
-            f"{name}: smoothing at {cutoff:g} Hz needs more than {2 * cutoff:g} frames a second, "
-            f"it has {frame_rate:g}: lower the cutoff or leave it out"
-        )
+    require(
+        cutoff < frame_rate / 2,
+        f"{name}: smoothing at {cutoff:g} Hz needs more than {2 * cutoff:g} frames a second, "
+        f"it has {frame_rate:g}: lower the cutoff or leave it out",
+    )
     numerator, denominator = butter(1, cutoff / (frame_rate / 2))
     shortest = 3 * max(len(numerator), len(denominator)) + 1
     out = bodies.copy()
@@ -276,27 +265,20 @@ def runs(mask: NDArray[np.bool_] | np.bool_) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def resample_index(frames: int, every: int, keep_last: bool) -> NDArray[np.int64]:
-    """Every ``every``-th frame from the first; the last recorded one as well if asked."""
-    index = np.arange(0, frames, every)
-    if keep_last and index[-1] != frames - 1:
-        index = np.append(index, frames - 1)
-    return index
-
-
 def resample(
-    bodies: NDArray[np.float64], frame_rate: float, decision_rate: float
-) -> NDArray[np.float64]:
-    """Positions at decision times, by straight lines between frames where the rates do not divide.
+    values: Floats,
+    frame_rate: float,
+    decision_rate: float,
+    way: Callable[[Floats, Floats], Floats] = np.subtract,
+) -> Floats:
+    """Values at decision times, by even ways between frames where the rates do not divide.
 
-    The first frame keeps its time, so nothing is shifted.
+    The first frame keeps its time, so nothing is shifted. ``way`` is as for :func:`fill_gaps`.
     """
     ratio = frame_rate / decision_rate
-    times = np.arange(0, int((len(bodies) - 1) / ratio + 1e-9) + 1) * ratio
-    low = np.minimum(times.astype(np.int64), len(bodies) - 1)
-    high = np.minimum(low + 1, len(bodies) - 1)
-    share = (times - low)[:, None, None]
-    exact = share < 1e-9
-    return np.asarray(
-        np.where(exact, bodies[low], bodies[low] + share * (bodies[high] - bodies[low]))
-    )
+    times = np.arange(0, int((len(values) - 1) / ratio + 1e-9) + 1) * ratio
+    low = np.minimum(times.astype(np.int64), len(values) - 1)
+    high = np.minimum(low + 1, len(values) - 1)
+    share = (times - low).reshape(-1, *[1] * (values.ndim - 1))
+    between = values[low] + share * way(values[high], values[low])
+    return np.asarray(np.where(share < 1e-9, values[low], between))

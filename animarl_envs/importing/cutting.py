@@ -8,19 +8,19 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.checks import option
+from animarl_envs.checks import check_options, option
 from animarl_envs.demos.episode import UNFINISHED
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
-from animarl_envs.importing.cleaning import runs
+from animarl_envs.importing.cleaning import Floats, runs
 from animarl_envs.importing.tables import read_rows
 
 FEWEST_PIECES = 10
@@ -32,85 +32,55 @@ NEEDED = {"recording", "start", "end"}
 SHOWN = 10  # recordings
 ROUNDING = 1e-9  # relative difference of distances that a change of unit makes
 
-Mode = Literal["whole", "approach", "events"]
-Start = Literal["separation", "approach"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Cutting:
-    """Where episodes begin and end.
+    """Where episodes begin and end, by the distance of the nearest pursuer to the target."""
 
-    Parameters
-    ----------
-    mode
-        ``"whole"``: each stretch without gaps is an episode. ``"approach"``: from farther than
-        ``farther_than`` to closer than ``closer_than``, by the distance of the nearest pursuer to
-        the target. ``"events"``: from a table with columns recording, start, end [s] and optionally
-        condition and outcome.
-    start
-        Of an approach: at the ``"separation"``, the first frame farther away since the last
-        contact, or at the last one before the contact (``"approach"``).
-    contact
-        In mode ``"whole"``: an episode ends at the first contact within this distance; in mode
-        ``"events"``: one that ends within it ended by contact. 0: there is none; ``None``: none is
-        known, see :func:`find_contact_distance`.
-    piece
-        In mode ``"whole"``: longer stretches are cut into pieces of this length [s]. ``None``: only
-        where there would be fewer than three episodes, and then into ``FEWEST_PIECES``, so that
-        training, validation and test have some each; infinity: never.
-    longest, keep_last
-        Episodes that last longer are left out [s]; of the others the last seconds are kept [s].
-    shortest
-        Shorter episodes are left out [s].
-    events
-        Path of the table.
-    """
-
-    mode: Mode = option("whole", "cut", "whole, approach or events.")
+    mode: Literal["whole", "approach", "events"] = option(
+        "whole", "cut", "whole: each stretch without gaps; approach: from farther to closer; "
+        "events: by a table.",
+    )  # fmt: skip
     farther_than: float | None = option(
         None, "farther_than", "An approach starts here, in arena units."
     )
     closer_than: float | None = option(
         None, "closer_than", "An approach ends here, in arena units."
     )
-    start: Start = option(
-        "separation",
-        "start",
-        "An approach starts at the separation, or at the approach: the last time.",
-    )
+    start: Literal["separation", "approach"] = option(
+        "separation", "start", "An approach starts at the separation, the first frame farther away "
+        "since the last contact, or at the approach: the last one.",
+    )  # fmt: skip
     contact: float | None = option(
-        None, "contact", "whole, events: ends within this, in arena units; 0: none."
+        None, "contact", "whole, events: ends within this, in arena units; 0: none; default: as "
+        "the recordings end.", "zero or positive",
+    )  # fmt: skip
+    piece: float | None = option(
+        None, "piece", "whole: cut into pieces, s; default: ten of a lone recording; inf: never.",
+        "positive", "s",
+    )  # fmt: skip
+    longest: float = option(math.inf, "longest", "Leave longer episodes out, s.", "positive", "s")
+    keep_last: float = option(math.inf, "keep_last", "Keep the last seconds.", "positive", "s")
+    shortest: float = option(0.0, "shortest", "Leave shorter ones out, s.", "zero or positive", "s")
+    events: str | None = option(
+        None, "events", "Table: recording, start, end [s], and condition and outcome if known."
     )
-    piece: float | None = option(None, "piece", "whole: cut into pieces, s.")
-    longest: float = option(math.inf, "longest", "Leave longer episodes out, s.")
-    keep_last: float = option(math.inf, "keep_last", "Keep the last seconds.")
-    shortest: float = option(0.0, "shortest", "Leave shorter ones out, s.")
-    events: str | None = option(None, "events", "Table: recording, start, end [s].")
 
     def __post_init__(self) -> None:
-        if self.mode not in get_args(Mode) or self.start not in get_args(Start):
-            raise InputError(
-                f"cutting {self.mode!r} from {self.start!r} is unknown: choose mode "
-                f"{', '.join(get_args(Mode))} and start {', '.join(get_args(Start))}"
-            )
+        check_options(self)
+        far, near = self.farther_than, self.closer_than
         if self.mode == "approach":
-            if self.farther_than is None or self.closer_than is None:
+            if far is None or near is None:
                 raise InputError(
                     "cutting by approach needs farther_than and closer_than: give both"
                 )
-            if not 0 < self.closer_than < self.farther_than:
-                raise InputError(
-                    f"farther_than is {self.farther_than} and closer_than {self.closer_than}: "
-                    "the first must be the larger, both positive"
-                )
-        if self.contact is not None and not self.contact >= 0:
-            raise InputError(f"contact is {self.contact}: it must be a positive distance, or 0")
-        if self.mode == "events" and self.events is None:
-            raise InputError("cutting by events needs a table: give its path")
-        if self.piece is not None and not self.piece > 0:
-            raise InputError(f"piece is {self.piece} s: it must be positive")
-        if not (self.longest > 0 and self.keep_last > 0 and self.shortest >= 0):
-            raise InputError("longest, keep_last and shortest of an episode must be positive")
+            require(
+                0 < near < far,
+                f"farther_than is {far} and closer_than {near}: the first must be the larger, both "
+                "positive",
+            )
+        given = self.mode != "events" or self.events is not None
+        require(given, "cutting by events needs a table: give its path")
 
 
 @dataclass(frozen=True)
@@ -124,11 +94,7 @@ class Cut:
 
 
 def cut_episodes(
-    bodies: NDArray[np.float64],
-    roles: Sequence[str],
-    frame_rate: float,
-    settings: Cutting,
-    recording: str = "",
+    bodies: Floats, roles: Sequence[str], frame_rate: float, settings: Cutting, recording: str = ""
 ) -> list[Cut]:
     """Episodes of one recording.
 
@@ -157,8 +123,7 @@ def cut_episodes(
         if duration > settings.longest or cut.stop - cut.start < 2:
             continue
         if duration > settings.keep_last:
-            first = cut.stop - 1 - round(settings.keep_last * frame_rate)
-            cut = Cut(first, cut.stop, cut.outcome, cut.condition)
+            cut = replace(cut, start=cut.stop - 1 - round(settings.keep_last * frame_rate))
             duration = settings.keep_last
         if duration >= settings.shortest:
             kept.append(cut)
@@ -186,41 +151,38 @@ def in_pieces(
     return [cut for cut in found if cut.stop - cut.start >= 2]
 
 
-def _approaches(
-    distance: NDArray[np.float64], settings: Cutting, offset: int, recording: str
-) -> list[Cut]:
-    if not np.isfinite(distance).all():
-        raise InputError(
-            f"{recording}: cutting by approach needs a target: name the pursuers and the target"
-        )
+def _approaches(distance: Floats, settings: Cutting, offset: int, recording: str) -> list[Cut]:
+    require(
+        np.isfinite(distance).all(),
+        f"{recording}: cutting by approach needs a target: name the pursuers and the target",
+    )
     assert settings.farther_than is not None and settings.closer_than is not None
     nearest = distance.min(axis=1)
-    far, near = nearest > settings.farther_than, closer(nearest, settings.closer_than)
+    far, near = nearest > settings.farther_than, _closer(nearest, settings.closer_than)
     found, begin = [], -1
     for t in range(len(nearest)):
         if far[t] and (begin < 0 or settings.start == "approach"):
             begin = t
         elif near[t] and begin >= 0:
-            found.append(Cut(offset + begin, offset + t + 1, toucher(distance[t])))
+            found.append(Cut(offset + begin, offset + t + 1, _toucher(distance[t])))
             begin = -1
     return found
 
 
-def _until_contact(distance: NDArray[np.float64], contact: float | None, offset: int) -> Cut:
-    if contact:
-        touching = np.flatnonzero(closer(distance.min(axis=1), contact))
-        if len(touching):
-            t = int(touching[0])
-            return Cut(offset, offset + t + 1, toucher(distance[t]))
+def _until_contact(distance: Floats, contact: float | None, offset: int) -> Cut:
+    touching = np.flatnonzero(_closer(distance.min(axis=1), contact or 0.0))
+    if len(touching):
+        t = int(touching[0])
+        return Cut(offset, offset + t + 1, _toucher(distance[t]))
     return Cut(offset, offset + len(distance), UNFINISHED)
 
 
-def closer(distance: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
+def _closer(distance: Floats, limit: float) -> NDArray[np.bool_]:
     """Which distances are smaller; those that differ in rounding alone, by the unit, are not."""
     return np.asarray(distance < limit * (1 - ROUNDING))
 
 
-def toucher(distance: NDArray[np.float64]) -> int:
+def _toucher(distance: Floats) -> int:
     """Outcome code of contact by the nearest pursuer of one frame ``(pursuers,)``.
 
     Of several as near, whatever the unit rounds them to, the first.
@@ -229,11 +191,7 @@ def toucher(distance: NDArray[np.float64]) -> int:
 
 
 def _from_table(
-    bodies: NDArray[np.float64],
-    distance: NDArray[np.float64],
-    frame_rate: float,
-    settings: Cutting,
-    recording: str,
+    bodies: Floats, distance: Floats, frame_rate: float, settings: Cutting, recording: str
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
@@ -243,54 +201,51 @@ def _from_table(
         try:
             start = round(float(row["start"]) * frame_rate)
             stop = round(float(row["end"]) * frame_rate) + 1
-            condition = int(row["condition"]) if row.get("condition") else None
-            outcome = int(row["outcome"]) if row.get("outcome") else None
+            condition, outcome = (
+                int(row[key]) if row.get(key) else None for key in ("condition", "outcome")
+            )
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"{path}: line {number} is not numbers ({error}): correct it"
             ) from None
-        if not 0 <= start < stop - 1 < len(bodies):
-            raise InputError(
-                f"{path}: line {number} lies outside {recording} "
-                f"({len(bodies) / frame_rate:.3f} s): correct start and end"
-            )
-        if not np.isfinite(bodies[start:stop]).all():
-            raise InputError(
-                f"{path}: line {number} spans a gap in {recording}: allow longer gaps to be filled"
-            )
+        require(
+            0 <= start < stop - 1 < len(bodies),
+            f"{path}: line {number} lies outside {recording} ({len(bodies) / frame_rate:.3f} s): "
+            "correct start and end",
+        )
+        require(
+            np.isfinite(bodies[start:stop]).all(),
+            f"{path}: line {number} spans a gap in {recording}: allow longer gaps to be filled",
+        )
         if outcome is None:
             outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
         found.append(Cut(start, stop, outcome, condition))
     return found
 
 
-def most_approached(bodies: Sequence[NDArray[np.float64]]) -> int:
+def most_approached(bodies: Sequence[Floats]) -> int:
     """The individual that the others approach most while it approaches them least.
 
     For each individual the mean velocity component towards each other one is taken over all
     recordings ``(frames, individuals, 2)``; the target has the lowest mean.
     """
     num = bodies[0].shape[1]
-    if num < 2:
-        raise InputError("roles by approach need two individuals or more: name the roles")
+    require(num > 1, "roles by approach need two individuals or more: name the roles")
     approach, count = np.zeros(num), np.zeros(num)
     for track in bodies:
         step = np.diff(track, axis=0)
-        for i in range(num):
-            for j in range(num):
-                if i == j:
-                    continue
-                towards = track[:-1, j] - track[:-1, i]
-                length = np.linalg.norm(towards, axis=1)
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    along = (step[:, i] * towards).sum(axis=1) / length
-                along = along[np.isfinite(along)]
-                approach[i] += along.sum()
-                count[i] += len(along)
+        for i, j in ((i, j) for i in range(num) for j in range(num) if i != j):
+            towards = track[:-1, j] - track[:-1, i]
+            length = np.linalg.norm(towards, axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                along = (step[:, i] * towards).sum(axis=1) / length
+            along = along[np.isfinite(along)]
+            approach[i] += along.sum()
+            count[i] += len(along)
     return int(np.argmin(approach / np.maximum(count, 1)))
 
 
-def find_contact_distance(nearest: Sequence[NDArray[np.float64]]) -> float | None:
+def find_contact_distance(nearest: Sequence[Floats]) -> float | None:
     """Return the largest distance of contact that ends recordings, where nobody states it.
 
     Some recordings are stopped, by hand or by the program, as soon as the target is reached. Then

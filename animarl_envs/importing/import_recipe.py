@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from animarl_envs.checks import option, option_metadata
+from animarl_envs.checks import check_options, option
 from animarl_envs.demos.splits import Splitting
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.files import write_then_rename
 from animarl_envs.importing.cleaning import Cleaning
 from animarl_envs.importing.cutting import Cutting
@@ -23,48 +23,14 @@ NOT_STATED = "not stated"  # the licence, where nobody said
 
 @dataclass(frozen=True, kw_only=True)
 class ImportRecipe:
-    """From files to demonstrations.
+    """From files to demonstrations; each entry says what it is, and how the command calls it."""
 
-    Parameters
-    ----------
-    source
-        Name of the reader; ``None``: found by a look at each file.
-    options
-        For the reader.
-    individuals
-        Which to take, in which order; ``None``: all. ``rename`` gives them other names.
-    merge_individuals
-        Whether the files hold one animal each of one recording.
-    target
-        Name of the target (after renaming), ``"auto"``: who is approached, if there are two or
-        more; ``None``: none.
-    pursuer
-        Name of the only pursuer (after renaming), of whom all others are targets.
-    searcher
-        Whether the individuals search a source at the origin instead of chasing.
-    frame_rate
-        Overrides that of the file [Hz].
-    decision_rate
-        Of the demonstrations [Hz]; ``None``: the frame rate.
-    keep_last_frame
-        Whether the last recorded frame of an episode is kept though it falls between decisions;
-        velocities then know the shorter interval, and fits leave that step out.
-    metadata, name_pattern
-        A table of the recordings, or a regular expression over their names, which tells their
-        condition, split, roles and scale: :mod:`animarl_envs.importing.sessions`.
-    species, condition, licence, synthetic
-        What the demonstrations are.
-    """
-
-    source: str | None = None
-    options: Mapping[str, Any] = field(
-        default_factory=dict,
-        metadata=option_metadata("option", "Of the reader: name=value, value as YAML."),
-    )
+    source: str | None = option(None, "", "Name of the reader; default: by a look at each file.")
+    options: Mapping[str, Any] = option(dict, "option", "Of the reader: name=value, value as YAML.")
     individuals: tuple[str, ...] | None = option(
         None, "individuals", "Which, in order: a,b,c; rename by a=male,b=female."
     )
-    rename: Mapping[str, str] = field(default_factory=dict)
+    rename: Mapping[str, str] = option(dict, "", "Other names of individuals.")
     merge_individuals: bool = option(
         False, "merge_individuals", "One file per animal: put together."
     )
@@ -72,55 +38,56 @@ class ImportRecipe:
         None, "target", "The pursued individual; auto (default): who is approached; none."
     )
     pursuer: str | None = option(None, "pursuer", "The only pursuer: all others are its targets.")
-    searcher: bool = False
-    frame_rate: float | None = option(None, "fps", "Frames a second of the recording.")
+    searcher: bool = option(False, "", "Whether they search a source at the origin, not a target.")
+    frame_rate: float | None = option(
+        None, "fps", "Frames a second of the recording.", "a positive number", "Hz"
+    )
     decision_rate: float | None = option(
-        None, "decision_rate", "Samples a second of the demonstrations."
+        None, "decision_rate", "Samples a second of the demonstrations.", "a positive number", "Hz"
     )
-    keep_last_frame: bool = False
+    keep_last_frame: bool = option(
+        False, "", "Whether an episode's last frame is kept though it falls between decisions; "
+        "velocities then know the shorter interval, and fits leave that step out.",
+    )  # fmt: skip
     metadata: str | None = option(
-        None,
-        "metadata",
-        "Table of recordings: recording, and condition, split, target, px_per_cm, or a row for "
-        "each individual and role.",
-    )
+        None, "metadata", "Table of recordings: recording, and condition, split, target, "
+        "px_per_cm, or a row for each individual and role.",
+    )  # fmt: skip
     name_pattern: str | None = option(
-        None,
-        "name_pattern",
-        r"The same by groups in names of recordings: (?P\<condition>sham|drug) or "
-        r"(?P\<split>train|test).",
-    )
+        None, "name_pattern", r"The same by groups in names of recordings: "
+        r"(?P\<condition>sham|drug) or (?P\<split>train|test).",
+    )  # fmt: skip
     species: str = option(CUSTOM, "species", "Species they belong to.")
     condition: int | None = option(None, "condition", "0 or 1, of all episodes.")
     licence: str = option(NOT_STATED, "licence", "Of the recordings.")
     synthetic: bool = option(False, "synthetic", "No animal was recorded: say so everywhere.")
-    cleaning: Cleaning = field(default_factory=Cleaning)
-    scaling: Scaling = field(default_factory=Scaling)
-    cutting: Cutting = field(default_factory=Cutting)
-    splitting: Splitting = field(default_factory=Splitting)
+    cleaning: Cleaning = option(Cleaning, "", "See :class:`Cleaning`.")
+    scaling: Scaling = option(Scaling, "", "See :class:`Scaling`.")
+    cutting: Cutting = option(Cutting, "", "See :class:`Cutting`.")
+    splitting: Splitting = option(Splitting, "", "See :class:`Splitting`.")
 
     def __post_init__(self) -> None:
-        for name in ("frame_rate", "decision_rate"):
-            rate = getattr(self, name)
-            if rate is not None and not 0 < rate < math.inf:
-                raise InputError(f"{name} is {rate} Hz: it must be a positive number")
+        check_options(self)
         if self.individuals is not None:
             object.__setattr__(self, "individuals", tuple(self.individuals))
-        if self.species not in (*SPECIES, CUSTOM):
-            raise InputError(
-                f"species {self.species!r} is unknown: choose one of "
-                f"{', '.join([*SPECIES, CUSTOM])}"
-            )
-        if self.target is not None and self.searcher:
-            raise InputError("a searcher has no target: leave one of them out")
-        if self.pursuer is not None and (self.target is not None or self.searcher):
-            raise InputError(
-                "where a pursuer is named all others are its targets: name no target, and no search"
-            )
-        if self.metadata is not None and self.name_pattern is not None:
-            raise InputError("metadata and a name pattern say the same: leave one of them out")
-        if self.condition not in (None, 0, 1):
-            raise InputError(f"condition is {self.condition}: it must be 0 or 1")
+        known = [*SPECIES, CUSTOM]
+        require(
+            self.species in known,
+            f"species {self.species!r} is unknown: choose one of {', '.join(known)}",
+        )
+        require(
+            self.target is None or not self.searcher,
+            "a searcher has no target: leave one of them out",
+        )
+        require(
+            self.pursuer is None or (self.target is None and not self.searcher),
+            "where a pursuer is named all others are its targets: name no target, and no search",
+        )
+        require(
+            self.metadata is None or self.name_pattern is None,
+            "metadata and a name pattern say the same: leave one of them out",
+        )
+        require(self.condition in (None, 0, 1), f"condition is {self.condition}: it must be 0 or 1")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, infinity as a string."""
@@ -129,11 +96,9 @@ class ImportRecipe:
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], name: str = "recipe") -> ImportRecipe:
         """The inverse of :meth:`to_dict`; unknown entries are refused."""
-        parts = {
-            "cleaning": Cleaning, "scaling": Scaling, "cutting": Cutting, "splitting": Splitting,
-        }  # fmt: skip
         values = dict(record)
-        for key, kind in parts.items():
+        for kind in (Cleaning, Scaling, Cutting, Splitting):
+            key = kind.__name__.lower()
             if key in values:
                 values[key] = _build(kind, values[key], f"{name}: {key}")
         built = _build(cls, values, name)
@@ -142,8 +107,12 @@ class ImportRecipe:
 
     def save(self, path: str | Path) -> Path:
         """Write YAML."""
+        try:
+            import yaml
+        except ImportError as error:
+            raise MissingExtraError("recipes in YAML", "data") from error
         with write_then_rename(path) as part:
-            part.write_text(_yaml().safe_dump(self.to_dict(), sort_keys=False))
+            part.write_text(yaml.safe_dump(self.to_dict(), sort_keys=False))
         return Path(path)
 
     @classmethod
@@ -158,20 +127,14 @@ class ImportRecipe:
 
 
 def _build(kind: type[Any], values: Any, name: str) -> Any:
-    if not isinstance(values, Mapping):
-        raise InputError(f"{name}: it is {values!r}: give names and values")
+    require(isinstance(values, Mapping), f"{name}: it is {values!r}: give names and values")
     known = {one.name for one in fields(kind)}
-    unknown = sorted(str(key) for key in set(values) - known)
-    if unknown:
+    if unknown := sorted(str(key) for key in set(values) - known):
         raise InputError(
             f"{name}: the entry {unknown[0]!r} is unknown: choose among {', '.join(sorted(known))}"
         )
-    given = {
-        key: float(value) if isinstance(value, str) and value in ("inf", "-inf") else value
-        for key, value in values.items()
-    }
     try:
-        return kind(**given)
+        return kind(**{k: float(v) if v in ("inf", "-inf") else v for k, v in values.items()})
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     except (TypeError, ValueError) as error:
@@ -183,14 +146,4 @@ def _plain(value: Any) -> Any:
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, (tuple, list)):
         return [_plain(entry) for entry in value]
-    if isinstance(value, float) and math.isinf(value):
-        return str(value)
-    return value
-
-
-def _yaml() -> Any:
-    try:
-        import yaml
-    except ImportError as error:
-        raise MissingExtraError("recipes in YAML", "data") from error
-    return yaml
+    return str(value) if value in (math.inf, -math.inf) else value

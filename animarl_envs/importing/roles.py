@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from animarl_envs.errors import InputError
+from animarl_envs.errors import require
 from animarl_envs.importing.cutting import most_approached
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.sessions import PURSUER, TARGET, Session, Sessions
@@ -25,11 +25,11 @@ class FocusRole(NamedTuple):
 
 def apply_names(tracks: Tracks, recipe: ImportRecipe) -> Tracks:
     """The recording with the individuals, names and frame rate that the recipe states."""
-    strangers = sorted(set(recipe.rename) - set(tracks.individuals))
-    if strangers:
-        raise InputError(
-            f"{tracks.recording}: there is no individual {strangers[0]!r} to rename: choose among "
-            f"{', '.join(tracks.individuals)}"
+    for name in sorted(recipe.rename):
+        require(
+            name in tracks.individuals,
+            f"{tracks.recording}: there is no individual {name!r} to rename: choose among "
+            f"{', '.join(tracks.individuals)}",
         )
     if recipe.individuals is not None:
         tracks = tracks.choose(recipe.individuals)
@@ -48,19 +48,25 @@ def assign_focus(
     InputError
         If a target is named for some recordings only, some have several, or their units differ.
     """
-    _check_units(recordings, name)
+    first = recordings[0]
+    for one in recordings:
+        require(
+            one.unit == first.unit,
+            f"{name}: {one.recording} is in {one.unit}, {first.recording} in {first.unit}: give "
+            "px_per_cm of all recordings, or of none",
+        )
     stated = [_stated_focus(sessions.of(one.recording), name, one.recording) for one in recordings]
     told = [focus for focus in stated if focus is not None]
     if told:
-        if None in stated:
-            untold = recordings[stated.index(None)].recording
-            raise InputError(
-                f"{name}: no target is named for {untold}: name one for every recording"
+        for one, focus in zip(recordings, stated, strict=True):
+            require(
+                focus,
+                f"{name}: no target is named for {one.recording}: name one for every recording",
             )
-        if len({focus.role for focus in told}) > 1:
-            raise InputError(
-                f"{name}: some recordings have one target and others several: import them apart"
-            )
+        require(
+            len({focus.role for focus in told}) == 1,
+            f"{name}: some recordings have one target and others several: import them apart",
+        )
         if len({(one.individuals, focus) for one, focus in zip(recordings, told, strict=True)}) > 1:
             return _named_by_role(recordings, told), FocusRole(told[0].role, told[0].role)
         return recordings, told[0]
@@ -68,41 +74,39 @@ def assign_focus(
         return recordings, FocusRole(recipe.pursuer, PURSUER)
     if recipe.target != AUTO:
         return recordings, None if recipe.target is None else FocusRole(recipe.target, TARGET)
-    names = recordings[0].individuals
-    if len(names) < 2 or any(tracks.individuals != names for tracks in recordings):
+    if len(first.individuals) < 2 or any(t.individuals != first.individuals for t in recordings):
         return recordings, None
-    target = names[most_approached([tracks.bodies for tracks in recordings])]
-    return recordings, FocusRole(target, TARGET)
+    target = most_approached([tracks.bodies for tracks in recordings])
+    return recordings, FocusRole(first.individuals[target], TARGET)
 
 
 def assign_roles(
     cleaned: Sequence[Tracks], focus: FocusRole | None, recipe: ImportRecipe, name: str
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[int]]:
     """Names and roles, whom all others face last, and the order of the tracks' columns."""
-    names = cleaned[0].individuals
-    rate = cleaned[0].frame_rate
+    first = cleaned[0]
+    names = first.individuals
     for tracks in cleaned:
-        if tracks.individuals != names:
-            raise InputError(
-                f"{name}: {tracks.recording} has individuals {', '.join(tracks.individuals)}, "
-                f"{cleaned[0].recording} has {', '.join(names)}: choose the same in all of them, "
-                "or name the target of each by --metadata"
-            )
-        if recipe.decision_rate is None and tracks.frame_rate != rate:
-            raise InputError(
-                f"{name}: {tracks.recording} has {tracks.frame_rate} frames a second, "
-                f"{cleaned[0].recording} {rate}: give a decision rate"
-            )
+        require(
+            tracks.individuals == names,
+            f"{name}: {tracks.recording} has individuals {', '.join(tracks.individuals)}, "
+            f"{first.recording} has {', '.join(names)}: choose the same in all of them, "
+            "or name the target of each by --metadata",
+        )
+        require(
+            recipe.decision_rate is not None or tracks.frame_rate == first.frame_rate,
+            f"{name}: {tracks.recording} has {tracks.frame_rate} frames a second, "
+            f"{first.recording} {first.frame_rate}: give a decision rate",
+        )
     order = list(range(len(names)))
     if focus is None:
         role = "searcher" if recipe.searcher else "pursuer"
         return names, (role,) * len(names), order
-    if focus.name not in names:
-        raise InputError(
-            f"{name}: there is no {focus.role} {focus.name!r}: choose among {', '.join(names)}"
-        )
-    last = names.index(focus.name)
-    order = [i for i in order if i != last] + [last]
+    require(
+        focus.name in names,
+        f"{name}: there is no {focus.role} {focus.name!r}: choose among {', '.join(names)}",
+    )
+    order.append(order.pop(names.index(focus.name)))
     roles = (MANY[focus.role],) * (len(names) - 1) + (focus.role,)
     return tuple(names[i] for i in order), roles, order
 
@@ -113,8 +117,7 @@ def _stated_focus(session: Session, name: str, recording: str) -> FocusRole | No
     if not of[TARGET]:
         return None if session.target is None else FocusRole(session.target, TARGET)
     role = PURSUER if len(of[TARGET]) > 1 else TARGET
-    if not of[role]:
-        raise InputError(f"{name}: several targets but no pursuer in {recording}: name who pursues")
+    require(of[role], f"{name}: several targets but no pursuer in {recording}: name who pursues")
     return FocusRole(of[role][0], role)
 
 
@@ -130,12 +133,3 @@ def _named_by_role(recordings: Sequence[Tracks], focus: Sequence[FocusRole]) -> 
         ordered = tracks.choose([*others, last])
         renamed.append(replace(ordered, individuals=(*names, role)))
     return renamed
-
-
-def _check_units(cleaned: Sequence[Tracks], name: str) -> None:
-    for tracks in cleaned:
-        if tracks.unit != cleaned[0].unit:
-            raise InputError(
-                f"{name}: {tracks.recording} is in {tracks.unit}, {cleaned[0].recording} in "
-                f"{cleaned[0].unit}: give px_per_cm of all recordings, or of none"
-            )

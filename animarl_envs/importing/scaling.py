@@ -6,7 +6,6 @@ compare.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
@@ -15,65 +14,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.checks import option
-from animarl_envs.errors import InputError
+from animarl_envs.checks import check_options, option
+from animarl_envs.demos.episode import HEADING
+from animarl_envs.errors import require
 from animarl_envs.importing.tracks import Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scaling:
-    """How positions become arena units.
+    """How positions become arena units."""
 
-    Parameters
-    ----------
-    shape
-        ``"square"`` and ``"disc"``: half side or radius 1; ``"open"``: only the unit changes.
-    width
-        Full side or diameter of the arena in the tracks' unit; ``None`` takes the extent of the
-        tracks.
-    centre
-        Of the arena, in the tracks' unit; ``None``: the middle of the extent, and the origin where
-        a source is searched there.
-    each
-        Whether extents are those of each recording, so that every one gets a centre and a scale of
-        its own; by default all recordings are of one camera and share theirs.
-    px_per_cm
-        How many of the file's units make 1 cm; the tracks' unit then is the centimetre, also that
-        of ``width`` and ``centre``.
-    units_per_arena_unit
-        For an open field: how many of the tracks' units make one arena unit (1000 for mm to m);
-        ``None``: half of the extent, and 1 where a source is searched.
-    boundary
-        Virtual boundary [arena unit].
-    flip_y
-        Whether y is turned upwards; ``None``: if it grows downwards in the file.
-    """
-
-    shape: Literal["square", "disc", "open"] = option("square", "arena", "square, disc or open.")
-    width: float | None = option(
-        None, "arena_width", "Side or diameter in the file's unit; default: extent."
+    shape: Literal["square", "disc", "open"] = option(
+        "square", "arena", "square, disc (half side or radius 1) or open (only the unit changes)."
     )
+    width: float | None = option(
+        None, "arena_width", "Side or diameter in the file's unit; default: extent.",
+        "a positive number",
+    )  # fmt: skip
     centre: tuple[float, float] | None = option(
-        None, "centre", "Of the arena, x,y in the file's unit; default: of extent."
+        None, "centre", "Of the arena, x,y in the file's unit; default: of extent, or the source."
     )
     each: bool = option(False, "scale_each", "Each recording by its own extent, not all by one.")
     px_per_cm: float | None = option(
-        None, "px_per_cm", "The file's units to 1 cm; all lengths then are in cm."
-    )
+        None, "px_per_cm", "The file's units to 1 cm; all lengths then are in cm.",
+        "a positive number",
+    )  # fmt: skip
     units_per_arena_unit: float | None = option(
-        None, "units", "Open arena: the file's units per arena unit; default: extent."
-    )
+        None, "units",
+        "Open arena: the file's units per arena unit; default: half the extent, 1 for a source.",
+        "a positive number",
+    )  # fmt: skip
     boundary: float = option(1.1, "boundary", "Beyond it an individual is out, in arena units.")
-    flip_y: bool | None = None
+    flip_y: bool | None = option(
+        None, "", "Whether y is turned upwards; default: if it grows downwards in the file."
+    )
 
     def __post_init__(self) -> None:
-        for name in ("width", "px_per_cm", "units_per_arena_unit"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise InputError(f"{name} is {value}: it must be a positive number")
+        check_options(self)
         if self.centre is not None:
-            if len(self.centre) != 2:
-                raise InputError(f"centre is {self.centre}: give x and y")
+            require(len(self.centre) == 2, f"centre is {self.centre}: give x and y")
             object.__setattr__(self, "centre", (float(self.centre[0]), float(self.centre[1])))
 
     @property
@@ -97,6 +76,13 @@ class Scale:
     def to_file(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
         """From arena units back to the file's unit, ``(..., 2)``."""
         return np.asarray(positions * [1.0, self.y_sign] * self.unit + np.array(self.centre))
+
+    def turn_headings(self, tracks: Tracks) -> Tracks:
+        """The recording with its headings, if it has some, counted counter-clockwise."""
+        if HEADING not in tracks.signals or self.y_sign > 0:
+            return tracks
+        turned = -np.asarray(tracks.signals[HEADING], dtype=np.float64)
+        return replace(tracks, signals={**tracks.signals, HEADING: turned})
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -126,19 +112,15 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
     sign = _sign(first, settings)
     is_open = settings.shape == "open"
     if is_open and searched:
-        unit = settings.units_per_arena_unit or 1.0
-        return Scale(settings.centre or (0.0, 0.0), unit, sign)
-    points = np.concatenate(
-        [tracks.bodies[np.isfinite(tracks.bodies).all(axis=2)] for tracks in recordings]
+        return Scale(settings.centre or (0.0, 0.0), settings.units_per_arena_unit or 1.0, sign)
+    points = np.concatenate([one.bodies[np.isfinite(one.bodies).all(axis=2)] for one in recordings])
+    require(
+        len(points),
+        f"{first.recording}: no individual was ever tracked: check the file, "
+        "or see to --min-confidence",
     )
-    if len(points) == 0:
-        raise InputError(
-            f"{first.recording}: no individual was ever tracked: check the file, "
-            "or see to --min-confidence"
-        )
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle = (low + high) / 2
-    centre = settings.centre or (float(middle[0]), float(middle[1]))
+    x, y = (points.min(axis=0) + points.max(axis=0)) / 2
+    centre = settings.centre or (float(x), float(y))
     if is_open and settings.units_per_arena_unit is not None:
         half = settings.units_per_arena_unit
     elif settings.width is not None:
@@ -147,18 +129,10 @@ def scale_of(recordings: Sequence[Tracks], settings: Scaling, searched: bool = F
         half = float(np.linalg.norm(points - np.array(centre), axis=1).max())
     else:
         half = float(np.abs(points - np.array(centre)).max())
-    if not half > 0:
-        raise InputError(
-            f"{first.recording}: its tracks have no extent: give the arena's width instead"
-        )
+    require(
+        half > 0, f"{first.recording}: its tracks have no extent: give the arena's width instead"
+    )
     return Scale(centre, half, sign)
-
-
-def to_centimetres(tracks: Tracks, px_per_cm: float | None) -> Tracks:
-    """The same recording in cm, where it is known how many of its units make one."""
-    if px_per_cm is None:
-        return tracks
-    return replace(tracks, positions=tracks.positions / px_per_cm, unit="cm")
 
 
 def _sign(tracks: Tracks, settings: Scaling) -> float:

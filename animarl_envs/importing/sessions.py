@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import Splitting, split_recordings
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.importing.tables import read_rows
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.patterns import search_names
@@ -27,7 +27,6 @@ from animarl_envs.patterns import search_names
 COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")
 GROUPS = ("condition", "split", "target")
 TARGET, PURSUER = "target", "pursuer"
-NUMBERED = {"0", "1"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +51,8 @@ class Sessions:
     ``place`` is for messages, ``ignored`` are columns that were not used.
     """
 
-    place: str
-    by_recording: Mapping[str, Session] | None
+    place: str = ""
+    by_recording: Mapping[str, Session] | None = None
     conditions: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
 
@@ -71,32 +70,39 @@ class Sessions:
             if name in self.by_recording:
                 return self.by_recording[name]
         ending = [one for key, one in self.by_recording.items() if key.endswith(f"/{recording}")]
-        if len(ending) == 1:
-            return ending[0]
-        raise InputError(
+        require(
+            len(ending) == 1,
             f"{self.place}: nothing is said of recording {recording!r}: add a row for it, or leave "
-            "its file out"
+            "its file out",
         )
+        return ending[0]
 
     def splits(self, recording: NDArray[np.str_], splitting: Splitting) -> NDArray[np.str_]:
         """The split of each episode: as stated for its recording; the others are dealt."""
-        stated = {name: self.of(name).split for name in np.unique(recording).tolist()}
-        free = np.array([stated[name] is None for name in recording.tolist()])
+        stated = [self.of(name).split for name in recording.tolist()]
+        free = np.array([split is None for split in stated])
         if free.all():
             return split_recordings(recording, splitting)
-        found = np.array([stated[name] or SPLITS[0] for name in recording.tolist()])
+        found = np.array([split or SPLITS[0] for split in stated])
         if free.any():
             found[free] = split_recordings(recording[free], splitting)
         return found
+
+    def apply(self, tracks: Tracks) -> Tracks:
+        """The recording with its condition, and of its individuals those with a role."""
+        session = self.of(tracks.recording)
+        if session.roles:
+            tracks = tracks.choose(list(session.roles))
+        elif session.target is not None:
+            tracks.choose([session.target])  # refuses whom there is none of
+        if session.condition is None:
+            return tracks
+        return replace(tracks, condition=self.conditions.index(session.condition))
 
     def told(self) -> dict[str, Any]:
         """For the provenance: the names of two conditions, and columns that were not used."""
         named = {"conditions": list(self.conditions)} if len(self.conditions) == 2 else {}
         return named | ({"metadata_ignored": list(self.ignored)} if self.ignored else {})
-
-    def number(self, session: Session) -> int | None:
-        """0 or 1 of a session's condition."""
-        return None if session.condition is None else self.conditions.index(session.condition)
 
 
 def load_sessions(
@@ -107,7 +113,7 @@ def load_sessions(
         return read_sessions(Path(metadata))
     if name_pattern is not None:
         return sessions_by_name(name_pattern, [tracks.recording for tracks in recordings])
-    return Sessions("", None)
+    return Sessions()
 
 
 def read_sessions(path: Path) -> Sessions:
@@ -124,10 +130,11 @@ def read_sessions(path: Path) -> Sessions:
     rows, names = read_rows(path, {"recording"})
     found: dict[str, Session] = {}
     for number, row in rows:
-        place = f"{path}: line {number}"
-        name = _without_ending(row.get("recording", ""))
-        if not name:
-            raise InputError(f"{place} names no recording: fill the cell, or delete the line")
+        place, name = f"{path}: line {number}", row["recording"]
+        suffix = Path(name).suffix
+        if re.fullmatch(r"\.[A-Za-z]\w{0,4}", suffix):  # a file's name stands for its recording
+            name = name.removesuffix(suffix)
+        require(name, f"{place} names no recording: fill the cell, or delete the line")
         own = _session(row, place)
         found[name] = _united(found[name], own, f"{place} ({name})") if name in found else own
     words = conditions_of([one.condition for one in found.values()], str(path))
@@ -143,15 +150,15 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
         If it is none, has no such group, or does not fit a name.
     """
     place = f"name pattern {pattern!r}"
-    matches = dict(zip(recordings, search_names(pattern, list(recordings), place), strict=True))
+    matches = search_names(pattern, list(recordings), place)
     groups = set(re.findall(r"\(\?P<(\w+)>", pattern))
-    if not groups or not groups <= set(GROUPS):
-        raise InputError(
-            f"{place}: it has the groups {', '.join(sorted(groups)) or 'of no name'}: name them "
-            f"{', '.join(f'(?P<{name}>...)' for name in GROUPS)}"
-        )
+    require(
+        groups and groups <= set(GROUPS),
+        f"{place}: it has the groups {', '.join(sorted(groups)) or 'of no name'}: name them "
+        f"{', '.join(f'(?P<{name}>...)' for name in GROUPS)}",
+    )
     found = {}
-    for name, match in matches.items():
+    for name, match in zip(recordings, matches, strict=True):
         if match is None:
             raise InputError(f"{place}: it does not fit recording {name!r}: write one that does")
         cells = {key: value or "" for key, value in match.items()}
@@ -162,82 +169,57 @@ def sessions_by_name(pattern: str, recordings: Sequence[str]) -> Sessions:
 def conditions_of(words: Sequence[str | None], place: str) -> tuple[str, ...]:
     """The names of conditions 0 and 1: ``0`` and ``1`` themselves, or words as they occur."""
     found = tuple(dict.fromkeys(word for word in words if word is not None))
-    if found and set(found) <= NUMBERED:
+    if found and set(found) <= {"0", "1"}:
         return ("0", "1")
     check_names(place, "a condition", found)
-    if len(found) > 2:
-        raise InputError(
-            f"{place}: it has {len(found)} conditions, {', '.join(found)}: import two at a time"
-        )
+    require(
+        len(found) <= 2,
+        f"{place}: it has {len(found)} conditions, {', '.join(found)}: import two at a time",
+    )
     return found
 
 
-def apply_session(tracks: Tracks, sessions: Sessions) -> Tracks:
-    """The recording with its condition, its scale, and of its individuals those with a role."""
-    session = sessions.of(tracks.recording)
-    if session.roles:
-        tracks = tracks.choose(list(session.roles))
-    elif session.target is not None:
-        tracks.choose([session.target])  # refuses whom there is none of
-    condition = sessions.number(session)
-    return tracks if condition is None else replace(tracks, condition=condition)
-
-
 def _session(row: Mapping[str, str], place: str) -> Session:
-    split = row.get("split") or None
-    if split is not None and split not in SPLITS:
-        raise InputError(f"{place}: split {split!r} is unknown: choose one of {', '.join(SPLITS)}")
-    roles: dict[str, str] = {}
-    if row.get("individual") or row.get("role"):
-        if row.get("role") not in (PURSUER, TARGET) or not row.get("individual"):
-            raise InputError(
-                f"{place}: {row.get('individual')!r} has the role {row.get('role')!r}: name an "
-                f"individual, and {PURSUER} or {TARGET}"
-            )
-        roles = {row["individual"]: row["role"]}
-    return Session(
-        condition=row.get("condition") or None,
-        split=split,
-        target=row.get("target") or None,
-        roles=roles,
-        px_per_cm=_scale(row.get("px_per_cm", ""), place),
+    known: dict[str, str] = {key: cell for key, cell in row.items() if cell}
+    split, who, role, scale = (
+        known.get(key) for key in ("split", "individual", "role", "px_per_cm")
     )
-
-
-def _scale(cell: str, place: str) -> float | None:
-    if not cell:
-        return None
+    require(
+        split is None or split in SPLITS,
+        f"{place}: split {split!r} is unknown: choose one of {', '.join(SPLITS)}",
+    )
+    require(
+        (who is None and role is None) or (who and role in (PURSUER, TARGET)),
+        f"{place}: {who!r} has the role {role!r}: name an individual, and {PURSUER} or {TARGET}",
+    )
     try:
-        scale = float(cell)
+        px_per_cm = None if scale is None else float(scale)
     except ValueError:
-        scale = math.nan
-    if not 0 < scale < math.inf:
-        raise InputError(f"{place}: px_per_cm is {cell!r}: give a positive number")
-    return scale
+        px_per_cm = math.nan
+    require(
+        px_per_cm is None or 0 < px_per_cm < math.inf,
+        f"{place}: px_per_cm is {scale!r}: give a positive number",
+    )
+    return Session(
+        condition=known.get("condition"), split=split, target=known.get("target"),
+        roles={who: role} if who and role else {}, px_per_cm=px_per_cm,
+    )  # fmt: skip
 
 
 def _united(before: Session, now: Session, place: str) -> Session:
     """Two rows of one recording: roles of several individuals, all else the same."""
-    twice = set(before.roles) & set(now.roles)
     roles = {**before.roles, **now.roles}
-    if twice or not (before.roles and now.roles):
-        raise InputError(f"{place}: the recording has two rows: keep one of them")
-    several = [role for role in (PURSUER, TARGET) if list(roles.values()).count(role) > 1]
-    if len(several) > 1:
-        raise InputError(
-            f"{place}: several pursuers and several targets: give one individual of a recording "
-            "either role"
-        )
-    same: dict[str, Any] = {}
+    require(
+        before.roles and now.roles and len(roles) == len(before.roles) + len(now.roles),
+        f"{place}: the recording has two rows: keep one of them",
+    )
+    has = list(roles.values())
+    require(
+        min(has.count(PURSUER), has.count(TARGET)) < 2,
+        f"{place}: several pursuers and several targets: give one individual of a recording "
+        "either role",
+    )
     for key in ("condition", "split", "px_per_cm"):
         a, b = getattr(before, key), getattr(now, key)
-        if a != b:
-            raise InputError(f"{place}: {key} is {b!r} here and {a!r} above: make them agree")
-        same[key] = a
-    return Session(roles=roles, **same)
-
-
-def _without_ending(name: str) -> str:
-    """The name of a recording, where a file's name stands for it."""
-    suffix = Path(name).suffix
-    return name.removesuffix(suffix) if re.fullmatch(r"\.[A-Za-z]\w{0,4}", suffix) else name
+        require(a == b, f"{place}: {key} is {b!r} here and {a!r} above: make them agree")
+    return replace(before, target=None, roles=roles)

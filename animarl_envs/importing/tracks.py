@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import check_names
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 
 CENTROID = "centroid"
 APART = 0.25  # of a frame that files of one recording may be apart
@@ -69,32 +69,31 @@ class Tracks:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        shape = (len(self.individuals), len(self.keypoints), 2)
-        if self.positions.ndim != 4 or self.positions.shape[1:] != shape:
-            raise InputError(
-                f"{self.recording}: positions have shape {self.positions.shape}, not (frames, "
-                f"{', '.join(map(str, shape))}): give x and y of each keypoint and individual"
-            )
-        if len(self.positions) == 0:
-            raise InputError(f"{self.recording}: it has no frames: check the file")
-        if len(set(self.individuals)) != len(self.individuals):
-            raise InputError(
-                f"{self.recording}: individuals {self.individuals} are not all different: "
-                "give each its own name"
-            )
         for name in ("individuals", "keypoints", "events"):  # lists where they come from a file
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        shape = (len(self.individuals), len(self.keypoints), 2)
+        require(
+            self.positions.ndim == 4 and self.positions.shape[1:] == shape,
+            f"{self.recording}: positions have shape {self.positions.shape}, not (frames, "
+            f"{', '.join(map(str, shape))}): give x and y of each keypoint and individual",
+        )
+        require(len(self), f"{self.recording}: it has no frames: check the file")
+        require(
+            len(set(self.individuals)) == len(self.individuals),
+            f"{self.recording}: individuals {self.individuals} are not all different: "
+            "give each its own name",
+        )
         check_names(f"{self.recording:.80}", "a recording", [self.recording])
         check_names(self.recording, "an individual", self.individuals)
         check_names(self.recording, "a keypoint", self.keypoints)
-        if self.frame_rate is not None and not 0 < self.frame_rate < float("inf"):
-            raise InputError(
-                f"{self.recording}: the frame rate is {self.frame_rate} Hz: it must be positive"
-            )
-        if not isinstance(self.unit, str):
-            raise InputError(
-                f"{self.recording}: the unit is {self.unit!r}: give a name, such as mm"
-            )
+        require(
+            self.frame_rate is None or 0 < self.frame_rate < float("inf"),
+            f"{self.recording}: the frame rate is {self.frame_rate} Hz: it must be positive",
+        )
+        require(
+            isinstance(self.unit, str),
+            f"{self.recording}: the unit is {self.unit!r}: give a name, such as mm",
+        )
         if np.isinf(self.positions).any():
             gaps = np.where(np.isinf(self.positions), np.nan, self.positions)
             object.__setattr__(self, "positions", gaps)
@@ -112,11 +111,11 @@ class Tracks:
     @property
     def bodies(self) -> NDArray[np.float64]:
         """``(frames, individuals, 2)`` once a keypoint was chosen."""
-        if len(self.keypoints) != 1:
-            raise InputError(
-                f"{self.recording}: it has keypoints {', '.join(self.keypoints)}: choose one, "
-                "or their centroid"
-            )
+        require(
+            len(self.keypoints) == 1,
+            f"{self.recording}: it has keypoints {', '.join(self.keypoints)}: choose one, "
+            "or their centroid",
+        )
         return self.positions[:, :, 0]
 
     def with_bodies(self, bodies: NDArray[np.float64], **changes: Any) -> Tracks:
@@ -125,17 +124,16 @@ class Tracks:
 
     def choose(self, names: Sequence[str]) -> Tracks:
         """Only these individuals, in this order."""
-        missing = [name for name in names if name not in self.individuals]
-        if missing:
-            raise InputError(
-                f"{self.recording}: there is no individual {missing[0]!r}: choose among "
-                f"{', '.join(self.individuals)}"
+        for name in names:
+            require(
+                name in self.individuals,
+                f"{self.recording}: there is no individual {name!r}: choose among "
+                f"{', '.join(self.individuals)}",
             )
         index = [self.individuals.index(name) for name in names]
+        count = len(self.individuals)
         signals = {
-            key: value[:, index]
-            if value.ndim > 1 and value.shape[1] == len(self.individuals)
-            else value
+            key: value[:, index] if value.ndim > 1 and value.shape[1] == count else value
             for key, value in self.signals.items()
         }
         return replace(
@@ -147,27 +145,17 @@ class Tracks:
         )
 
 
-def check_extent(recording: str, frames: int, group: Sequence[Tracks]) -> None:
-    """Refuse files of one recording that are of quite different times."""
-    if frames > 2 * sum(len(part) for part in group):
-        raise InputError(
-            f"{recording}: its files lie so far apart in time that they hardly are of one "
-            "recording: import them one by one"
-        )
-
-
 def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:
     """Files of one animal each become one recording; what differs in their names is the animal's.
 
     ``pair1_maleDLC_resnet50`` and ``pair1_femaleDLC_resnet50`` are ``male`` and ``female``.
     """
     stems = [part.recording.partition("DLC_")[0].removesuffix("DLC") for part in parts]
-    several = [part for part in parts if len(part.individuals) > 1]
-    if several or len(parts) < 2 or len(set(stems)) < len(stems):
-        raise InputError(
-            f"{parts[0].recording}: merging individuals needs two files or more, of one animal "
-            "each, with names that differ: leave --merge-individuals out"
-        )
+    require(
+        len(parts) == len(set(stems)) > 1 and all(len(part.individuals) == 1 for part in parts),
+        f"{parts[0].recording}: merging individuals needs two files or more, of one animal "
+        "each, with names that differ: leave --merge-individuals out",
+    )
     words = [re.split(r"([\s_.\-]+)", stem) for stem in stems]
     same = len({len(one) for one in words}) == 1
     columns = list(zip(*words, strict=True)) if same else []
@@ -189,35 +177,31 @@ def disambiguate_by_folder(parts: Sequence[tuple[Path, Tracks]]) -> list[tuple[P
 
     Other files that share a recording hold different animals of it.
     """
-    groups: dict[str, list[tuple[Path, Tracks]]] = {}
+    having: dict[str, dict[str, list[Path]]] = {}  # files by recording and individual
     for file, tracks in parts:
-        groups.setdefault(tracks.recording, []).append((file, tracks))
-    folders: dict[tuple[str, Path], str] = {}
-    for recording, group in groups.items():
-        having: dict[str, list[Path]] = {}
-        for file, tracks in group:
-            for name in tracks.individuals:
-                having.setdefault(name, []).append(file)
-        twice = [(name, files) for name, files in having.items() if len(set(files)) > 1]
-        if not twice:
-            continue
-        files = {file for file, _ in group}
-        if len({file.name for file in files}) > 1:
-            name, (first, *others) = twice[0]
-            second = next(file for file in others if file != first)
+        for name in tracks.individuals:
+            files = having.setdefault(tracks.recording, {}).setdefault(name, [])
+            files += [file] * (file not in files)
+    above: dict[str, str] = {}
+    for recording, group in having.items():
+        twice = [(name, files) for name, files in group.items() if len(files) > 1]
+        paths = {file for files in group.values() for file in files}
+        if twice and len({file.name for file in paths}) > 1:
+            name, (first, second, *_) = twice[0]
             raise InputError(
                 f"{first} and {second}: both have {name} of recording {recording}: leave one out, "
                 "or give different recordings different names"
             )
-        above = os.path.commonpath([file.parent.resolve() for file in files])
-        for file in files:
-            folders[recording, file] = file.parent.resolve().relative_to(above).as_posix()
-    return [
-        (file, replace(tracks, recording=f"{folder}/{tracks.recording}"))
-        if (folder := folders.get((tracks.recording, file), ".")) != "."
-        else (file, tracks)
-        for file, tracks in parts
-    ]
+        if twice:
+            above[recording] = os.path.commonpath([file.parent.resolve() for file in paths])
+    found = []
+    for file, tracks in parts:
+        name = tracks.recording
+        if name in above:
+            folder = file.parent.resolve().relative_to(above[name]).as_posix()
+            name = name if folder == "." else f"{folder}/{name}"
+        found.append((file, replace(tracks, recording=name)))
+    return found
 
 
 def merge(parts: Sequence[Tracks]) -> list[Tracks]:
@@ -230,45 +214,40 @@ def merge(parts: Sequence[Tracks]) -> list[Tracks]:
 
 def _side_by_side(group: Sequence[Tracks]) -> Tracks:
     first = group[0]
-    for other in group[1:]:
-        if other.keypoints != first.keypoints or other.frame_rate != first.frame_rate:
-            raise InputError(
-                f"{first.recording}: its files differ in keypoints or frame rate: "
-                "import them one by one"
-            )
+    kinds = {(part.keypoints, part.frame_rate) for part in group}
+    require(
+        len(kinds) == 1,
+        f"{first.recording}: its files differ in keypoints or frame rate: import them one by one",
+    )
     begin = min(part.start for part in group)
     exact = [(part.start - begin) * (part.frame_rate or 0.0) for part in group]
     late = [round(frames) for frames in exact]
-    if max(abs(a - b) for a, b in zip(exact, late, strict=True)) > APART:
-        raise InputError(
-            f"{first.recording}: its files begin at times between each other's frames: resample "
-            "them, or import them one by one"
-        )
-    frames = max(len(part) + after for part, after in zip(group, late, strict=True))
-    check_extent(first.recording, frames, group)
-    positions = np.full(
-        (frames, sum(len(p.individuals) for p in group), len(first.keypoints), 2), np.nan
+    require(
+        max(abs(a - b) for a, b in zip(exact, late, strict=True)) <= APART,
+        f"{first.recording}: its files begin at times between each other's frames: resample "
+        "them, or import them one by one",
     )
-    column = 0
-    for part, after in zip(group, late, strict=True):
-        positions[after : after + len(part), column : column + len(part.individuals)] = (
-            part.positions
-        )
-        column += len(part.individuals)
-    headings = [part.signals.get(HEADING) for part in group]
-    signals = {}
-    if all(own is not None and own.ndim == 2 for own in headings):
-        shifted = [
-            np.pad(own, ((after, frames - after - len(own)), (0, 0)), constant_values=np.nan)
-            for own, after in zip(headings, late, strict=True)
-            if own is not None
-        ]
-        signals[HEADING] = np.concatenate(shifted, axis=1)
+    frames = max(len(part) + after for part, after in zip(group, late, strict=True))
+    require(
+        frames <= 2 * sum(map(len, group)),
+        f"{first.recording}: its files lie so far apart in time that they hardly are of one "
+        "recording: import them one by one",
+    )
+
+    def joined(values: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
+        shifted = []
+        for own, after in zip(values, late, strict=True):
+            shifted.append(np.full((frames, *own.shape[1:]), np.nan))
+            shifted[-1][after : after + len(own)] = own
+        return np.concatenate(shifted, axis=1)
+
+    headings = [part.signals[HEADING] for part in group if HEADING in part.signals]
+    told = len(headings) == len(group) and all(own.ndim == 2 for own in headings)
     return replace(
         first,
         individuals=tuple(name for part in group for name in part.individuals),
-        positions=positions,
+        positions=joined([part.positions for part in group]),
         confidence=None,
-        signals=signals,
+        signals={HEADING: joined(headings)} if told else {},
         events=(),
     )

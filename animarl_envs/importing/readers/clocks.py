@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from animarl_envs.errors import InputError
 from animarl_envs.importing.tables import Words
 
-Floats, Whole = NDArray[np.float64], NDArray[np.integer]
+Floats = NDArray[np.float64]
+Whole = NDArray[np.integer]
 Place = Callable[[int], str]  # what messages call a row, counted from 0
 
 UNEVEN = 0.25  # of a frame: how far a time may lie from its frame

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shlex
 from collections.abc import Sequence
@@ -40,6 +41,8 @@ USUAL_NAMES = {
 }
 _WORDS = r"pos|position|coord|coordinate|centroid|center|centre|loc|location|wcentroid"
 _AXIS = re.compile(rf"(?:(?:{_WORDS}|c)?[xy]|[xy](?:{_WORDS}|c)?)")
+_ANGLE_UNIT = re.compile(r"[\s_/\[(]+(rad|deg)(?:ians?|rees?|s)?[\])]?\s*$", re.IGNORECASE)
+RADIANS = {"rad": 1.0, "deg": math.pi / 180.0}
 EXACT = ("x", "y")
 MOTION = ("vel", "speed", "acc")  # how names of pairs begin that are no positions
 
@@ -166,6 +169,24 @@ def find_columns(table: Table) -> Columns:
             )
         parts |= {"x": x.column, "y": y.column, "unit": x.unit}
     return Columns(**parts, unclear=tuple(unclear))  # type: ignore[arg-type]
+
+
+def radians_per_unit(path: Path, column: str, unit: str | None) -> float:
+    """Of a table's column of headings, whose unit is stated or stands in its name.
+
+    Raises
+    ------
+    InputError
+        If neither says whether these are radians or degrees.
+    """
+    match = _ANGLE_UNIT.search(column)
+    named = unit or (match[1].lower() if match else None)
+    if named not in RADIANS:
+        raise InputError(
+            f"{path}: column {column!r} has angles in {named or 'no stated unit'}: give --option "
+            "angle_unit=rad or angle_unit=deg"
+        )
+    return RADIANS[named]
 
 
 def suggested_command(path: Path) -> str | None:

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError
 from animarl_envs.files import EXPANSION, allowed_bytes
-from animarl_envs.importing.headings import radians_per_unit
 from animarl_envs.importing.readers import clocks
 from animarl_envs.importing.readers.columns import (
     Columns,
     find_columns,
     pairs_of,
     parsed_names,
+    radians_per_unit,
     refuse_unused_pair,
     suggested_command,
 )

@@ -128,9 +128,15 @@ def test_failed_imports_leave_nothing_behind(tmp_path: Path) -> None:
         (("--fps", 20, "--farther-than", 1, "--out", out), "give both"),
         (("--fps", 20, "--species", "unicorn", "--out", out), "species 'unicorn' is unknown"),
         (("--fps", 20, "--split-seed", -1, "--out", out), "give zero or more"),
-        (("--fps", 20, "--contact", "nan", "--out", out), "must be a positive distance"),
+        (
+            ("--fps", 20, "--contact", "nan", "--out", out),
+            "contact is nan: it must be zero or positive",
+        ),
         (("--fps", 20, "--arena", "triangle", "--out", out), "triangle"),
-        (("--fps", 20, "--smoothing", -1, "--out", out), "give a positive one, or 0"),
+        (
+            ("--fps", 20, "--smoothing", -1, "--out", out),
+            "smoothing_cutoff is -1.0 Hz: it must be zero or positive",
+        ),
         (("--fps", 20, "--cut", "events", "--events", tmp_path / "no.csv", "--out", out), "no.csv"),
         (("--fps", 20, "--option", "unit={a: 1}", "--out", out), "give a name, such as mm"),
     ):

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
-from animarl_envs.importing.cleaning import Cleaning, clean
+from animarl_envs.importing.cleaning import Cleaning, clean, fill_gaps, resample, shorter_turn
 from animarl_envs.importing.cutting import Cutting
-from animarl_envs.importing.headings import fill_headings, resample_headings
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import follow, read_tracks
 from animarl_envs.importing.scaling import Scaling
@@ -80,7 +79,7 @@ def test_thinning_goes_the_shorter_way_round(rate: float) -> None:
     times = np.arange(1, len(demos.positions) + 1) * RATE / rate
     assert same(demos.headings(), times[:, None] * [0.13, -0.21] + [0.4, 3.0])
     past = np.array([[3.1], [-3.1]])
-    half = resample_headings(past, 1.0, 2.0)[:, 0]
+    half = resample(past, 1.0, 2.0, shorter_turn)[:, 0]
     assert same(half, [3.1, np.pi, -3.1])
 
 
@@ -95,8 +94,8 @@ def test_short_gaps_are_turned_through_and_longer_ones_cut_the_recording() -> No
     assert same(demos.headings(), np.delete(spinning(), [0, *range(120, 141)], axis=0))
     assert demos.provenance["cleaning"]["r"]["heading_unknown"] == 20
     over = np.array([[3.0], [np.nan], [np.nan], [-3.0]])
-    assert same(fill_headings(over, 2)[:, 0], np.linspace(3.0, 2 * np.pi - 3.0, 4))
-    assert np.isnan(fill_headings(over, 1)[1:3]).all()
+    assert same(fill_gaps(over, 2, shorter_turn)[0][:, 0], np.linspace(3.0, 2 * np.pi - 3.0, 4))
+    assert np.isnan(fill_gaps(over, 1, shorter_turn)[0][1:3]).all()
 
 
 def test_smoothing_knows_no_seam_and_jumps_take_their_heading_along() -> None:
