@@ -9,21 +9,24 @@ from __future__ import annotations
 
 import errno
 import glob
+import math
 import os
+import re
 import shutil
 import stat
+import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 
 try:
     import fcntl
@@ -35,7 +38,6 @@ FREELY = 256 * 2**20  # [bytes]
 LARGE_EXPANSION = 16
 ALLOWANCE = 16 * 2**20  # [bytes]
 MOST_MEMBERS = 10_000  # of an archive
-HIGHEST_CHARACTER = 0x10FFFF
 PART = ".part"
 RANDOM = 8  # characters that tempfile draws
 JUST_MADE = 1.0  # [s] within which a temporary file may not be locked yet
@@ -62,44 +64,67 @@ def write_then_rename(path: str | Path) -> Iterator[Path]:
         If the file cannot be written: a full disk, a folder that is not writable.
     """
     path = Path(path)
-    if path.is_dir():
-        raise InputError(f"{path}: it is a folder: name a file")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_orphans(path.parent, f".{path.stem}.", f"{PART}{path.suffix}")
-        number, name = tempfile.mkstemp(
-            dir=path.parent, prefix=f".{path.stem}.", suffix=f"{PART}{path.suffix}"
-        )
-    except OSError as error:
-        raise _unwritable(path, error) from None
-    part = Path(name)
-    try:
-        with _in_use(number):
-            part.chmod(0o644)
-            yield part
-            part.replace(path)
-    except OSError as error:
-        raise _unwritable(path, error) from error
-    finally:
-        part.unlink(missing_ok=True)
+    require(not path.is_dir(), f"{path}: it is a folder: name a file")
+    with _temporary(path, path.stem, path.suffix, tempfile.mkstemp) as part:
+        part.chmod(0o644)
+        yield part
+        part.replace(path)
 
 
 @contextmanager
-def _in_use(number: int) -> Iterator[None]:
-    """Hold a lock on a temporary file or folder while it is written; a kill releases it.
+def all_files_or_none(folder: str | Path) -> Iterator[Path]:
+    """Hand out an empty folder beside ``folder``; move its files there if the block succeeds.
 
-    Windows has no such lock (and renames no open file): there nothing is held.
+    An error or Ctrl-C inside the block leaves ``folder`` as it was, with all results of before.
+    Afterwards files of the same name are replaced; others that lie there stay.
+
+    Raises
+    ------
+    InputError
+        If ``folder`` is a file, or something cannot be written: a full disk, no permission.
     """
-    if fcntl is None:
-        os.close(number)
-        yield
-        return
+    folder = Path(folder)
+    require(folder.is_dir() or not folder.exists(), f"{folder}: it is a file: name a folder")
+    with _temporary(folder, folder.name, "", tempfile.mkdtemp) as part:
+        yield part
+        for file in sorted(path for path in part.rglob("*") if path.is_file()):
+            place = folder / file.relative_to(part)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+
+
+@contextmanager
+def _temporary(path: Path, stem: str, suffix: str, make: Callable[..., Any]) -> Iterator[Path]:
+    """Hand out a temporary file or folder beside ``path``, and remove it in the end.
+
+    It is locked while it is written, which a kill releases. Windows has no such lock (and renames
+    no open file): there nothing is held.
+    """
+    prefix, ending, parent = f".{stem}.", f"{PART}{suffix}", path.parent
+    part = number = None
     try:
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
+        parent.mkdir(parents=True, exist_ok=True)
+        _remove_orphans(parent, prefix, ending)
+        made = make(dir=parent, prefix=prefix, suffix=ending)
+        number, part = (None, Path(made)) if isinstance(made, str) else (made[0], Path(made[1]))
+        if fcntl is None and number is not None:
+            os.close(number)
+            number = None
+        elif fcntl is not None:
+            number = os.open(part, os.O_RDONLY) if number is None else number
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield part
+    except OSError as error:
+        raise InputError(
+            f"{path}: it cannot be written ({error.strerror or error}): make room or name another "
+            "place"
+        ) from error
     finally:
-        os.close(number)
+        if number is not None:
+            os.close(number)
+        if part is not None:
+            shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(True)
 
 
 def _remove_orphans(folder: Path, prefix: str, suffix: str) -> None:
@@ -119,52 +144,12 @@ def _remove_orphans(folder: Path, prefix: str, suffix: str) -> None:
                 os.close(number)
 
 
-@contextmanager
-def all_files_or_none(folder: str | Path) -> Iterator[Path]:
-    """Hand out an empty folder beside ``folder``; move its files there if the block succeeds.
-
-    An error or Ctrl-C inside the block leaves ``folder`` as it was, with all results of before.
-    Afterwards files of the same name are replaced; others that lie there stay.
-
-    Raises
-    ------
-    InputError
-        If ``folder`` is a file, or something cannot be written: a full disk, no permission.
-    """
-    folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: it is a file: name a folder")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        _remove_orphans(folder.parent, f".{folder.name}.", PART)
-        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=PART))
-    except OSError as error:
-        raise _unwritable(folder, error) from None
-    try:
-        with _in_use(os.open(part, os.O_RDONLY)) if fcntl else nullcontext():
-            yield part
-            for file in sorted(path for path in part.rglob("*") if path.is_file()):
-                place = folder / file.relative_to(part)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                file.replace(place)
-    except OSError as error:
-        raise _unwritable(folder, error) from error
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
 def unreadable_or_unwritable(error: OSError) -> str:
     """What to say of a file where nobody nearer knew better."""
     where = f"{error.filename}: " if error.filename else ""
     return (
         f"{where}a file cannot be read or written ({error.strerror or error}): make room, or see "
         "to its permissions"
-    )
-
-
-def _unwritable(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"{path}: it cannot be written ({error.strerror or error}): make room or name another place"
     )
 
 
@@ -175,12 +160,12 @@ def refuse_special(path: Path) -> None:
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file: check the path") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        what = "its links lead in a circle" if _is_loop(error) else f"it cannot be opened ({error})"
+        circle = getattr(error, "errno", None) == errno.ELOOP
+        what = "its links lead in a circle" if circle else f"it cannot be opened ({error})"
         raise InputError(f"{path}: {what}: name the file itself") from None
-    if stat.S_ISDIR(mode):
-        raise InputError(f"{path}: it is a folder: name a file in it")
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: it is a pipe or a device: copy its content into a file")
+    require(not stat.S_ISDIR(mode), f"{path}: it is a folder: name a file in it")
+    regular = f"{path}: it is a pipe or a device: copy its content into a file"
+    require(stat.S_ISREG(mode), regular)
 
 
 def refuse_unfinished(path: Path) -> None:
@@ -201,10 +186,6 @@ def unfinished(path: Path) -> InputError:
     )
 
 
-def _is_loop(error: Exception) -> bool:
-    return isinstance(error, OSError) and error.errno == errno.ELOOP
-
-
 def allowed_bytes(size: int) -> int:
     """Most bytes that arrays read from a file of ``size`` bytes may take."""
     return max(min(EXPANSION * size, FREELY), LARGE_EXPANSION * size) + ALLOWANCE
@@ -213,20 +194,19 @@ def allowed_bytes(size: int) -> int:
 def check_size(path: Path, size: int, what: str) -> None:
     """Refuse ``size`` bytes of ``what`` if the file is too small to mean it."""
     own = path.stat().st_size
-    if size > allowed_bytes(own):
-        raise InputError(
-            f"{path}: {what} would take {size / 2**20:,.0f} MiB, more than {EXPANSION} times the "
-            f"file of {own / 2**20:,.1f} MiB may ask for: its header is damaged, copy it again"
-        )
+    require(
+        size <= allowed_bytes(own),
+        f"{path}: {what} would take {size / 2**20:,.0f} MiB, more than {EXPANSION} times the "
+        f"file of {own / 2**20:,.1f} MiB may ask for: its header is damaged, copy it again",
+    )
 
 
 def npz_members(path: Path) -> set[str]:
     """Names inside a zip archive; empty if it is none or damaged."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return set(archive.namelist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return set()
+    damage = (zipfile.BadZipFile, OSError, ValueError, NotImplementedError)
+    with suppress(*damage), zipfile.ZipFile(path) as archive:
+        return set(archive.namelist())
+    return set()
 
 
 def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
@@ -235,7 +215,7 @@ def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[A
     Raises
     ------
     InputError
-        If the array is of no plain kind (objects are, for the restricted unpickler), or too large.
+        If the array is of no plain kind (objects are, for the restricted unpickler).
     """
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
@@ -244,10 +224,11 @@ def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[A
         shape, _, dtype = np.lib.format.read_array_header_2_0(file)
     else:
         raise InputError(f"{path}: npy version {version} is unknown: save it with np.save")
-    if dtype.kind not in PLAIN_KINDS + "O" or dtype.fields is not None:
-        raise InputError(f"{path}: an array is of kind {dtype}: save plain numbers or text")
-    count = int(np.prod([int(n) for n in shape], dtype=object))
-    return tuple(int(n) for n in shape), dtype, count * dtype.itemsize
+    require(
+        dtype.kind in PLAIN_KINDS + "O" and dtype.fields is None,
+        f"{path}: an array is of kind {dtype}: save plain numbers or text",
+    )
+    return tuple(int(n) for n in shape), dtype, math.prod(map(int, shape)) * dtype.itemsize
 
 
 def check_npz(path: Path) -> None:
@@ -256,11 +237,11 @@ def check_npz(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            if len(members) > MOST_MEMBERS or len({m.filename for m in members}) < len(members):
-                raise InputError(
-                    f"{path}: it holds {len(members):,} arrays, too many or two of one name: "
-                    "cut it in parts"
-                )
+            require(
+                len({m.filename for m in members}) == len(members) <= MOST_MEMBERS,
+                f"{path}: it holds {len(members):,} arrays, too many or two of one name: "
+                "cut it in parts",
+            )
             total = 0
             for member in members:
                 total += _checked_member(path, archive, member)
@@ -276,19 +257,19 @@ def check_npz(path: Path) -> None:
 
 def _checked_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
     """Bytes that the array will take."""
-    check_size(path, member.file_size, member.filename)
-    if member.compress_type not in PACKINGS:
-        raise InputError(f"{path}: {member.filename} is packed unusually: save it with np.savez")
+    name = member.filename
+    check_size(path, member.file_size, name)
+    plain = member.compress_type in PACKINGS
+    require(plain, f"{path}: {name} is packed unusually: save it with np.savez")
     with archive.open(member) as file:
         _, dtype, size = npy_header(path, file)
         held = member.file_size - file.tell()
     if dtype.hasobject:
         return member.file_size
-    if size != held:
-        raise InputError(
-            f"{path}: {member.filename} announces {size:,} bytes and holds {held:,}: "
-            "copy the file again"
-        )
+    require(
+        size == held,
+        f"{path}: {name} announces {size:,} bytes and holds {held:,}: copy the file again",
+    )
     return size if dtype.kind in "SU" else max(size, size // dtype.itemsize * 8)
 
 
@@ -300,16 +281,12 @@ def read_npz(path: Path) -> dict[str, NDArray[Any]]:
             return {key: checked_text(path, archive[key]) for key in archive.files}
     except InputError:
         raise
-    except ValueError as error:
-        if "pickle" in str(error).lower() or "object" in str(error).lower():
+    except Exception as error:  # whatever NumPy, zipfile and its decompressors raise
+        if isinstance(error, ValueError) and re.search("pickle|object", str(error), re.IGNORECASE):
             raise InputError(
                 f"{path}: it holds a pickle, which is never opened here: save plain arrays with "
                 "np.savez"
             ) from None
-        raise InputError(
-            f"{path}: it cannot be read ({error}): save it again with np.savez"
-        ) from None
-    except Exception as error:  # whatever zipfile and its decompressors raise
         raise InputError(
             f"{path}: the archive is damaged or cut short ({error}): copy it again"
         ) from None
@@ -319,6 +296,6 @@ def checked_text(path: Path, array: NDArray[Any]) -> NDArray[Any]:
     """The array, unless it is of text with characters that do not exist."""
     if array.dtype.kind == "U" and array.size and array.dtype.itemsize:
         codes = np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), np.uint32)
-        if int(codes.max()) > HIGHEST_CHARACTER:
-            raise InputError(f"{path}: a text holds characters that do not exist: copy it again")
+        exist = codes.max() <= sys.maxunicode
+        require(exist, f"{path}: a text holds characters that do not exist: copy it again")
     return array

@@ -16,6 +16,7 @@ import importlib
 import json
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -32,6 +33,7 @@ from animarl_envs.errors import InputError, MissingExtraError
 
 MEMORY = 2**30  # [bytes] that a call may take beyond what is loaded
 SECONDS = 60  # of processor time
+PATTERN_SECONDS = 2  # of processor time; some regular expressions take longer than the universe
 SETTINGS = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve gigabytes of addresses
@@ -39,6 +41,7 @@ SETTINGS = {
 """For the server, which is forked and whose memory is limited."""
 START = "import sys; sys.path[:] = {path}; from animarl_envs.wall import serve; serve({answer})"
 ARRAY = "number of the array"  # the one key of a dictionary that stands for an array
+Groups = dict[str, str | None]  # by name and by number as text
 
 
 def call(
@@ -73,11 +76,8 @@ def call(
         As raised by the function.
     """
     if not hasattr(os, "fork"):
-        told = {} if progress is None else {"progress": progress}
-        return function(*arguments, **told)
-    request = (
-        str(Path.cwd()), memory, seconds, list(modules), function, arguments, progress is not None,
-    )  # fmt: skip
+        return function(*arguments, **({} if progress is None else {"progress": progress}))
+    request = (str(Path.cwd()), memory, seconds, modules, function, arguments, progress is not None)
     with _lock:
         server = _running_server()
         try:
@@ -90,18 +90,45 @@ def call(
         raise MissingExtraError(record["missing"])
     if "refused" in record:
         raise InputError(record["refused"])
-    if "memory" in record:
-        raise InputError(
-            f"{what}: it needs more memory than a file of its size may ask for: its header is "
-            "damaged, or cut it in parts"
-        )
-    if status == 0:
+    if "value" in record:
         return _unpacked(record["value"], arrays)
-    if status in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise InputError(f"{what}: it takes more than {seconds} s of processor time: {remedy}")
-    raise InputError(
-        f"{what}: a library crashes over it ({_name_of(-status)}): it is damaged, copy it again"
-    )
+    if status == 0:
+        problem = (
+            "it needs more memory than a file of its size may ask for: its header is damaged, or "
+            "cut it in parts"
+        )
+    elif status in (-signal.SIGXCPU, -signal.SIGKILL):
+        problem = f"it takes more than {seconds} s of processor time: {remedy}"
+    else:
+        known = -status in signal.valid_signals()
+        name = signal.Signals(-status).name if known else f"exit code {status}"
+        problem = f"a library crashes over it ({name}): it is damaged, copy it again"
+    raise InputError(f"{what}: {problem}")
+
+
+def search_names(pattern: str, names: Sequence[str], place: str) -> list[Groups | None]:
+    """Return the groups that ``pattern`` finds in each name, ``None`` where it does not fit.
+
+    Raises
+    ------
+    InputError
+        If it is no regular expression, or takes too long.
+    """
+    try:
+        re.compile(pattern)
+    except (re.error, OverflowError, RecursionError) as error:
+        raise InputError(f"{place}: it is no regular expression ({error}): correct it") from None
+    limit = {"seconds": PATTERN_SECONDS, "remedy": "simplify it"}
+    return list(call(_search, pattern, list(names), what=place, **limit))  # type: ignore[arg-type]
+
+
+def _search(pattern: str, names: list[str]) -> list[Groups | None]:
+    matches = (re.search(pattern, name) for name in names)
+    return [
+        match
+        and {str(i): text for i, text in enumerate(match.groups(), start=1)} | match.groupdict()
+        for match in matches
+    ]
 
 
 class _Server:
@@ -178,8 +205,7 @@ def serve(answer: int) -> None:
     told = os.dup(1)
     os.dup2(2, 1)  # what libraries print
     while size := sys.stdin.buffer.read(8):
-        raw = sys.stdin.buffer.read(int.from_bytes(size, "little"))
-        request = pickle.loads(raw)
+        request = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "little")))
         for name in request[3]:
             with contextlib.suppress(Exception):
                 importlib.import_module(name)
@@ -193,25 +219,29 @@ def serve(answer: int) -> None:
 def _answer(request: Any, answer: int, told: int) -> NoReturn:
     """In the forked process: call the function within its limits and write what it returns."""
     folder, memory, seconds, _, function, arguments, progressing = request
+
+    def progress(share: float) -> None:
+        os.write(told, f"progress {share:.4f}\n".encode())
+
     status = 1
     try:
         os.chdir(folder)
         _limit(memory, seconds)
-        options = {}
-        if progressing:
-            options["progress"] = lambda share: os.write(told, f"progress {share:.4f}\n".encode())
         arrays: list[NDArray[Any]] = []
+        record: dict[str, Any]
         try:
-            record = {"value": _packed(function(*arguments, **options), arrays)}
+            value = function(*arguments, **({"progress": progress} if progressing else {}))
+            record = {"value": _packed(value, arrays)}
             json.dumps(record)
         except MissingExtraError as error:
             record = {"missing": str(error)}
         except InputError as error:
             record = {"refused": str(error)}
         except MemoryError:
-            record, arrays = {"memory": True}, []
+            record = {}
         except Exception as error:
             record = {"refused": f"{type(error).__name__}: {error}"}
+        arrays = arrays if "value" in record else []
         with os.fdopen(answer, "r+b", closefd=False) as file:
             file.seek(0)
             for array in (np.array(json.dumps(record | {"arrays": len(arrays)})), *arrays):
@@ -255,10 +285,3 @@ def _unpacked(value: Any, arrays: list[NDArray[Any]]) -> Any:
     if isinstance(value, list):
         return [_unpacked(entry, arrays) for entry in value]
     return value
-
-
-def _name_of(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"exit code {-number}"

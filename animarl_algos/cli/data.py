@@ -20,7 +20,7 @@ from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal
 from animarl_envs.demos.summary import episode_table, summarise
 from animarl_envs.drawing.summary_figure import plot_summary
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.importing.minari_io import export_minari
 from animarl_envs.importing.readers import available_readers
 from animarl_envs.importing.sessions import conditions_of
@@ -81,8 +81,7 @@ def check_command(
       animarl data check demos.npz --out episodes.csv
     """
     if out is not None:
-        if out.suffix != ".csv":
-            raise InputError(f"{out}: a table of episodes ends in .csv: rename it")
+        require(out.suffix == ".csv", f"{out}: a table of episodes ends in .csv: rename it")
         refuse_overwriting(out, file)
     demos = load(file)
     rows = episode_table(demos)
@@ -145,8 +144,7 @@ def merge_command(
 
       animarl data merge sham.npz lesion.npz --conditions sham,lesion --out both.npz
     """
-    if out.suffix != ".npz":
-        raise InputError(f"{out}: demonstrations end in .npz: rename it")
+    require(out.suffix == ".npz", f"{out}: demonstrations end in .npz: rename it")
     refuse_overwriting(out, *files)
     report(merged(files, conditions), out, None)
 
@@ -186,8 +184,8 @@ def plot_command(file: DemosArgument, out: OutOption) -> None:
 
       animarl data plot demos.npz --out demos.png
     """
-    if out.suffix not in {".png", ".svg", ".pdf"}:
-        raise InputError(f"{out}: a figure ends in .png, .svg or .pdf: rename it")
+    figure = out.suffix in {".png", ".svg", ".pdf"}
+    require(figure, f"{out}: a figure ends in .png, .svg or .pdf: rename it")
     plot_summary(load(file), out)
     wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
 
@@ -207,23 +205,24 @@ def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstratio
     InputError
         If the sets do not fit together, or conditions are not one for each file.
     """
-    if len(files) < 2:
-        raise InputError(f"{files[0]}: there is nothing to merge it with: give two files or more")
+    several = f"{files[0]}: there is nothing to merge it with: give two files or more"
+    require(len(files) > 1, several)
     parts = [load(str(file)) for file in files]
+    place = " and ".join(map(str, files))
     if conditions is None:
-        return join(parts, " and ".join(map(str, files)))
+        return join(parts, place)
     words = [word.strip() for word in conditions.split(",")]
-    if len(words) != len(files) or not all(words):
-        raise InputError(
-            f"conditions are {conditions!r} for {len(files)} files: give one for each, as "
-            f"{','.join(str(i % 2) for i in range(len(files)))}"
-        )
+    require(
+        len(words) == len(files) and all(words),
+        f"conditions are {conditions!r} for {len(files)} files: give one for each, as "
+        f"{','.join(str(i % 2) for i in range(len(files)))}",
+    )
     names = conditions_of(words, "--conditions")
     told = [
         replace(part, condition=np.full(len(part), names.index(word), dtype=np.int8))
         for part, word in zip(parts, words, strict=True)
     ]
-    found = join(told, " and ".join(map(str, files)))
+    found = join(told, place)
     if len(names) < 2:
         return found
     return replace(found, provenance={**found.provenance, "conditions": list(names)})

@@ -19,7 +19,7 @@ from animarl_algos.cli.describing import report, show_rows, understood, wide_con
 from animarl_algos.cli.hints import found_by_itself, hints
 from animarl_algos.cli.options import CONTEXT, asks_for, option
 from animarl_envs.demos.splits import Splitting
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.importing.cleaning import Cleaning
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
@@ -30,8 +30,6 @@ from animarl_envs.importing.scaling import Scaling
 SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
 NOBODY = "none"  # is the target
 OF_FINISHED = {"files", "source", "out", "dry_run", "condition", "option"}  # what they go with
-
-
 FILES: list[inspect.Parameter] = [
     CONTEXT,
     option("files", list[Path], ..., typer.Argument(help="One file or more of the same kind.")),
@@ -42,32 +40,23 @@ FILES: list[inspect.Parameter] = [
     option("recipe", Path | None, None, typer.Option(help="Repeat this saved recipe (.yaml).")),
     option("dry_run", bool, False, typer.Option(help="Only say what is understood.")),
 ]  # fmt: skip
-PARTS = {
-    "": ImportRecipe, "cleaning": Cleaning, "scaling": Scaling, "cutting": Cutting,
-    "splitting": Splitting,
-}  # fmt: skip
-
-
-def _kind(hint: Any) -> Any:
-    """What an option of a field with this annotation takes."""
-    kinds = {hint, *get_args(hint)}
-    if get_origin(hint) is Mapping:
-        return list[str]
-    return next((kind for kind in (float, bool, int) if kind in kinds), str)
 
 
 def _recipe_options() -> dict[str, tuple[str, str, inspect.Parameter]]:
     """Return, by name, the options that set an entry of the recipe: part, entry, option."""
     found = {}
-    for part, model in PARTS.items():
-        hints = get_type_hints(model)
+    for model in (ImportRecipe, Cleaning, Scaling, Cutting, Splitting):
+        part, hints = "" if model is ImportRecipe else model.__name__.lower(), get_type_hints(model)
         for each in fields(model):
-            if "option" not in each.metadata:
+            if not (name := each.metadata.get("option")):
                 continue
-            names, kind = each.metadata["option"].split("/"), _kind(hints[each.name])
-            flags = ["/".join(f"--{name.replace('_', '-')}" for name in names)]
+            kinds = {hints[each.name], *get_args(hints[each.name])}
+            kind: Any = next((one for one in (float, bool, int) if one in kinds), str)
+            kind = list[str] if get_origin(hints[each.name]) is Mapping else kind
+            flags = ["/".join(f"--{one.replace('_', '-')}" for one in name.split("/"))]
             info = typer.Option(*flags if kind is bool else [], help=each.metadata["help"])
-            found[names[0]] = (part, each.name, option(names[0], kind | None, None, info))
+            name = name.partition("/")[0]
+            found[name] = (part, each.name, option(name, kind | None, None, info))
     return found
 
 
@@ -91,14 +80,12 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
       animarl import more.csv --recipe demos.recipe.yaml --out more.npz
     """
     out, dry_run = given["out"], given["dry_run"]
-    if out is not None and out.suffix != ".npz":
-        raise InputError(f"{out}: demonstrations end in .npz: rename it")
-    if out is None and not dry_run:
-        raise InputError("nothing would be written: name --out, or ask for a --dry-run")
+    require(out is None or out.suffix == ".npz", f"{out}: demonstrations end in .npz: rename it")
+    require(out or dry_run, "nothing would be written: name --out, or ask for a --dry-run")
     reader = find_reader(files[0], given["source"])
     if reader.finished:
-        if len(files) > 1:
-            raise InputError(f"{files[1]}: files of source {reader.name} are imported one by one")
+        for more in files[1:]:
+            raise InputError(f"{more}: files of source {reader.name} are imported one by one")
         _refuse_beside_finished(files[0], context)
         finished = read(files[0], reader.name, **_options(given["option"]))
         if (condition := given["condition"]) is not None:
@@ -145,17 +132,24 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
     unsaid = recipe is None and target is None and given["pursuer"] is None
     if unsaid and base.target is None and not base.searcher:
         given["target"] = AUTO
+    record = json.loads(json.dumps(base.to_dict()))
     given["option"] = _options(given["option"]) or None
-    given["centre"] = _centre(given["centre"])
     given["cut"] = given["cut"] or (
         "approach" if given["farther_than"] else "events" if given["events"] else None
     )
     given["split_by"] = given["split_by"] or ("group" if given["split_pattern"] else None)
-    if given["heading"] is not None:
-        given["heading"] = [part.strip() for part in given["heading"].split(",")]
-    record = json.loads(json.dumps(base.to_dict()))
+    for name in ("centre", "heading", "individuals"):
+        if given[name] is not None:
+            given[name] = [part.strip() for part in given[name].split(",")]
+    if (centre := given["centre"]) is not None:
+        try:
+            x, y = map(float, centre)
+        except ValueError:
+            told = ",".join(centre)
+            raise InputError(f"centre is {told!r}: give x and y, as 512,384") from None
+        given["centre"] = [x, y]
     if given["individuals"] is not None:
-        pairs = [entry.strip().partition("=") for entry in given["individuals"].split(",")]
+        pairs = [entry.partition("=") for entry in given["individuals"]]
         given["individuals"] = [name for name, _, _ in pairs]
         record["rename"] = {name: new for name, _, new in pairs if new} or record["rename"]
     for name, (part, key, _) in RECIPE.items():
@@ -167,27 +161,14 @@ def _plan(given: dict[str, Any], reader: Reader) -> ImportRecipe:
     return ImportRecipe.from_dict(record, "the options given")
 
 
-def _centre(given: str | None) -> list[float] | None:
-    if given is None:
-        return None
-    try:
-        x, y = (float(part) for part in given.split(","))
-    except ValueError:
-        raise InputError(f"centre is {given!r}: give x and y, as 512,384") from None
-    return [x, y]
-
-
 def _options(given: list[str] | None) -> dict[str, Any]:
     found = {}
     for entry in given or []:
         name, equals, value = entry.partition("=")
-        if not equals:
-            raise InputError(f"option {entry!r} has no '=': write name=value")
-        if value.strip() in SIGNS:
-            found[name.strip()] = value.strip()
-            continue
+        require(equals, f"option {entry!r} has no '=': write name=value")
         try:
-            found[name.strip()] = yaml.safe_load(value)
+            plain = value.strip() in SIGNS
+            found[name.strip()] = value.strip() if plain else yaml.safe_load(value)
         except yaml.YAMLError:
             raise InputError(f"option {entry!r} has a value that is no YAML: quote it") from None
     return found

@@ -14,7 +14,7 @@ from animarl_envs.checks import option
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
-from animarl_envs.patterns import search_names
+from animarl_envs.wall import search_names
 
 FEWEST_FOLDS = 3  # train, val and test
 FEWEST_RECORDINGS = 3  # with fewer, episodes rather than recordings are dealt to the splits

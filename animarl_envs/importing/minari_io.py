@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED, refusing_damage
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.files import refuse_special
 from animarl_envs.locomotion import NUM_ACTIONS
 
@@ -35,47 +36,45 @@ def export_minari(demos: Demonstrations, folder: str | Path) -> Path:
     With ``MINARI_DATASETS_PATH`` set to the folder's parent, ``minari.load_dataset(folder.name)``
     finds it.
     """
-    _minari()
+    try:
+        import gymnasium as gym
+        import minari
+        from minari.data_collector import EpisodeBuffer
+        from minari.dataset.minari_storage import MinariStorage
+    except ImportError as error:
+        raise MissingExtraError("Minari datasets", "data") from error
     folder = Path(folder).resolve()  # Minari mishandles relative paths
-    if folder.exists():
-        raise InputError(f"{folder}: it exists already: name a new folder")
+    require(not folder.exists(), f"{folder}: it exists already: name a new folder")
     actions, origin = _actions(demos)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as part:
-        _write(demos, actions, origin, Path(part) / folder.name)
-        (Path(part) / folder.name).rename(folder)
-    return folder
-
-
-def _write(demos: Demonstrations, actions: NDArray[np.int8], origin: str, folder: Path) -> None:
-    import gymnasium as gym
-    import minari
-
-    storage_class, buffer_class = _minari()
-    data = folder / "data"
-    data.mkdir(parents=True)
     box = gym.spaces.Box(-np.inf, np.inf, (4,), dtype=np.float64)
-    storage = storage_class.new(
-        data,
-        observation_space=gym.spaces.Dict({name: box for name in demos.individuals}),
-        action_space=gym.spaces.Dict(
-            {name: gym.spaces.Discrete(NUM_ACTIONS) for name in demos.individuals}
-        ),
-        env_spec=None,
-        data_format="hdf5",
-    )
-    storage.update_metadata(
-        {
-            "dataset_id": folder.name,
-            "minari_version": minari.__version__,
-            "description": f"{demos!r}; {'synthetic' if demos.synthetic else 'recorded'} animals",
-            "algorithm_name": "none: demonstrations",
-            METADATA_KEY: json.dumps(_metadata(demos, origin)),
-        }
-    )
-    storage.update_episodes(
-        buffer_class(**_episode(demos, actions, index)) for index in range(demos.num_episodes)
-    )
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as part:
+        data = Path(part) / folder.name / "data"
+        data.mkdir(parents=True)
+        storage = MinariStorage.new(
+            data,
+            observation_space=gym.spaces.Dict({name: box for name in demos.individuals}),
+            action_space=gym.spaces.Dict(
+                {name: gym.spaces.Discrete(NUM_ACTIONS) for name in demos.individuals}
+            ),
+            env_spec=None,
+            data_format="hdf5",
+        )
+        kind = "synthetic" if demos.synthetic else "recorded"
+        storage.update_metadata(
+            {
+                "dataset_id": folder.name,
+                "minari_version": minari.__version__,
+                "description": f"{demos!r}; {kind} animals",
+                "algorithm_name": "none: demonstrations",
+                METADATA_KEY: json.dumps(_metadata(demos, origin)),
+            }
+        )
+        storage.update_episodes(
+            EpisodeBuffer(**_episode(demos, actions, index)) for index in range(len(demos))
+        )
+        data.parent.rename(folder)
+    return folder
 
 
 def import_minari(folder: str | Path) -> Demonstrations:
@@ -88,19 +87,11 @@ def import_minari(folder: str | Path) -> Demonstrations:
     """
     folder = Path(folder).resolve()
     file = folder / "data" / DATA_FILE
-    if not file.is_file():
-        raise InputError(f"{folder}: it holds no data/{DATA_FILE}: name the dataset's folder")
-    meta = _stored_metadata(folder)
-    with refusing_damage(folder):
-        return _rebuilt(folder, meta, file)
-
-
-def _stored_metadata(folder: Path) -> dict[str, Any]:
-    file = folder / "data" / "metadata.json"
-    refuse_special(file)
+    require(file.is_file(), f"{folder}: it holds no data/{DATA_FILE}: name the dataset's folder")
+    described = file.with_name("metadata.json")
+    refuse_special(described)
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        return dict(json.loads(record[METADATA_KEY]))
+        meta = dict(json.loads(json.loads(described.read_text(encoding="utf-8"))[METADATA_KEY]))
     except KeyError:
         raise InputError(
             f"{folder}: it is a Minari dataset of another project, which does not say which entry "
@@ -110,6 +101,8 @@ def _stored_metadata(folder: Path) -> dict[str, Any]:
         raise InputError(
             f"{folder}: the Minari dataset is damaged ({error}): copy it again"
         ) from None
+    with refusing_damage(folder):
+        return _rebuilt(folder, meta, file)
 
 
 def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
@@ -124,25 +117,20 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
     infos: list[dict[str, NDArray[Any]]] = []
     with open_hdf(path) as file:
         count = len(meta["recording"])
-        if len(file) != count:
-            raise InputError(
-                f"{folder}: it holds {len(file)} episodes, its metadata {count}: copy it again"
-            )
+        require(
+            len(file) == count,
+            f"{folder}: it holds {len(file)} episodes, its metadata {count}: copy it again",
+        )
         for number in range(count):
-            place = f"episode_{number}"
-            states.append(
-                np.stack(
-                    [read_dataset(path, file, f"{place}/observations/{n}") for n in names], axis=1
-                )
-            )
+
+            def arrays(part: str, keys: Iterable[str], at: str = f"episode_{number}") -> Any:
+                return {key: read_dataset(path, file, f"{at}/{part}/{key}") for key in keys}
+
+            states.append(np.stack([*arrays("observations", names).values()], axis=1))
             taken = np.full(states[-1].shape[:2], -1, dtype=np.int8)
-            taken[:-1] = np.stack(
-                [read_dataset(path, file, f"{place}/actions/{n}") for n in names], axis=1
-            )
+            taken[:-1] = np.stack([*arrays("actions", names).values()], axis=1)
             actions.append(taken)
-            infos.append(
-                {key: read_dataset(path, file, f"{place}/infos/{key}") for key in meta["signals"]}
-            )
+            infos.append(arrays("infos", meta["signals"]))
     signals: dict[str, NDArray[Any]] = {
         key: np.concatenate([info[key] for info in infos]).astype(kind)
         for key, kind in meta["signals"].items()
@@ -222,12 +210,3 @@ def _episode(demos: Demonstrations, actions: NDArray[np.int8], index: int) -> di
         "truncations": (ended & (not by_itself)).tolist(),
         "infos": {key: np.asarray(value) for key, value in one.signals.items() if key != "actions"},
     }
-
-
-def _minari() -> tuple[Any, Any]:
-    try:
-        from minari.data_collector import EpisodeBuffer
-        from minari.dataset.minari_storage import MinariStorage
-    except ImportError as error:
-        raise MissingExtraError("Minari datasets", "data") from error
-    return MinariStorage, EpisodeBuffer

@@ -22,7 +22,7 @@ from animarl_envs.demos.splits import Splitting, split_recordings
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing.tables import read_rows
 from animarl_envs.importing.tracks import Tracks
-from animarl_envs.patterns import search_names
+from animarl_envs.wall import search_names
 
 COLUMNS = ("recording", "condition", "split", "target", "individual", "role", "px_per_cm")
 GROUPS = ("condition", "split", "target")

@@ -24,7 +24,6 @@ ROOMS = (
     "animarl_envs.errors",
     "animarl_envs.files",
     "animarl_envs.wall",
-    "animarl_envs.patterns",
     "animarl_envs.checks",
     "animarl_envs.arena",
     "animarl_envs.locomotion",
