@@ -133,8 +133,8 @@ def _why_none(cleaned: Sequence[Tracks]) -> str:
     if any(stop - start > 1 for own in seen for start, stop in runs(own.all(axis=1))):
         return "the cut leaves no episode: loosen the distances or the length limits"
     for tracks, own in zip(cleaned, seen, strict=True):
-        for name, tracked in zip(tracks.individuals, own.any(axis=0), strict=True):
-            if not tracked:
+        for who, name in enumerate(tracks.individuals):
+            if not own[:, who].any():
                 return (
                     f"{name} is never tracked in recording {tracks.recording}: leave it out by "
                     "--individuals, or see to --min-confidence"

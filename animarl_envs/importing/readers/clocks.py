@@ -26,24 +26,14 @@ CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
 DECIMAL_COMMA = r",(?=\d+(?:Z|[+-]\d{2}:?\d{2})?$)"
 
 
-def even_rate(path: Path, time: Floats, place: Place) -> float:
-    """Frame rate [Hz] of times [s] that must rise evenly from row to row."""
-    step = np.diff(time)
-    if len(step) == 0 or not np.isfinite(step).all() or not (step > 0).all():
-        raise InputError(
-            f"{path}: the times do not rise from row to row: correct them or give --fps"
-        )
-    usual = float(np.median(step))
-    if np.abs(step - usual).max() > 0.5 * usual:
-        at = int(np.abs(step - usual).argmax())
-        raise InputError(
-            f"{path}: the time step at {place(at + 1)} is {step[at]:.4g} s, not {usual:.4g} s: "
-            "fill missing rows, or use a long table with frame numbers"
-        )
-    return round(1.0 / float(step.mean()), 6)
+def rate_of_rows(path: Path, time: Floats, place: Place) -> float:
+    """Frame rate [Hz] of times [s], of which each row's must be that of the next frame."""
+    rate, frames, _ = frames_at(path, time, None, np.zeros(len(time), dtype=np.int64), place)
+    refuse_uneven_frames(path, frames, place)
+    return rate
 
 
-def refuse_uneven_frames(path: Path, frames: Floats, place: Place) -> None:
+def refuse_uneven_frames(path: Path, frames: Floats | Whole, place: Place) -> None:
     """Refuse frame numbers that do not rise by one from row to row."""
     wrong = np.flatnonzero(np.diff(frames) != 1)  # NaN too
     if len(wrong):

@@ -7,14 +7,14 @@ apart by a column. The frame rate comes from ``fps``, or from a column of times.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
 from animarl_envs.importing.readers import clocks
 from animarl_envs.importing.readers.columns import (
@@ -39,6 +39,7 @@ from animarl_envs.importing.tables import (
 from animarl_envs.importing.tracks import Tracks
 
 LONE = "individual_0"  # of a table with one x and one y
+CONFIDENCE = "confidence"
 Pairs = dict[str, list[str]]
 Whole = NDArray[np.int64]
 
@@ -92,8 +93,8 @@ def read_long_table(
     deg) may stand in its name. No such column is found by its name: an angle may be that of an
     ellipse, which has no front.
     """
-    if heading is None and angle_unit is not None:
-        raise InputError(f"{path}: angle_unit is {angle_unit!r} of no column: name it by heading")
+    named = heading is not None or angle_unit is None
+    require(named, f"{path}: angle_unit is {angle_unit!r} of no column: name it by heading")
     to_radians = 1.0 if heading is None else radians_per_unit(path, heading, angle_unit)
     table = open_table(path, encoding, sheet, decimal)
     found = find_columns(table)
@@ -104,61 +105,18 @@ def read_long_table(
         raise InputError(f"{path}: {words}")
     if found.x is not None and not (individual or found.individual or x or y):
         refuse_unused_pair(table, found)
-    x, y = x or found.x or "x", y or found.y or "y"
-    recording = recording or found.recording
-    confidence = confidence or found.confidence
+    recording, confidence = recording or found.recording, confidence or found.confidence
     individual = individual or found.individual or (None if recording else "id")
-    clock = time or (found.time if frame is None else None)
-    frame = None if time is not None else frame or found.frame or (None if clock else "frame")
-    clock = clock if frame is None or fps is None else None
-    stated = time_unit or (found.time_unit if time is None else "") or None
-    numbers = [name for name in (frame, x, y, confidence, heading) if name]
-    number, word, when = _read_columns(
-        table, numbers, [individual, recording], clock, stated, progress
-    )
-    lone = np.zeros(len(number[x]), dtype=np.int64)
-    who = word.get(individual or "") or Words([LONE], lone)
-    sets = word.get(recording or "") or Words([path.stem], lone)
-    _, track = np.unique(sets.number * len(who.entries) + who.number, return_inverse=True)
-    frames = lone if frame is None else _frame_numbers(table, frame, number[frame])
-    start = np.zeros(len(sets.entries))
-    if when is not None and clock is not None:
-        if frame is not None:
-            fps = clocks.rate_of_frames(path, frames, when, sets.number)
-        else:
-            clocks.refuse_times_going_back(path, when, track, table.place)
-            fps, frames, start = clocks.frames_at(path, when, fps, sets.number, table.place)
-        if time is None and stated is None and clock not in word:
-            clocks.check_rate(path, clock, fps)
-    tracks = []
-    for at, name in enumerate(sets.entries):
-        rows = np.flatnonzero(sets.number == at)
-        own = sorted(np.unique(who.number[rows]), key=lambda i: _natural(who.entries[i]))
-        individuals = [who.entries[i] for i in own]
-        column = np.argsort(own)[np.searchsorted(np.sort(own), who.number[rows])]
-        cell = _cells(table, name, individuals, frames, rows, column)
-        shape = (int(frames[rows].max()) + 1, len(individuals))
-        columns = {HEADING: number[heading] * to_radians} if heading else {}
-        columns |= {"x": number[x], "y": number[y]}
-        columns |= {"confidence": number[confidence]} if confidence else {}
-        spread = {}
-        for key, values in columns.items():
-            spread[key] = np.full(shape, np.nan)
-            spread[key].ravel()[cell] = values[rows]
-        tracks.append(
-            Tracks(
-                recording=name,
-                individuals=tuple(individuals),
-                positions=np.stack([spread["x"], spread["y"]], axis=2)[:, :, None],
-                frame_rate=fps,
-                unit=unit or found.unit or "px",
-                y_down=y_down,
-                confidence=spread["confidence"][:, :, None] if confidence else None,
-                signals={HEADING: spread[HEADING]} if heading else {},
-                start=float(start[at]),
-                provenance={"file": path.name, "read_as": table.description},
-            )
-        )
+    extra = {CONFIDENCE: confidence} if confidence else {}
+    extra |= {HEADING: heading} if heading else {}
+    pairs = {LONE: [x or found.x or "x", y or found.y or "y"]}
+    clocked = frame or time or found.frame or found.time
+    tracks = _recordings(
+        table, found, pairs, individual, recording, extra, frame if clocked else "frame", time,
+        fps, time_unit, progress, unit=unit or found.unit or "px", y_down=y_down,
+    )  # fmt: skip
+    for one in tracks if heading else ():
+        one.signals[HEADING][:] *= to_radians
     return tracks
 
 
@@ -187,8 +145,8 @@ def read_wide_table(
     """Read one or more recordings. ``columns`` maps each individual to its x and y column.
 
     Without ``columns``, pairs such as ``x_male y_male``, ``male_x male_y`` or ``x1 y1`` are taken.
-    A column of times gives the frame rate and must run evenly; one of frames must rise by one from
-    row to row; one of recordings tells them apart.
+    Columns of frames, times and recordings are as of a long table; without one of frames or times
+    each row is the next frame of its recording.
     """
     table = open_table(path, encoding, sheet, decimal)
     table.check_names()
@@ -198,66 +156,107 @@ def read_wide_table(
         refuse_unused_pair(table, found)
     if columns is None and (found.x is None or len(pairs) > 1):
         _refuse_lone(path, [one.bare for one in parsed_names(table.names)])
-    if not pairs or any(len(pair) != 2 for pair in pairs.values()):
-        raise InputError(
-            f"{path}: it has no pairs of x and y columns: name them, such as "
-            "columns: {male: [mx, my], female: [fx, fy]}"
-        )
-    clock, frame = time or (found.time if fps is None else None), frame or found.frame
-    recording = recording or found.recording
-    stated = time_unit or (found.time_unit if time is None else "") or None
-    numbers = [name for pair in pairs.values() for name in pair] + ([frame] if frame else [])
-    number, word, when = _read_columns(table, numbers, [recording], clock, stated, progress)
-    bodies = np.stack([np.column_stack([number[a], number[b]]) for a, b in pairs.values()], axis=1)
+    require(
+        pairs and all(len(pair) == 2 for pair in pairs.values()),
+        f"{path}: it has no pairs of x and y columns: name them, such as "
+        "columns: {male: [mx, my], female: [fx, fy]}",
+    )
     units = {one.column: one.unit for one in parsed_names(table.names, table.layout.units)}
-    sets = word.get(recording or "") or Words([path.stem], np.zeros(len(bodies), dtype=np.int64))
-    tracks = []
-    for at in dict.fromkeys(sets.number.tolist()):
-        rows = np.flatnonzero(sets.number == at)
-
-        def place(row: int, rows: Whole = rows) -> str:
-            return table.place(int(rows[row]))
-
-        rate, start = fps, 0.0
-        if frame is not None:
-            clocks.refuse_uneven_frames(path, number[frame][rows], place)
-        if when is not None and clock is not None:
-            rate = fps or clocks.even_rate(path, when[rows], place)
-            start = float(when[rows[0]])
-            if time is None and stated is None and clock not in word:
-                clocks.check_rate(path, clock, rate)
-        tracks.append(
-            Tracks(
-                recording=sets.entries[at],
-                individuals=tuple(pairs),
-                positions=bodies[rows][:, :, None],
-                frame_rate=rate,
-                start=start,
-                unit=unit or units[next(iter(pairs.values()))[0]] or "px",
-                y_down=y_down,
-                provenance={"file": path.name, "read_as": table.description},
-            )
-        )
-    return tracks
+    unit = unit or units.get(next(iter(pairs.values()))[0]) or "px"
+    return _recordings(
+        table, found, pairs, None, recording or found.recording, {}, frame, time, fps, time_unit,
+        progress, unit=unit, y_down=y_down,
+    )  # fmt: skip
 
 
-def _read_columns(
+def _recordings(
     table: Table,
-    numbers: list[str],
-    words: Sequence[str | None],
-    clock: str | None,
+    found: Columns,
+    pairs: Pairs,
+    individual: str | None,
+    recording: str | None,
+    extra: dict[str, str],
+    frame: str | None,
+    time: str | None,
+    fps: float | None,
     time_unit: str | None,
     progress: Progress,
-) -> tuple[dict[str, NDArray[np.float64]], dict[str, Words], NDArray[np.float64] | None]:
-    """Columns of numbers and of words, and times [s] if there is a clock."""
-    texts = [name for name in words if name]
+    **more: Any,
+) -> list[Tracks]:
+    """Tracks of each recording: of individuals by a column, or else of the pairs of columns.
+
+    ``extra`` are columns of confidence and heading, which a row has once.
+    """
+    path = table.path
+    clock = time or (found.time if frame is None else None)
+    frame = None if time is not None else frame or found.frame
+    clock = clock if frame is None or fps is None else None
+    stated = time_unit or (found.time_unit if time is None else "") or None
+    numbers = [name for pair in pairs.values() for name in pair] + [*extra.values()]
+    numbers += [frame] if frame else []
+    texts = [name for name in (individual, recording) if name]
     if clock is not None:
         (texts if clock in table.layout.words_in else numbers).append(clock)
     number, word = table.columns(numbers, texts, progress)
-    if clock is None:
-        return number, word, None
-    times = word[clock] if clock in word else number[clock]
-    return number, word, clocks.seconds(table.path, clock, times, time_unit)
+    rows = len(number[numbers[0]])
+    zeros = np.zeros(rows, dtype=np.int64)
+    sets = word.get(recording or "") or Words([path.stem], zeros)
+    who = word.get(individual or "") or Words([], zeros)
+    start = np.zeros(len(sets.entries))
+    if frame is not None:
+        frames = _frame_numbers(table, frame, number[frame])
+    elif clock is None:
+        frames = zeros.copy()
+        for at in range(len(sets.entries)):
+            frames[sets.number == at] = np.arange(np.count_nonzero(sets.number == at))
+    if clock is not None:
+        times = word[clock] if clock in word else number[clock]
+        when = clocks.seconds(path, clock, times, stated)
+        if frame is not None:
+            fps = clocks.rate_of_frames(path, frames, when, sets.number)
+        else:
+            track = sets.number * max(len(who.entries), 1) + who.number
+            clocks.refuse_times_going_back(path, when, track, table.place)
+            fps, frames, start = clocks.frames_at(path, when, fps, sets.number, table.place)
+        if time is None and stated is None and clock not in word:
+            clocks.check_rate(path, clock, fps)
+    tracks = []
+    for at, name in enumerate(sets.entries):
+        own: Any = np.flatnonzero(sets.number == at) if len(sets.entries) > 1 else slice(None)
+        individuals, columns = list(pairs), list[Any](range(len(pairs)))
+        if individual:
+            ids = sorted(np.unique(who.number[own]), key=lambda i: _natural(who.entries[i]))
+            individuals = [who.entries[i] for i in ids]
+            column_of = np.zeros(len(who.entries), dtype=np.int64)
+            column_of[ids] = np.arange(len(ids))
+            columns = [column_of[who.number[own]]]
+        shape = (int(frames[own].max()) + 1, len(individuals))
+        _check_extent(table, name, shape, frames[own], own)
+        positions = np.full((*shape, 1, 2), np.nan)
+        more_of = {key: np.full(shape, np.nan) for key in extra}
+        for column, (a, b) in zip(columns, pairs.values(), strict=True):
+            cell = frames[own] * shape[1] + column
+            if column is columns[0]:
+                _refuse_twice(table, name, cell, individuals)
+            positions.reshape(-1, 2)[cell, 0] = number[a][own]
+            positions.reshape(-1, 2)[cell, 1] = number[b][own]
+            for key, values in more_of.items():
+                values.reshape(-1)[cell] = number[extra[key]][own]
+        confidence = more_of.pop(CONFIDENCE, None)
+        tracks.append(
+            Tracks(
+                recording=name,
+                individuals=tuple(individuals),
+                positions=positions,
+                frame_rate=fps,
+                confidence=None if confidence is None else confidence[:, :, None],
+                signals=more_of,
+                start=float(start[at]),
+                provenance={"file": path.name, "read_as": table.description},
+                **more,
+            )
+        )
+    return tracks
 
 
 def wide_columns(table: Table, found: Columns) -> Pairs:
@@ -281,11 +280,11 @@ def _refuse_lone(path: Path, names: list[str]) -> None:
         if ending := re.fullmatch(r"(.+[_ .])([xy])", name):
             partners.append(ending[1] + ("y" if ending[2] == "x" else "x"))
         for partner in partners:
-            if partner not in names:
-                raise InputError(
-                    f"{path}: it has a column {name!r} and no {partner!r}: correct the header, or "
-                    "name the pairs by the option columns"
-                )
+            require(
+                partner in names,
+                f"{path}: it has a column {name!r} and no {partner!r}: correct the header, or "
+                "name the pairs by the option columns",
+            )
 
 
 def _frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Whole:
@@ -299,27 +298,29 @@ def _frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Wh
     return frames.astype(np.int64)
 
 
-def _cells(
-    table: Table, recording: str, individuals: list[str], frames: Whole, rows: Whole, column: Whole
-) -> Whole:
-    """Where the rows of a recording lie in an array ``(frames, individuals)``, laid flat."""
-    own, count = frames[rows], len(individuals)
-    last = int(own.max())
-    if (last + 1) * count * 16 > allowed_bytes(table.path.stat().st_size):
+def _check_extent(
+    table: Table, recording: str, shape: tuple[int, int], frames: Whole, rows: Any
+) -> None:
+    """Refuse a frame so late that the recording would take more memory than the file may ask."""
+    size = shape[0] * shape[1] * 16
+    if size > allowed_bytes(table.path.stat().st_size):
+        last = int(frames.argmax())
+        row = last if isinstance(rows, slice) else int(rows[last])
         raise InputError(
-            f"{table.path}: {table.place(int(rows[own.argmax()]))} is of frame {last}, with which "
-            f"recording {recording} would take {(last + 1) * count * 16 / 2**20:,.0f} MiB, more "
+            f"{table.path}: {table.place(row)} is of frame {frames[last]}, with which "
+            f"recording {recording} would take {size / 2**20:,.0f} MiB, more "
             f"than {EXPANSION} times the file: correct it"
         )
-    cell = own * count + column
+
+
+def _refuse_twice(table: Table, recording: str, cell: Whole, individuals: list[str]) -> None:
     twice = np.flatnonzero(np.bincount(cell) > 1)
     if len(twice):
-        frame, who = divmod(int(twice[0]), count)
+        frame, who = divmod(int(twice[0]), len(individuals))
         raise InputError(
             f"{table.path}: {recording}, frame {frame}, {individuals[who]} has two rows: drop the "
             "duplicate, or name the recording column"
         )
-    return cell
 
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:

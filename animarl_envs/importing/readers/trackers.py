@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
 from animarl_envs.files import npz_members, read_npz
-from animarl_envs.importing.readers.clocks import even_rate
+from animarl_envs.importing.readers.clocks import rate_of_rows
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.tables import (
@@ -80,7 +80,7 @@ def _ethovision(table: Table, progress: Progress) -> Tracks:
         individuals=(said.get("subject name") or table.sheet or "subject",),
         keypoints=tuple(points),
         positions=values.reshape(len(values), 1, -1, 2),
-        frame_rate=even_rate(path, number[clock], table.place),
+        frame_rate=rate_of_rows(path, number[clock], table.place),
         start=float(number[clock][0]),
         unit=units.pop() or "px",
         provenance={"file": path.name, "tracker": "EthoVision", "read_as": table.description},
@@ -154,7 +154,7 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
         number, _ = table.columns(["time", *names])
         values = np.column_stack([number[name] for name in names])
         positions = values.reshape(len(values), count, 2)
-        rate: float | None = even_rate(path, number["time"], table.place)
+        rate: float | None = rate_of_rows(path, number["time"], table.place)
     elif suffix == ".npy":
         raise InputError(
             f"{path}: it holds a pickle, which is never opened: import trajectories.h5 or "

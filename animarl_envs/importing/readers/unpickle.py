@@ -99,7 +99,7 @@ class _Dtype:
         self.order = _text(state[1])
         _need(self.order in ("<", ">", "|", "="), "a dtype has an unusual byte order")
 
-    def made(self) -> np.dtype[Any]:
+    def made(self) -> Any:
         order = self.order if self.order in ("<", ">") else ""
         return np.dtype(order + self.code.lstrip("<>|=") if order else self.code)
 
