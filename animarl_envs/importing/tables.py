@@ -22,14 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.checks import LONGEST_NAME
-from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.files import (
-    check_size,
-    npz_members,
-    refuse_special,
-    refuse_unfinished,
-    unfinished,
-)
+from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.files import npz_members, refuse_special, refuse_unfinished, unfinished
 from animarl_envs.importing.table_layout import (
     BLANK,
     UTF_8,
@@ -477,9 +471,6 @@ def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:
         raise InputError(f"{path}: the Parquet file is damaged ({first}): copy it again") from None
 
 
-# -- workbooks -------------------------------------------------------------------------------------
-
-
 def is_workbook(path: Path) -> bool:
     """Whether the file is an ``.xlsx``, whatever its name."""
     return "xl/workbook.xml" in npz_members(path)
@@ -487,60 +478,39 @@ def is_workbook(path: Path) -> bool:
 
 def sheet_names(path: Path) -> list[str]:
     """Return the sheets that hold cells, in their order."""
-    with _open_workbook(path) as book:
-        return [
-            str(sheet.title)
-            for sheet in book.worksheets
-            if any(
-                cell is not None
-                for cells in itertools.islice(sheet.iter_rows(values_only=True), 1000)
-                for cell in cells
-            )
-        ]
+    return [name for name, cells in _sheets(path).items() if len(cells)]
 
 
 def _sheet_as_text(path: Path, sheet: str | None) -> bytes:
     """The sheet as UTF-8 with tabs; every row as long as the longest, empty cells nothing."""
-    if sheet is None:
-        names = sheet_names(path)
-        if len(names) != 1:
-            raise InputError(
-                f"{path}: it has {len(names)} sheets with cells ({', '.join(names)[:200]}): name "
-                "one by --option sheet=NAME"
-            )
-        sheet = names[0]
-    rows: list[list[str]] = []
-    walked = 0
-    with _open_workbook(path) as book:
-        if sheet not in book.sheetnames:
-            raise InputError(
-                f"{path}: there is no sheet {sheet!r}: choose among {', '.join(book.sheetnames)}"
-            )
-        for cells in book[sheet].iter_rows(values_only=True):
-            last = max((i for i, cell in enumerate(cells, 1) if cell is not None), default=0)
-            walked += len(cells)
-            check_size(path, walked * 8, f"sheet {sheet}")
-            rows.append([_text_of(cell) for cell in cells[:last]])
-    width = max(map(len, rows), default=0)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, delimiter="\t", lineterminator="\n")
-    writer.writerows([*row, *[""] * (width - len(row))] for row in rows)
-    return text.getvalue().encode()
+    names = sheet_names(path) if sheet is None else [sheet]
+    require(
+        len(names) == 1,
+        f"{path}: it has {len(names)} sheets with cells ({', '.join(names)[:200]}): name "
+        "one by --option sheet=NAME",
+    )
+    sheets = _sheets(path)
+    known = ", ".join(sheets)
+    require(names[0] in sheets, f"{path}: there is no sheet {names[0]!r}: choose among {known}")
+    cells = sheets[names[0]].map(_text_of)
+    return str(cells.to_csv(sep="\t", header=False, index=False, lineterminator="\n")).encode()
 
 
-@contextlib.contextmanager
-def _open_workbook(path: Path) -> Iterator[Any]:
-    """An open workbook; what is raised over damage within the block becomes one sentence."""
+def _sheets(path: Path) -> dict[str, Any]:
+    """All sheets of a workbook, as they are."""
     refuse_special(path)
     try:
-        import openpyxl
+        import openpyxl  # noqa: F401
     except ImportError as error:
         raise MissingExtraError("reading Excel workbooks", "data") from error
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-        with contextlib.closing(book):
-            yield book
-    except (InputError, MemoryError):
+        return dict(
+            _pandas().read_excel(
+                path, sheet_name=None, header=None, dtype=object, keep_default_na=False,
+                engine="openpyxl",
+            )
+        )  # fmt: skip
+    except MemoryError:
         raise
     except Exception as error:  # whatever zipfile, the XML parser and openpyxl raise
         raise InputError(
@@ -549,8 +519,6 @@ def _open_workbook(path: Path) -> Iterator[Any]:
 
 
 def _text_of(cell: Any) -> str:
-    if cell is None:
-        return ""
     if isinstance(cell, (datetime.date, datetime.time)):
         return cell.isoformat()
     if isinstance(cell, datetime.timedelta):
