@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.files import check_npz, npz_members, refuse_unfinished
 from animarl_envs.importing.readers.published import MOTH_DEFAULTS
-from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.registry import Floats, numbers, register_track_reader
 from animarl_envs.importing.readers.unpickle import load_npy
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH, Species
@@ -39,14 +38,13 @@ MOTH_SECONDS = 300.0
 
 
 def _chase_defaults(species: Species) -> dict[str, Any]:
-    recording = species.recording
     return {
         "species": species.name,
         "target": species.individuals[-1],
         "synthetic": species is AGENT,
         "cutting": {"piece": math.inf},
         "decision_rate": 1.0 / species.dt,
-        "cleaning": {"smoothing_cutoff": recording.smoothing_cutoff},
+        "cleaning": {"smoothing_cutoff": species.recording.smoothing_cutoff},
         "scaling": {
             "shape": species.arena.shape, "width": 2.0, "centre": (0.0, 0.0),
             "boundary": species.arena.boundary,
@@ -63,48 +61,37 @@ def _objects(path: Path, *needed: str) -> dict[str, Any]:
             for member in archive.namelist()
         }
     for name in needed:
-        if name not in found:
-            raise InputError(f"{path}: it has no array {name!r}: check --source")
+        require(name in found, f"{path}: it has no array {name!r}: check --source")
     return found
 
 
-def _nested(path: Path, value: Any, place: str) -> Any:
+def _nested(value: Any) -> list[Any]:
     """A list, or the list of a squeezed object array."""
     if isinstance(value, np.ndarray):
         value = np.squeeze(value)
-        if value.ndim == 0 and value.dtype.hasobject:
-            return _nested(path, value.item(), place)
-        return list(value)
+        return _nested(value.item()) if value.ndim == 0 and value.dtype.hasobject else list(value)
     if not isinstance(value, (list, tuple)):
-        raise InputError(f"{path}: {place} is {type(value).__name__}, not a list: check the file")
+        raise TypeError(f"{type(value).__name__} in place of a list")
     return list(value)
 
 
-def _path_of(path: Path, value: Any, place: str) -> NDArray[np.float64]:
-    """x and y per frame ``(frames, 2)``."""
-    try:
+def _tracks(path: Path, number: int, paths: list[Any], species: Species, **more: Any) -> Tracks:
+    """One episode; a path holds x and y per frame, and whatever else."""
+    found: list[Floats] = []
+    for value in paths:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: {place} is not a path of numbers ({error}): check it") from None
-    array = array.reshape(len(array), -1) if array.ndim > 1 else array
-    if array.ndim != 2 or array.shape[1] < 2:
-        raise InputError(f"{path}: {place} has shape {array.shape}: give x and y per frame")
-    return array[:, :2]
-
-
-def _tracks(
-    path: Path, number: int, paths: list[NDArray[np.float64]], species: Species, **more: Any
-) -> Tracks:
-    lengths = {len(one) for one in paths}
-    if len(lengths) != 1:
-        raise InputError(
-            f"{path}: episode {number} has {sorted(lengths)} frames for its individuals: "
-            "give each as many"
-        )
+        array = array.reshape(len(array), -1)
+        require(array.shape[1] > 1, f"{path}: episode {number} has no x and y per frame: check it")
+        found.append(array[:, :2])
+    lengths = sorted({len(one) for one in found})
+    require(
+        len(lengths) == 1,
+        f"{path}: episode {number} has {lengths} frames for its individuals: give each as many",
+    )
     return Tracks(
         recording=f"{path.stem}/{number:04d}",
         individuals=species.individuals,
-        positions=np.stack(paths, axis=1)[:, :, None],
+        positions=np.stack(found, axis=1)[:, :, None],
         frame_rate=species.recording.frame_rate,
         unit="arena unit",
         provenance=PAPER,
@@ -124,11 +111,8 @@ def read_authors_agents(path: Path) -> list[Tracks]:
     """Key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
     condition = 1 if "share" in path.name else 0
     found = []
-    for number, episode in enumerate(_nested(path, _objects(path, "pos")["pos"], "pos")):
-        prey, *predators = (
-            _path_of(path, one, f"episode {number}")
-            for one in _nested(path, episode, f"episode {number}")
-        )
+    for number, episode in enumerate(_nested(_objects(path, "pos")["pos"])):
+        prey, *predators = _nested(episode)
         if len(prey) >= FEWEST_AGENT_FRAMES:
             found.append(_tracks(path, number, [*predators, prey], AGENT, condition=condition))
     return found
@@ -144,25 +128,17 @@ def read_authors_agents(path: Path) -> list[Tracks]:
 def read_authors_fly(path: Path) -> list[Tracks]:
     """Key ``states``: [individual][episode] of (frames, 1, >= 2) at 30 Hz; ``rewards`` likewise."""
     objects = _objects(path, "states", "rewards")
-    states, rewards = (
-        [_nested(path, one, key) for one in _nested(path, objects[key], key)]
-        for key in ("states", "rewards")
+    states, rewards = ([*map(_nested, _nested(objects[key]))] for key in ("states", "rewards"))
+    require(
+        len(states) == 3 and len({len(one) for one in states}) == 1,
+        f"{path}: states are of {len(states)} individuals, not 3: check the file",
     )
-    if len(states) != 3 or len({len(one) for one in states}) != 1:
-        raise InputError(f"{path}: states are of {len(states)} individuals, not 3: check the file")
     found = []
-    for number in range(len(states[0])):
-        paths = [_path_of(path, one[number], f"episode {number}") for one in states]
-        if len(paths[0]) < FEWEST_FLY_FRAMES:
-            continue
-        try:
+    for number, paths in enumerate(zip(*states, strict=True)):
+        if len(paths[0]) >= FEWEST_FLY_FRAMES:
             ends = [np.asarray(own[number], np.float64).ravel()[-1] > 0 for own in rewards[:2]]
-        except (IndexError, TypeError, ValueError) as error:
-            raise InputError(
-                f"{path}: a reward in episode {number} is missing ({error}): check the file"
-            ) from None
-        outcome = ends.index(True) + 1 if any(ends) else UNFINISHED
-        found.append(_tracks(path, number, paths, FLY, outcome=outcome))
+            outcome = ends.index(True) + 1 if any(ends) else UNFINISHED
+            found.append(_tracks(path, number, [*paths], FLY, outcome=outcome))
     return found
 
 
@@ -181,29 +157,20 @@ def read_authors_newt(path: Path) -> list[Tracks]:
         beside = path.with_name(f"reward_{male}_data{number_of_file}.npz")
         rewards.append(_objects(beside) if beside.exists() else {})
     rate = NEWT.recording.frame_rate
+    kept = round(NEWT_STEPS * NEWT.dt * rate) + 1
     found = []
     for number, (key, value) in enumerate(_objects(path).items()):
-        array = np.asarray(value, dtype=np.float64)
-        if array.ndim != 3 or array.shape[1] < 5 or array.shape[2] < 2:
-            raise InputError(f"{path}: {key} has shape {array.shape}: give (frames, 6, 2)")
-        array = _without_jump(array[:, NEWT_COLUMNS, :2], rate)
-        if len(array) < FEWEST_NEWT_FRAMES:
-            continue
-        kept = round(NEWT_STEPS * NEWT.dt * rate) + 1
-        paths = [array[-kept:, i] for i in range(3)]
-        ends = [float(np.asarray(r[key]).ravel()[-1]) if key in r else 0.0 for r in rewards]
-        outcome = ends.index(max(ends)) + 1 if max(ends) > 0 else UNFINISHED
-        found.append(_tracks(path, number, paths, NEWT, outcome=outcome))
+        array = numbers(path, key, np.asarray(value, np.float64), "frames", "columns", "x, y, ...")
+        array = array[:, NEWT_COLUMNS, :2]
+        speed = np.linalg.norm(np.diff(array, axis=0), axis=2).max(axis=1) * rate
+        for jump in np.flatnonzero(speed > NEWT_JUMP)[-1:]:
+            array = array[jump + 1 :] if jump < NEWT_JUMP_FRAMES else array[:0]
+        if len(array) >= FEWEST_NEWT_FRAMES:
+            ends = [np.asarray(r[key]).ravel()[-1] if key in r else 0.0 for r in rewards]
+            outcome = ends.index(max(ends)) + 1 if max(ends) > 0 else UNFINISHED
+            paths = [array[-kept:, i] for i in range(3)]
+            found.append(_tracks(path, number, paths, NEWT, outcome=outcome))
     return found
-
-
-def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64]:
-    """Cut behind an early jump; nothing is left of an episode with a later one."""
-    speed = np.linalg.norm(np.diff(array, axis=0), axis=2).max(axis=1) * rate
-    jumps = np.flatnonzero(speed > NEWT_JUMP)
-    if len(jumps) == 0:
-        return array
-    return array[jumps[-1] + 1 :] if jumps[-1] < NEWT_JUMP_FRAMES else array[:0]
 
 
 @register_track_reader(
@@ -220,12 +187,8 @@ def _without_jump(array: NDArray[np.float64], rate: float) -> NDArray[np.float64
 def read_authors_silkmoth(path: Path) -> list[Tracks]:
     """No header: time, x, y [mm], angle, left odour, right odour, vision, wind sector; 30 Hz."""
     refuse_unfinished(path)
-    try:
-        table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: a line is not eight numbers ({error}): correct it") from None
-    if table.shape[1] != 8 or len(table) < 2:
-        raise InputError(f"{path}: it has shape {table.shape}, not (frames, 8): check the file")
+    table = np.loadtxt(path, delimiter=",", ndmin=2, comments=None)
+    table = numbers(path, "its table", table, "frames", 8)
     bad = np.argwhere(~np.isfinite(table))
     if len(bad):
         raise InputError(
@@ -233,8 +196,8 @@ def read_authors_silkmoth(path: Path) -> list[Tracks]:
         )
     rate = SILKMOTH.recording.frame_rate
     frames = table[:, 0] * rate
-    off = np.abs(np.diff(frames, prepend=frames[0] - 1.0) - 1.0) > 0.5
-    if off.any() or not -0.5 < frames[0] < 1.5:
+    off = np.abs(np.diff(frames, prepend=frames[:1] - 1.0) - 1.0) > 0.5
+    if len(table) < 2 or off.any() or not -0.5 < frames[0] < 1.5:
         line = int(off.argmax())
         raise InputError(
             f"{path}: line {line + 1} is at {table[line, 0]:g} s: give every frame, from the first "

@@ -33,14 +33,17 @@ def rate_of_rows(path: Path, time: Floats, place: Place) -> float:
     return rate
 
 
-def refuse_uneven_frames(path: Path, frames: Floats | Whole, place: Place) -> None:
-    """Refuse frame numbers that do not rise by one from row to row."""
-    wrong = np.flatnonzero(np.diff(frames) != 1)  # NaN too
+def refuse_uneven_frames(
+    path: Path, frames: Floats | Whole, place: Place, first: float | None = None
+) -> None:
+    """Refuse a row that is not the next frame: a gap or a swap would shift time silently."""
+    due = np.arange(len(frames)) + (frames[0] if first is None else first)
+    wrong = np.flatnonzero(frames != due)  # NaN too
     if len(wrong):
         row = int(wrong[0])
         raise InputError(
-            f"{path}: {place(row + 1)} is of frame {frames[row + 1]:g} after {frames[row]:g}: give "
-            "every frame in order, or make a long table, where frames may be missing"
+            f"{path}: {place(row)} is of frame {frames[row]:g}, not {due[row]:g}: give every frame "
+            "in order, with empty cells where nothing was tracked"
         )
 
 

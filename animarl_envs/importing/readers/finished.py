@@ -23,16 +23,16 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import assign_splits
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.minari_io import DATA_FILE, import_minari
-from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.locomotion import NUM_ACTIONS
 
 HALF_SIDE = 1.0  # leaving [-1, 1]^2 ends an episode
 SPLIT_SEED = 20240
 CONDITIONS = {"indiv": 0, "share": 1}  # by the end of meta["cond"]
-_AXES = {"pos": 3, "actions": 2, "n_steps": 1, "outcome": 1}
+_MEMBERS = {"pos.npy", "actions.npy", "n_steps.npy", "outcome.npy", "meta.npy"}
 _OWN_MEMBERS = {"positions.npy", "lengths.npy", "initial_velocity.npy", "meta.npy"}
 
 
@@ -63,7 +63,7 @@ def read_minari(path: Path) -> Demonstrations:
 @register_track_reader(
     "agents",
     "artificial predators and prey, episodes_*.npz of collaborative hunting",
-    sniff=lambda path: npz_members(path) >= {f"{name}.npy" for name in (*_AXES, "meta")},
+    sniff=lambda path: npz_members(path) >= _MEMBERS,
     extensions=(".npz",),
     finished=True,
 )
@@ -73,46 +73,23 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
     Episodes start at rest. Four fifths are for training, a tenth each for validation and test.
     """
     arrays = read_npz(path)
-    if missing := sorted({*_AXES, "meta"} - set(arrays)):
-        raise InputError(
-            f"{path}: it lacks the array {missing[0]!r}: it is no episodes file of the agents"
-        )
+    if missing := sorted(_MEMBERS - {f"{name}.npy" for name in arrays}):
+        raise InputError(f"{path}: it lacks {missing[0]}: it is no episodes file of the agents")
     meta = _meta(path, arrays["meta"])
-    for key, axes in _AXES.items():
-        array = arrays[key]
-        if array.ndim != axes or array.dtype.kind not in "iuf":
-            raise InputError(
-                f"{path}: {key} is {array.dtype} of shape {array.shape}: give numbers with {axes} "
-                "axes"
-            )
-    pos, actions, steps, outcome = (arrays[key] for key in _AXES)
-    steps = steps.astype(np.int64)
-    num = pos.shape[1]
-    if num < 2 or pos.shape[2] != 2:
-        raise InputError(
-            f"{path}: pos has shape {pos.shape}, not (frames, individuals, 2) with two individuals "
-            "or more: give predators and a prey"
-        )
-    if len(steps) == 0 or (steps < 1).any():
-        place = f"episode {int(np.argmax(steps < 1))}" if len(steps) else "n_steps"
-        raise InputError(f"{path}: {place} has no step: leave empty episodes out")
-    if actions.shape != (int(steps.sum()), num):
-        raise InputError(
-            f"{path}: actions have shape {actions.shape}, n_steps ask for "
-            f"({int(steps.sum())}, {num}): give one action per step and individual"
-        )
-    if len(pos) != int((steps + 1).sum()):
-        raise InputError(
-            f"{path}: pos has {len(pos)} frames, n_steps ask for {int((steps + 1).sum())}: "
-            "give one frame more than steps per episode"
-        )
+    steps = numbers(path, "n_steps", arrays["n_steps"], "episodes").astype(np.int64)
+    count, num = len(steps), arrays["pos"].shape[1] if arrays["pos"].ndim > 1 else 0
+    empty = [*np.flatnonzero(steps < 1), *[0] * (count == 0)]
+    require(not empty, f"{path}: episode {[*empty, 0][0]} has no step: leave empty episodes out")
+    require(num > 1, f"{path}: pos is not of two individuals or more: give predators and a prey")
+    pos = numbers(path, "pos", arrays["pos"], int(steps.sum()) + count, num, 2)
+    actions = numbers(path, "actions", arrays["actions"], int(steps.sum()), num)
+    outcome = numbers(path, "outcome", arrays["outcome"], count)
     if ((actions < 0) | (actions >= NUM_ACTIONS)).any():
         raise InputError(f"{path}: an action lies outside 0 to {NUM_ACTIONS - 1}: check actions")
     signal = np.full((len(pos), num), -1, dtype=np.int8)
     acting = np.ones(len(pos), dtype=bool)
     acting[np.cumsum(steps + 1) - 1] = False
     signal[acting] = actions
-    count = len(steps)
     recording = np.array([f"{path.stem}/{i:04d}" for i in range(count)])
     return Demonstrations(
         species="agent",

@@ -13,17 +13,17 @@ from __future__ import annotations
 
 import csv
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.errors import InputError, MissingExtraError, require
 from animarl_envs.importing.readers.clocks import refuse_uneven_frames
 from animarl_envs.importing.readers.hdf import hdf_keys, is_hdf, open_hdf, read_dataset
-from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import LONE
 from animarl_envs.importing.readers.unpickle import load_plain
 from animarl_envs.importing.table_layout import Layout
@@ -34,7 +34,6 @@ Floats = NDArray[np.float64]
 Column = tuple[str, str, str]  # individual, body part, coordinate
 COORDINATES = ("x", "y", "likelihood")
 MOVEMENT_TABLES = ("DeepLabCut", "LightningPose", "Anipose", "VIA-tracks")
-MOVEMENT_FRAMES = {"Anipose": "fnum"}  # column of frame numbers, which movement ignores
 
 
 @register_track_reader(
@@ -81,66 +80,48 @@ def _dlc_csv(path: Path) -> tuple[list[Column], Floats]:
     names = ("frame", *map(" ".join, columns))
     table = Table(path, Layout(names, ("",) * len(names), first=len(header)))
     number, _ = table.columns(names)
-    _check_frames(path, number["frame"], table.place)
+    refuse_uneven_frames(path, number["frame"], table.place, first=0)
     return columns, np.column_stack([number[name] for name in names[1:]])
 
 
 def _dlc_hdf(path: Path) -> tuple[list[Column], Floats]:
     with open_hdf(path) as file:
         group = next(key for key in file if key.startswith("df_with_missing"))
-        if "table" not in file[group]:
-            raise InputError(
-                f"{path}: it is not stored as a table: export the predictions as .csv instead"
-            )
+        stored = "table" in file[group]
+        require(stored, f"{path}: it is not stored as a table: export the predictions as .csv")
         table = read_dataset(path, file, f"{group}/table")
         header = file[group].attrs.get("non_index_axes")
-        if not isinstance(header, bytes):
-            raise InputError(f"{path}: it has no header 'non_index_axes': check --source")
-        labels = load_plain(bytes(header), str(path))
+        labels = load_plain(bytes(header if isinstance(header, bytes) else b""), str(path))
     try:
         names = [tuple(str(part) for part in column) for column in labels[0][1]]
         levels = [list(level) for level in zip(*names, strict=True)][1:]
-        fields = [name for name in table.dtype.names or () if name.startswith("values_block")]
-        values = np.concatenate([table[name].reshape(len(table), -1) for name in fields], axis=1)
+        (block,) = (name for name in table.dtype.names if name.startswith("values_block"))
+        values = table[block].reshape(len(table), -1)
     except (TypeError, IndexError, KeyError, ValueError) as error:
         raise InputError(f"{path}: its header is not DeepLabCut's ({error}): check it") from None
-    if len(names) != values.shape[1] or len(fields) != 1:
-        raise InputError(
-            f"{path}: {len(names)} names for {values.shape[1]} columns: export it as .csv instead"
-        )
-    if values.dtype.kind not in "iuf":
-        raise InputError(f"{path}: its table holds {values.dtype}, not numbers: check --source")
-    _check_frames(path, np.asarray(table["index"], np.float64).ravel(), lambda row: f"row {row}")
-    return _dlc_columns(path, levels), values.astype(np.float64)
-
-
-def _check_frames(path: Path, frames: Floats, place: Callable[[int], str]) -> None:
-    """Refuse a row that is not the next frame: a gap or a swap would shift time silently."""
-    wrong = np.flatnonzero(frames != np.arange(len(frames)))
-    if len(wrong):
-        row = int(wrong[0])
-        raise InputError(
-            f"{path}: {place(row)} is of frame {frames[row]:g}, not {row}: give every frame from "
-            "0, in order, with empty cells where nothing was tracked"
-        )
+    frames = np.asarray(table["index"], np.float64).ravel()
+    refuse_uneven_frames(path, frames, lambda row: f"row {row}", first=0)
+    return _dlc_columns(path, levels), numbers(path, "its table", values, "frames", len(names))
 
 
 def _dlc_columns(path: Path, levels: Sequence[Sequence[str]]) -> list[Column]:
     """(individual, body part, coordinate) of each column; levels without the scorer."""
     if len(levels) == 2:
         levels = [[LONE] * len(levels[0]), *levels]
-    if len(levels) != 3 or len({len(level) for level in levels}) != 1 or not levels[0]:
-        raise InputError(f"{path}: the rows of its header differ in length: copy the file again")
+    same = len(levels) == 3 and len({len(level) for level in levels}) == 1
+    require(same, f"{path}: the rows of its header differ in length: copy the file again")
     columns = [(a, b, c) for a, b, c in zip(*levels, strict=True)]
-    if len(set(columns)) != len(columns):
-        raise InputError(f"{path}: a column appears twice in its header: drop the duplicate")
-    for who, part, _ in columns:
-        own = {column[2] for column in columns if column[:2] == (who, part)}
-        if not {"x", "y"} <= own <= set(COORDINATES):
-            raise InputError(
-                f"{path}: {part!r} of {who!r} has columns {', '.join(sorted(own))}, not x, "
-                "y and likelihood: correct the header"
-            )
+    twice = len(set(columns)) == len(columns) > 0
+    require(twice, f"{path}: a column appears twice in its header: drop the duplicate")
+    found: dict[tuple[str, str], set[str]] = {}
+    for who, part, coordinate in columns:
+        found.setdefault((who, part), set()).add(coordinate)
+    for (who, part), own in found.items():
+        require(
+            {"x", "y"} <= own <= set(COORDINATES),
+            f"{path}: {part!r} of {who!r} has columns {', '.join(sorted(own))}, not x, "
+            "y and likelihood: correct the header",
+        )
     return columns
 
 
@@ -226,27 +207,17 @@ def _check_places(path: Path, tables: dict[str, NDArray[Any]]) -> None:
 
 def _sleap_analysis(path: Path) -> Sleap:
     with open_hdf(path) as file:
-        arrays = {
-            key: np.asarray(read_dataset(path, file, key), dtype=np.float64)
-            for key in ("tracks", "point_scores")
-            if key == "tracks" or key in file
-        }
         names, nodes = (
             [one.decode() if isinstance(one, bytes) else str(one) for one in words]
             for words in (read_dataset(path, file, key) for key in ("track_names", "node_names"))
         )
-    frames = arrays["tracks"].shape[-1]
-    for key, array in arrays.items():
-        axes = (len(names), 2, len(nodes)) if key == "tracks" else (len(names), len(nodes))
-        if array.ndim != len(axes) + 1 or array.shape != (*axes, frames):
-            last = "frames" if key == "tracks" else frames
-            raise InputError(
-                f"{path}: {key} have shape {array.shape}, not ({', '.join(map(str, axes))}, "
-                f"{last}): export the analysis file again"
-            )
-    scores = arrays.get("point_scores")
-    positions = arrays["tracks"].transpose(3, 0, 2, 1)
-    return names, nodes, [(positions, None if scores is None else scores.transpose(2, 0, 1))]
+        tracks = read_dataset(path, file, "tracks")
+        scores = read_dataset(path, file, "point_scores") if "point_scores" in file else None
+    axes = (len(names), len(nodes))
+    tracks = numbers(path, "tracks", tracks, axes[0], 2, axes[1], "frames")
+    if scores is not None:
+        scores = numbers(path, "point_scores", scores, *axes, tracks.shape[3]).transpose(2, 0, 1)
+    return names, nodes, [(tracks.transpose(3, 0, 2, 1), scores)]
 
 
 # -- movement --------------------------------------------------------------------------------------
@@ -302,23 +273,20 @@ def read_movement(
 
 def _check_movement_table(path: Path, software: str) -> None:
     """Refuse what the package would open with PyTables or YAML, or read wrongly in silence."""
-    if path.suffix.lower() != ".csv" or is_hdf(path):
-        raise InputError(
-            f"{path}: only .csv is read through movement, whose HDF5 can run code: use --source "
-            "deeplabcut or sleap, or export .csv"
-        )
-    if software not in MOVEMENT_TABLES:
-        raise InputError(
-            f"{path}: software {software!r} writes no table: choose one of "
-            f"{', '.join(MOVEMENT_TABLES)}"
-        )
+    require(
+        path.suffix.lower() == ".csv" and not is_hdf(path),
+        f"{path}: only .csv is read through movement, whose HDF5 can run code: use --source "
+        "deeplabcut or sleap, or export .csv",
+    )
+    known = ", ".join(MOVEMENT_TABLES)
+    writes = f"{path}: software {software!r} writes no table: choose one of {known}"
+    require(software in MOVEMENT_TABLES, writes)
     table = plain_table(path)
     if software in ("DeepLabCut", "LightningPose"):
         _dlc_csv(path)  # its header and frames are refused there
     else:
         table.check_names()
     table.check_lines()
-    if software in MOVEMENT_FRAMES:
-        column = MOVEMENT_FRAMES[software]
-        number, _ = table.columns([column])
-        refuse_uneven_frames(path, number[column], table.place)
+    if software == "Anipose":  # movement ignores its frame numbers
+        number, _ = table.columns(["fnum"])
+        refuse_uneven_frames(path, number["fnum"], table.place)

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.files import npz_members, read_npz
-from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.tables import plain_table, read_rows
 from animarl_envs.importing.tracks import Tracks
 
@@ -137,15 +137,14 @@ def read_termites(
     for key, array in read_npz(path).items():
         if (kind and not key.startswith(kind)) or (recordings and key not in recordings):
             continue
-        if array.ndim != 2 or array.shape[1] != 4 or key not in index:
-            raise InputError(f"{path}: {key} has shape {array.shape} or no index: check the file")
+        require(key in index, f"{path}: {key} has no row in index.csv: add it")
         try:
             mm = float(index[key]["mm_per_px_est"])
         except (KeyError, ValueError):
             mm = math.nan
         if not 0 < mm < math.inf:
             raise InputError(f"{path.parent / 'index.csv'}: {key} has no scale: correct it")
-        pixels = array.astype(np.float64) / TERMITE_STEPS
+        pixels = numbers(path, key, array, "frames", 4) / TERMITE_STEPS
         female, male = pixels[:, :2] * mm, pixels[:, 2:] * mm
         found.append(
             Tracks(
@@ -185,13 +184,12 @@ def read_fly_groups(path: Path) -> list[Tracks]:
     for key, array in read_npz(path).items():
         if not key.endswith("__xy"):
             continue
-        if array.ndim != 3 or array.shape[2] != 2:
-            raise InputError(f"{path}: {key} has shape {array.shape}: check the file")
+        positions = numbers(path, key, array, "frames", "flies", 2) / FLY_STEPS
         found.append(
             Tracks(
                 recording=key.removesuffix("__xy"),
-                individuals=tuple(f"fly_{i + 1}" for i in range(array.shape[1])),
-                positions=array.astype(np.float64)[:, :, None] / FLY_STEPS, frame_rate=24.0,
+                individuals=tuple(f"fly_{i + 1}" for i in range(positions.shape[1])),
+                positions=positions[:, :, None], frame_rate=24.0,
                 unit="1/120 of the arena", y_down=True,
                 provenance={
                     "source": "milanXpetrovic/drosophila-social-interaction-criteria",

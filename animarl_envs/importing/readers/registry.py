@@ -14,10 +14,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from animarl_envs import wall
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.errors import InputError, MissingExtraError, printable
+from animarl_envs.errors import InputError, MissingExtraError, printable, require
 from animarl_envs.files import check_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
@@ -29,6 +32,7 @@ from animarl_envs.importing.tracks import (
     one_per_individual,
 )
 
+Floats = NDArray[np.float64]
 Read = Callable[..., Demonstrations | list[Tracks]]
 # Seconds and bytes that a file may take beyond those of any file, by its size.
 BYTES_PER_SECOND, MEMORY_PER_BYTE = 5_000_000, 24
@@ -246,6 +250,17 @@ def _call_behind_wall(
         seconds=wall.SECONDS + size // BYTES_PER_SECOND,
         modules=LIBRARIES.get(path.suffix.lower(), ("pandas",)),
     )  # fmt: skip
+
+
+def numbers(path: Path, name: str, array: NDArray[Any], *shape: int | str) -> Floats:
+    """Return an array of numbers of this shape as float64; of an axis with a name, any length."""
+    fits = array.ndim == len(shape) and array.dtype.kind in "iuf"
+    require(
+        fits and all(n in (m, str(n)) for n, m in zip(shape, array.shape, strict=True)),
+        f"{path}: {name} is {array.dtype} of shape {array.shape}, not numbers of shape "
+        f"({', '.join(map(str, shape))}): check --source, or export it again",
+    )
+    return array.astype(np.float64)
 
 
 @contextlib.contextmanager

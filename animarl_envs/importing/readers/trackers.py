@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.errors import InputError
+from animarl_envs.errors import InputError, require
 from animarl_envs.files import npz_members, read_npz
 from animarl_envs.importing.readers.clocks import rate_of_rows
 from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
-from animarl_envs.importing.readers.registry import register_track_reader
+from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.tables import (
     EXTENSIONS,
     PARQUET,
@@ -100,23 +100,15 @@ def _trex_x(members: set[str]) -> str | None:
 def read_trex(path: Path, fps: float | None = None, unit: str = "cm") -> list[Tracks]:
     """One individual; files of one recording are merged by their name. Missing frames are gaps."""
     arrays = read_npz(path)
-    x_name = _trex_x({f"{name}.npy" for name in arrays})
-    if x_name is None or "frame" not in arrays:
-        raise InputError(f"{path}: it lacks X, Y or frame: export them from TRex")
-    y_name = "Y" + x_name[1:]
-    if y_name not in arrays:
-        raise InputError(f"{path}: it lacks the array {y_name!r}: export it from TRex")
-    frame, x, y = (
-        np.asarray(arrays[name], dtype=np.float64).ravel() for name in ("frame", x_name, y_name)
-    )
-    if not len(frame) == len(x) == len(y) or len(frame) == 0:
-        raise InputError(
-            f"{path}: frame, {x_name} and {y_name} have {len(frame)}, {len(x)} and {len(y)} "
-            "entries: export them again"
-        )
+    x_name = _trex_x({f"{name}.npy" for name in arrays}) or "X"
+    names = ("frame", x_name, "Y" + x_name[1:])
+    for name in names:
+        require(name in arrays, f"{path}: it lacks the array {name!r}: export it from TRex")
+    count = arrays["frame"].size
+    frame, x, y = (numbers(path, name, arrays[name].ravel(), count) for name in names)
     whole = (frame >= 0) & (frame == np.floor(frame)) & (frame < 64 * len(frame) + 1e6)
-    if not whole.all() or len(np.unique(frame)) != len(frame):
-        raise InputError(f"{path}: frame numbers are not whole, or repeat: export the file again")
+    once = count > 0 and whole.all() and len(np.unique(frame)) == count
+    require(once, f"{path}: frame numbers are not whole, or repeat: export the file again")
     positions = np.full((int(frame.max()) + 1, 1, 1, 2), np.nan)
     index = frame.astype(np.int64)
     positions[index, 0, 0] = np.column_stack([x, y])
@@ -162,15 +154,11 @@ def read_idtracker(path: Path, fps: float | None = None) -> list[Tracks]:
         )
     else:
         with open_hdf(path) as file:
-            positions = np.asarray(read_dataset(path, file, "trajectories"), dtype=np.float64)
+            values = read_dataset(path, file, "trajectories")
+            positions = numbers(path, "trajectories", values, "frames", "individuals", 2)
             rate = _number(file.attrs.get("frames_per_second"))
             if rate is None and "frames_per_second" in file:
                 rate = _number(read_dataset(path, file, "frames_per_second"))
-    if positions.ndim != 3 or positions.shape[2] != 2:
-        raise InputError(
-            f"{path}: trajectories have shape {positions.shape}, not (frames, individuals, 2): "
-            "check --source"
-        )
     return [
         Tracks(
             recording=path.stem,

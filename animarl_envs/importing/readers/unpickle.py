@@ -1,4 +1,4 @@
-"""Pickles of plain containers, numbers, text and arrays; anything else in them is refused.
+"""Pickles of plain lists, numbers, text and arrays as ``np.save`` writes them, and nothing else.
 
 A pickle names the functions that it calls. Here the names of NumPy lead to inert stand-ins that
 keep what they are given, and all others to a refusal, so that nothing of the file runs and NumPy
@@ -76,32 +76,24 @@ def _need(met: bool, what: str) -> None:
         raise pickle.UnpicklingError(what)
 
 
-def _text(value: Any) -> Any:
-    return value.decode("ascii") if isinstance(value, bytes) else value
-
-
-def _bytes(value: Any) -> Any:
-    return value.encode("latin1") if isinstance(value, str) else value
-
-
 class _Dtype:
     """Stands for a dtype: its code and byte order."""
 
     def __init__(self, code: Any, *_: Any) -> None:
-        self.code, self.order = _text(code), ""
-        plain = isinstance(self.code, str) and PLAIN_CODE.fullmatch(self.code) is not None
+        self.code, self.order = code, ""
+        plain = isinstance(code, str) and PLAIN_CODE.fullmatch(code) is not None
         _need(plain, "an array is not of plain numbers, text or objects")
 
     def __setstate__(self, state: Any) -> None:
         """The state that NumPy writes; only its byte order is used, and fields are refused."""
         plain = type(state) is tuple and len(state) > 4 and state[2:5] == (None,) * 3
         _need(plain and not self.order, "a dtype has fields, or an unusual state")
-        self.order = _text(state[1])
+        self.order = state[1]
         _need(self.order in ("<", ">", "|", "="), "a dtype has an unusual byte order")
 
     def made(self) -> Any:
-        order = self.order if self.order in ("<", ">") else ""
-        return np.dtype(order + self.code.lstrip("<>|=") if order else self.code)
+        given = self.order in ("<", ">")
+        return np.dtype(self.order + self.code.lstrip("<>|=") if given else self.code)
 
 
 class _Array:
@@ -118,8 +110,7 @@ class _Array:
     def made(self, depth: int) -> Any:
         """The array, once kind, shape and length of the content agree."""
         shape, kind, fortran, content = self.state
-        filled = type(kind) is _Dtype and type(shape) is tuple
-        _need(filled, "an array is made and never filled")
+        _need(type(kind) is _Dtype and type(shape) is tuple, "an array is made and never filled")
         usual = len(shape) <= 16 and all(type(n) is int and n >= 0 for n in shape)
         _need(usual, "an array has an unusual shape")
         dtype, count = kind.made(), math.prod(shape)
@@ -146,30 +137,17 @@ def _reconstruct(kind: Any, shape: Any, code: Any) -> _Array:
     return _Array()
 
 
-def _frombuffer(content: Any, kind: Any, shape: Any, order: Any) -> _Array:
-    made = _Array()
-    made.__setstate__((shape, kind, order == "F", content))
-    return made
-
-
 def _scalar(kind: Any, raw: Any = b"") -> Any:
-    plain = type(kind) is _Dtype and "O" not in kind.code
-    _need(plain, "a number is made in an unusual way")
+    _need(type(kind) is _Dtype and "O" not in kind.code, "a number is made in an unusual way")
     return _numbers(raw, kind.made(), 1)[0].item()
 
 
-def _encode(text: Any, encoding: Any) -> bytes:
-    _need(isinstance(text, str) and encoding == "latin1", "bytes are made in an unusual way")
-    return bytes(_bytes(text))
-
-
 STAND_INS: dict[tuple[str, str], Any] = {
-    ("_codecs", "encode"): _encode, ("numpy", "ndarray"): _Ndarray, ("numpy", "dtype"): _Dtype,
+    ("numpy", "ndarray"): _Ndarray, ("numpy", "dtype"): _Dtype,
+    ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
+    ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
+    ("numpy.core.multiarray", "scalar"): _scalar, ("numpy._core.multiarray", "scalar"): _scalar,
 }  # fmt: skip
-for _module in ("numpy.core", "numpy._core"):
-    STAND_INS[f"{_module}.multiarray", "_reconstruct"] = _reconstruct
-    STAND_INS[f"{_module}.multiarray", "scalar"] = _scalar
-    STAND_INS[f"{_module}.numeric", "_frombuffer"] = _frombuffer
 
 
 class _Restricted(pickle.Unpickler):
@@ -180,9 +158,8 @@ class _Restricted(pickle.Unpickler):
         return STAND_INS[module, name]
 
 
-def _numbers(content: Any, dtype: np.dtype[Any], count: int) -> np.ndarray[Any, Any]:
+def _numbers(raw: Any, dtype: np.dtype[Any], count: int) -> np.ndarray[Any, Any]:
     """A copy of the bytes as an array, if each of its values exists."""
-    raw = bytes(content) if type(content) is bytearray else _bytes(content)
     whole = type(raw) is bytes and len(raw) == count * dtype.itemsize
     _need(whole, "numbers have more or fewer bytes than their kind")
     _need(dtype.kind != "b" or not raw.strip(b"\0\1"), "a truth value is neither true nor false")
@@ -196,15 +173,9 @@ def _made(value: Any, depth: int) -> Any:
     if kind in (str, bytes, int, float, bool, type(None)):
         return value
     if kind is dict:
-        return {_key(key): _made(entry, below) for key, entry in value.items()}
+        _need({type(key) for key in value} <= {str, int, bool}, "a dictionary has an unusual key")
+        return {key: _made(entry, below) for key, entry in value.items()}
     if kind in (list, tuple):
         return kind([_made(entry, below) for entry in value])
-    if kind in (set, frozenset):
-        return kind(map(_key, value))
     _need(kind is _Array, f"it holds a bare {kind.__name__}")
     return value.made(below)
-
-
-def _key(key: Any) -> Any:
-    _need(type(key) in (str, int, bool), "a dictionary or set has an unusual key")
-    return key
