@@ -36,7 +36,7 @@ def _gap(arrays: dict[str, NDArray[Any]]) -> NDArray[Any]:
 
 BAD_AGENTS: dict[str, tuple[Callable[[dict[str, NDArray[Any]]], dict[str, Any]], str]] = {
     "gap": (lambda a: {"pos": _gap(a)}, r"episode 1, frame 2, predator_1.*fill the gap"),
-    "lengths": (lambda a: {"pos": a["pos"][:-1]}, r"pos has 19 frames, n_steps ask for 20"),
+    "lengths": (lambda a: {"pos": a["pos"][:-1]}, r"shape \(19, 3, 2\), not numbers of shape \(20, 3, 2\)"),
     "one frame": (lambda a: {"n_steps": np.array([0, 8, 9])}, r"episode 0 has no step"),
     "no frames": (
         lambda a: {k: a[k][:0] for k in ("pos", "actions", "n_steps", "outcome")}, "no step",
@@ -96,10 +96,10 @@ def test_readers_name_the_line_where_time_is_uneven(tmp_path: Path) -> None:
     path.write_text("".join(lines[:3] + lines[4:]))
     assert "line 4: Time does not run at 30 frames a second" in refused(path)
     path = write_wide(tmp_path)
-    lines = ["n,recording," + path.read_text().splitlines()[0]]
-    lines += [f"{t},{name},1,2,3,4" for name in "ab" for t in (0, 1, 3)]
-    path.write_text("\n".join(lines).replace("n,", "frame,", 1) + "\n")
-    assert "line 4 is of frame 3 after 1" in refused(path, frame_rate=20.0)
+    lines = ["frame,recording," + path.read_text().splitlines()[0]]
+    lines += [f"{t},{name},1,2,3,4" for name in "ab" for t in (0, 1, 1)]
+    path.write_text("\n".join(lines) + "\n")
+    assert "a, frame 1, male has two rows" in refused(path, frame_rate=20.0)
 
 
 def test_readers_refuse_headers_that_ask_for_too_much(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_readers_refuse_headers_that_ask_for_too_much(tmp_path: Path) -> None:
         read_tracks(tmp_path / "far.csv", "long-table")
 
 
-@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("protocol", [3, 4])
 def test_only_plain_objects_are_unpickled(protocol: int, tmp_path: Path) -> None:
     plain = {"a": [1, (2.5, "x")], "b": np.arange(6.0).reshape(2, 3), "c": np.float64(2.0)}
     found = load_plain(pickle.dumps(plain, protocol=protocol), "file")

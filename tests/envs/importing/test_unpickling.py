@@ -86,7 +86,7 @@ def test_an_address_in_a_pickled_array_is_never_followed(tmp_path: Path) -> None
         read(path, "authors-agents")
 
 
-@pytest.mark.parametrize("protocol", range(6))
+@pytest.mark.parametrize("protocol", [3, 4])  # those of np.save
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_unpickling_gives_back_plain_arrays_of_every_kind(protocol: int, order: Any) -> None:
     base = np.arange(12).reshape(3, 4)
