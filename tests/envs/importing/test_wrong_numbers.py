@@ -279,7 +279,7 @@ def test_wrong_shape_of_sleap_scores_is_refused(tmp_path: Path) -> None:
         with h5py.File(path, "r+") as file:
             del file["point_scores"]
             file["point_scores"] = scores
-        with pytest.raises(InputError, match="point_scores have shape"):
+        with pytest.raises(InputError, match="point_scores is float64 of shape"):
             read_tracks(path)
 
 
