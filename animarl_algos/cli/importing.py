@@ -24,8 +24,8 @@ from animarl_envs.importing.cleaning import Cleaning
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import Reader, default_recipe, find_reader, follow, read
-from animarl_envs.importing.roles import AUTO
 from animarl_envs.importing.scaling import Scaling
+from animarl_envs.importing.sessions import AUTO
 
 SIGNS = {",", "."}  # a decimal sign, which is no value of YAML
 NOBODY = "none"  # is the target

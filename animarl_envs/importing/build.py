@@ -24,9 +24,14 @@ from animarl_envs.importing.cutting import (
     in_pieces,
 )
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
-from animarl_envs.importing.roles import apply_names, assign_focus, assign_roles
 from animarl_envs.importing.scaling import scales_of
-from animarl_envs.importing.sessions import TARGET, load_sessions
+from animarl_envs.importing.sessions import (
+    TARGET,
+    apply_names,
+    assign_focus,
+    assign_roles,
+    load_sessions,
+)
 from animarl_envs.importing.tracks import Tracks
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces

@@ -28,6 +28,7 @@ from animarl_envs.locomotion import NUM_ACTIONS
 DATA_FILE = "main_data.hdf5"
 METADATA_KEY = "animarl"
 RECORDED, INFERRED = "recorded", "inferred"
+PER_EPISODE = ("condition", "outcome", "split", "recording")
 
 
 def export_minari(demos: Demonstrations, folder: str | Path) -> Path:
@@ -112,11 +113,11 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
     """
     from animarl_envs.importing.readers.hdf import open_hdf, read_dataset
 
-    names = [str(name) for name in meta["individuals"]]
+    names = [str(name) for name in meta["demonstrations"]["individuals"]]
     states, actions = [], []
     infos: list[dict[str, NDArray[Any]]] = []
     with open_hdf(path) as file:
-        count = len(meta["recording"])
+        count = len(meta["demonstrations"]["recording"])
         require(
             len(file) == count,
             f"{folder}: it holds {len(file)} episodes, its metadata {count}: copy it again",
@@ -137,23 +138,15 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
     }
     if meta["actions"] == RECORDED:
         signals["actions"] = np.concatenate(actions)
-    arena = dict(meta["arena"])
-    arena["boundary"] = float(arena["boundary"])
+    known = meta["demonstrations"]
+    arena = Arena(**known["arena"] | {"boundary": float(known["arena"]["boundary"])})
     return Demonstrations(
-        species=meta["species"],
-        individuals=tuple(names),
-        roles=tuple(meta["roles"]),
-        dt=meta["dt"],
-        arena=Arena(**arena),
+        **{key: np.array(value) if key in PER_EPISODE else value for key, value in known.items()}
+        | {"arena": arena, "individuals": tuple(names), "roles": tuple(known["roles"])},
         positions=np.concatenate([state[..., :2] for state in states]),
         lengths=np.array([len(state) for state in states]),
         initial_velocity=np.stack([state[0, :, 2:] for state in states]),
-        condition=np.array(meta["condition"], dtype=np.int8),
-        outcome=np.array(meta["outcome"], dtype=np.int8),
-        split=np.array(meta["split"]),
-        recording=np.array(meta["recording"]),
         signals={key: signals[key] for key in meta["signal_order"]},
-        provenance=meta["provenance"],
         name=str(folder),
     )
 
@@ -175,22 +168,16 @@ def _metadata(demos: Demonstrations, origin: str) -> dict[str, Any]:
         for key, value in demos.signals.items()
         if not (key == "actions" and origin == RECORDED)
     }
-    boundary = demos.arena.boundary
+    known: dict[str, Any] = {key: getattr(demos, key).tolist() for key in PER_EPISODE}
+    known |= {key: getattr(demos, key) for key in ("species", "individuals", "roles", "dt")}
+    known["arena"] = vars(demos.arena) | {"boundary": str(demos.arena.boundary)}
+    known["provenance"] = dict(demos.provenance)
     return {
-        "species": demos.species,
-        "individuals": list(demos.individuals),
-        "roles": list(demos.roles),
-        "dt": demos.dt,
-        "arena": vars(demos.arena) | {"boundary": str(boundary)},
-        "condition": demos.condition.tolist(),
-        "outcome": demos.outcome.tolist(),
-        "split": demos.split.tolist(),
-        "recording": demos.recording.tolist(),
+        "demonstrations": known,
         "signals": as_infos,
         "signal_order": list(demos.signals),
         "actions": origin,
         "licence": demos.provenance["licence"],
-        "provenance": dict(demos.provenance),
     }
 
 
