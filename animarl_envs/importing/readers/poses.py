@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError, require
-from animarl_envs.importing.readers.clocks import refuse_uneven_frames
+from animarl_envs.importing.readers.columns import refuse_uneven_frames
 from animarl_envs.importing.readers.hdf import hdf_keys, is_hdf, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import LONE

@@ -71,11 +71,9 @@ def read_mothvr(path: Path) -> list[Tracks]:
             f"{FRAME_RATE:g} frames a second: check it"
         )
     for column, codes in (("Odor", ODOUR), ("Wind", WIND)):
-        unknown = sorted(set(word[column].entries) - set(codes))
-        if unknown:
-            raise InputError(
-                f"{path}: column {column} holds {unknown[0]!r}: use one of {', '.join(codes)}"
-            )
+        for entry in word[column].entries:
+            known = ", ".join(codes)
+            require(entry in codes, f"{path}: column {column} holds {entry!r}: use one of {known}")
     for name in ("X", "Y", "Theta"):
         bad = ~np.isfinite(number[name])
         if bad.any():

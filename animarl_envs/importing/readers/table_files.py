@@ -16,14 +16,19 @@ from numpy.typing import NDArray
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import EXPANSION, allowed_bytes
-from animarl_envs.importing.readers import clocks
 from animarl_envs.importing.readers.columns import (
+    LARGEST_FRAME,
     Columns,
+    check_rate,
     find_columns,
+    frames_at,
     pairs_of,
     parsed_names,
     radians_per_unit,
+    rate_of_frames,
+    refuse_times_going_back,
     refuse_unused_pair,
+    seconds,
     suggested_command,
 )
 from animarl_envs.importing.readers.registry import register_track_reader
@@ -211,15 +216,15 @@ def _recordings(
             frames[sets.number == at] = np.arange(np.count_nonzero(sets.number == at))
     if clock is not None:
         times = word[clock] if clock in word else number[clock]
-        when = clocks.seconds(path, clock, times, stated)
+        when = seconds(path, clock, times, stated)
         if frame is not None:
-            fps = clocks.rate_of_frames(path, frames, when, sets.number)
+            fps = rate_of_frames(path, frames, when, sets.number)
         else:
             track = sets.number * max(len(who.entries), 1) + who.number
-            clocks.refuse_times_going_back(path, when, track, table.place)
-            fps, frames, start = clocks.frames_at(path, when, fps, sets.number, table.place)
+            refuse_times_going_back(path, when, track, table.place)
+            fps, frames, start = frames_at(path, when, fps, sets.number, table.place)
         if time is None and stated is None and clock not in word:
-            clocks.check_rate(path, clock, fps)
+            check_rate(path, clock, fps)
     tracks = []
     for at, name in enumerate(sets.entries):
         own: Any = np.flatnonzero(sets.number == at) if len(sets.entries) > 1 else slice(None)
@@ -288,7 +293,7 @@ def _refuse_lone(path: Path, names: list[str]) -> None:
 
 
 def _frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Whole:
-    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < clocks.LARGEST_FRAME))
+    bad = ~((frames >= 0) & (frames == np.floor(frames)) & (frames < LARGEST_FRAME))
     if bad.any():
         at = int(bad.argmax())
         raise InputError(
