@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+import inspect
+from collections.abc import Callable, Collection, Mapping
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from animarl_envs.errors import InputError
+
+PLAIN = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 class Checked(BaseModel):
@@ -22,13 +26,8 @@ class Checked(BaseModel):
         If one is unknown, missing or out of its range.
     """
 
-    model_config = ConfigDict(
-        frozen=True,
-        strict=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-        arbitrary_types_allowed=True,
+    model_config = PLAIN | ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=True
     )
 
     def __init__(self, /, **given: Any) -> None:
@@ -40,15 +39,11 @@ class Checked(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _as_plain_numbers(cls, given: dict[str, Any]) -> dict[str, Any]:
-        """Numbers as Python's; whole ones as ints where an int is wanted."""
-        plain = {}
-        for name, value in given.items():
-            one = value.item() if isinstance(value, np.generic) else value
-            field = cls.model_fields.get(name)
-            counts = field is not None and "int" in str(field.annotation)
-            whole = counts and isinstance(one, float) and one.is_integer()
-            plain[name] = int(one) if whole else one
-        return plain
+        fields = cls.model_fields
+        return {
+            name: plain(value, name in fields and "int" in str(fields[name].annotation))
+            for name, value in given.items()
+        }
 
     @classmethod
     def read(cls, given: dict[str, Any], place: str) -> dict[str, Any]:
@@ -68,6 +63,60 @@ class Checked(BaseModel):
     def changed(self, **values: Any) -> Self:
         """Return a copy with other values, checked."""
         return type(self)(**dict(self) | values)
+
+
+class Range:
+    """The finite numbers that an argument may be: a kind, and pydantic's ``ge``, ``gt``, ``le``."""
+
+    def __init__(self, kind: Any = float, **bounds: float) -> None:
+        self.whole = "int" in str(kind)
+        self._adapter = TypeAdapter(Annotated[kind, Field(**bounds)], config=PLAIN)
+
+    def check(self, name: str, value: Any) -> Any:
+        """Return the value, a whole one as an int; one outside is refused, by ``name``."""
+        number = plain(value, self.whole)
+        try:
+            self._adapter.validate_python(number)
+        except ValidationError:
+            may_be = described(self._adapter.json_schema())
+            raise InputError(f"{name} is {value!r}: {may_be}") from None
+        return number if self.whole else value
+
+
+COUNT = Range(int, ge=1)
+COUNT_OR_NONE = Range(Annotated[int, Field(ge=1)] | None)
+NOT_NEGATIVE = Range(ge=0)
+POSITIVE = Range(gt=0)
+PROBABILITY = Range(ge=0, le=1)
+SEED = Range(int, ge=0, le=2**32 - 1)
+
+
+def plain(value: Any, counts: bool) -> Any:
+    """Return a number as Python's own, a whole one as an int if it ``counts``."""
+    value = value.item() if isinstance(value, np.generic) else value
+    return int(value) if counts and isinstance(value, float) and value.is_integer() else value
+
+
+def refuse_unknown(
+    name: str, given: Mapping[str, Any], callee: Callable[..., Any], taken: Collection[str] = ()
+) -> None:
+    """Refuse keywords that ``callee`` does not know, or that are ``taken``: given by the caller.
+
+    Raises
+    ------
+    InputError
+        If there is one; the sentence starts with ``name``.
+    """
+    parameters = inspect.signature(callee).parameters
+    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
+        return
+    known = [key for key in parameters if key not in taken]
+    for key in given:
+        if key not in known:
+            raise InputError(f"{name}: {key!r} is unknown: choose among {', '.join(sorted(known))}")
+
+
+# -- sentences ------------------------------------------------------------------------------------
 
 
 def sentence(model: type[BaseModel], error: ErrorDetails) -> str:

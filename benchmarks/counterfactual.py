@@ -36,7 +36,8 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.words import with_interval
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.counterfactual import CounterfactualRuns
-from animarl_algos.runs.run import Run, versions
+from animarl_algos.runs.run import Run
+from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations

@@ -41,7 +41,7 @@ from animarl_algos.evaluation.verdict_rows import BY_LITTLE, SAME
 from animarl_algos.report.terminal import verdict_table
 from animarl_algos.report.words import Words
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.run import versions
+from animarl_algos.runs.run_files import versions
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations

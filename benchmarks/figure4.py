@@ -31,7 +31,7 @@ from animarl_algos.evaluation.metrics import DTW, DURATION, measure, measure_rec
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.report import style
 from animarl_algos.report.words import with_interval
-from animarl_algos.runs.run import versions
+from animarl_algos.runs.run_files import versions
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.files import all_files_or_none
 

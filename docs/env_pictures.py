@@ -9,8 +9,7 @@ import numpy as np
 from custom_species import HERDING
 
 import animarl_envs
-from animarl_algos.cli.watch import prepare
-from animarl_algos.cli.watch_actors import idle_actor
+from animarl_algos.cli.watch import idle_actor, prepare
 from animarl_envs.drawing.render import Renderer
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.files import write_then_rename

@@ -9,7 +9,7 @@ import numpy as np
 
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline
-from animarl_algos.runs.rolling_out import roll_out
+from animarl_algos.runs.evaluating import roll_out
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -22,14 +22,17 @@ QUICK: dict[str, Any] = {
 }
 
 
-def few(species: str = "agent", test: int = 3) -> Demonstrations:
-    """The first packaged episodes of every split, of both conditions."""
+def few(
+    species: str = "agent", train: int = 3, val: int = 2, test: int = 3, *, skip: int = 0
+) -> Demonstrations:
+    """The shortest packaged episodes of every split, of both conditions, but for a few."""
     demos = load_packaged(species)
     chosen: list[int] = []
-    for split, count in (("train", 3), ("val", 2), ("test", test)):
+    for split, count in (("train", train), ("val", val), ("test", test)):
         for condition in (0, 1):
             found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
-            chosen += found[np.argsort(demos.lengths[found], kind="stable")][:count].tolist()
+            ordered = found[np.argsort(demos.lengths[found], kind="stable")]
+            chosen += ordered[skip : skip + count].tolist()
     return demos.select(episodes=chosen)
 
 

@@ -6,12 +6,11 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from commands import Done
+from small_runs import few
 
 from animarl_algos.zoo.__main__ import main
-from animarl_envs.demos.packaged import load_packaged
 
 AGENT = "AnimaRL/Agent-v0"
 CARTPOLE = ["--env", "CartPole-v1", "-n", "16", "--eval-episodes", "1"]
@@ -21,13 +20,7 @@ TINY = ["--n-timesteps", "200", "--seed", "1", "--eval-freq", "100", "--eval-epi
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Demonstrations of a few short episodes of both conditions in each split."""
-    demos = load_packaged("agent")
-    chosen = []
-    for split, count in (("train", 6), ("val", 3), ("test", 3)):
-        for condition in (0, 1):
-            found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
-            chosen.extend(found[np.argsort(demos.lengths[found])][5 : 5 + count].tolist())
-    return demos.select(episodes=chosen).save(tmp_path_factory.mktemp("demos") / "small.npz")
+    return few(train=6, val=3, test=3, skip=5).save(tmp_path_factory.mktemp("demos") / "small.npz")
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from animarl_algos.benchmark.measured import Measured, Score, differences, label
 from animarl_algos.benchmark.pieces import code, recorded_error, write_json
 from animarl_algos.benchmark.plan import Plan
 from animarl_algos.benchmark.ranks import ranked
-from animarl_algos.runs.machine import machine
+from animarl_algos.runs.run_files import machine
 from animarl_envs.files import write_then_rename
 
 HOW = """\

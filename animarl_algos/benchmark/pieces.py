@@ -16,7 +16,7 @@ import torch
 from filelock import FileLock
 from threadpoolctl import threadpool_limits
 
-from animarl_algos.runs.run import versions
+from animarl_algos.runs.run_files import versions
 from animarl_envs.compiling import source_key
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename

@@ -18,7 +18,7 @@ from animarl_algos.benchmark.pieces import Piece, write_json
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pipeline import rehearse
-from animarl_algos.runs.run import versions
+from animarl_algos.runs.run_files import versions
 from animarl_envs.errors import InputError
 from animarl_envs.files import is_part
 

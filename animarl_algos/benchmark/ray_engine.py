@@ -26,7 +26,7 @@ from animarl_algos.benchmark.pieces import (
     recorded_error,
 )
 from animarl_algos.benchmark.plan import MARK, Plan
-from animarl_algos.runs.run import versions
+from animarl_algos.runs.run_files import versions
 from animarl_envs.errors import InputError, MissingExtraError
 
 AUTO = "auto"  # $RAY_ADDRESS, or else this machine's cluster, which Ray starts if there is none

@@ -25,7 +25,7 @@ from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan, refuse_other_results
 from animarl_algos.benchmark.ray_engine import connected, perform_on_ray, refuse_other_nodes
 from animarl_algos.benchmark.submission import score_submission
-from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.errors import InputError
 
 ENGINES = ("local", "ray")

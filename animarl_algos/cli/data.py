@@ -11,10 +11,9 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from animarl_algos.cli.describing import report, show, wide_console
-from animarl_algos.cli.hints import hints
-from animarl_algos.cli.lazy import SETTINGS
-from animarl_algos.cli.reading import SOURCE, load, refuse_overwriting, write_csv
+from animarl_algos.cli.describing import hints, report, show, wide_console
+from animarl_algos.cli.main import SETTINGS
+from animarl_algos.cli.shared import SOURCE, load, refuse_overwriting, write_csv
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.splits import Splitting, deal
@@ -88,13 +87,13 @@ def check_command(
     console = wide_console()
     warnings = suspicions(demos, rows)
     for warning in warnings[:SHOWN_WARNINGS]:
-        console.print(f"check: {warning}", highlight=False, soft_wrap=True)
+        console.print(f"check: {warning}")
     if len(warnings) > SHOWN_WARNINGS:
         console.print(f"check: and {len(warnings) - SHOWN_WARNINGS} more of this kind")
     if out is not None:
         write_csv(out, rows)
-        console.print(f"Wrote {out}", highlight=False, soft_wrap=True)
-    console.print(f"{file}: {len(rows)} episodes, all valid.", highlight=False, soft_wrap=True)
+        console.print(f"Wrote {out}")
+    console.print(f"{file}: {len(rows)} episodes, all valid.")
 
 
 @app.command("split")
@@ -173,7 +172,7 @@ def convert_command(
         export_minari(demos, out)
     else:
         raise InputError(f"{out}: the suffix says the format: .npz, .csv, or none for Minari")
-    wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
+    wide_console().print(f"Wrote {out}")
 
 
 @app.command("plot")
@@ -187,7 +186,7 @@ def plot_command(file: DemosArgument, out: OutOption) -> None:
     figure = out.suffix in {".png", ".svg", ".pdf"}
     require(figure, f"{out}: a figure ends in .png, .svg or .pdf: rename it")
     plot_summary(load(file), out)
-    wide_console().print(f"Wrote {out}", highlight=False, soft_wrap=True)
+    wide_console().print(f"Wrote {out}")
 
 
 def merged(files: Sequence[Path], conditions: str | None = None) -> Demonstrations:

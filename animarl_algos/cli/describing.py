@@ -1,4 +1,4 @@
-"""Demonstrations and recipes in words, with units: what the command line says about them."""
+"""Demonstrations and recipes in words, with units: what commands say of them, and hints."""
 
 from __future__ import annotations
 
@@ -12,89 +12,81 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
-from animarl_envs.demos.summary import TRACKING, episode_table, summarise
+from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise
 from animarl_envs.demos.units import unit_of
 from animarl_envs.importing.cleaning import LIKELY
 from animarl_envs.importing.import_recipe import ImportRecipe
 
 Row = tuple[str, str]
-_SPLITS = {
+SPLIT_BY = {
     "auto": f"recording (by episode with fewer than {FEWEST_RECORDINGS})",
     "group": "groups of recordings",
 }
+UNLIKE = 1.02  # ratio of the scales of recordings that is said aloud
+STEADY, OFTEN = 0.85, 5.0  # persistence of animals seen so often [Hz]; less is of noisy tracks
+SMOOTH = 2.0  # cutoff against such noise [Hz]
+FEWEST_TESTED = 5  # episodes, below which an evaluation is warned of
 
 
 def demonstrations_at_a_glance(demos: Demonstrations) -> list[Row]:
-    """What a set of demonstrations holds, line by line."""
+    """Return what a set of demonstrations holds, line by line."""
     found = summarise(demos)
-    shortest, median, longest = (
-        found["duration"][key] for key in ("shortest", "median", "longest")
-    )
-    rows = [
-        ("species", demos.species),
-        ("individuals", ", ".join(f"{n} ({r})" for n, r in found["individuals"].items())),
-        ("kind", "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals"),
-        ("source", found["source"]),
-        ("licence", found["licence"]),
-        ("episodes", f"{demos.num_episodes} from {counted(found['recordings'], 'recording')}"),
-        ("splits", ", ".join(f"{count} {name}" for name, count in found["splits"].items())),
-        ("time step", f"{demos.dt:.4g} s ({1 / demos.dt:.4g} Hz), {found['frames']} frames"),
-        ("duration", f"{shortest:.3g} to {longest:.4g} s, median {median:.3g} s"),
-        ("in total", f"{found['total_duration']:.1f} s ({found['total_duration'] / 60:.1f} min)"),
-        ("arena", _arena(demos)),
-    ]
-    if "command" in demos.provenance:
-        rows.insert(4, ("made by", str(demos.provenance["command"])))
-    keypoints = demos.provenance.get("keypoints", [])
+    told, unit = demos.provenance, unit_of(demos)
+    scale, speed_unit = unit.per_arena_unit, f"{unit.name}/s"
+    duration, seconds = found["duration"], found["total_duration"]
+    rows = {
+        "species": demos.species,
+        "individuals": ", ".join(f"{n} ({r})" for n, r in found["individuals"].items()),
+        "kind": "SYNTHETIC, not recorded animals" if demos.synthetic else "recorded animals",
+        "source": found["source"],
+        "made by": told.get("command"),
+        "licence": found["licence"],
+        "episodes": f"{demos.num_episodes} from {counted(found['recordings'], 'recording')}",
+        "splits": ", ".join(f"{count} {name}" for name, count in found["splits"].items()),
+        "time step": f"{demos.dt:.4g} s ({1 / demos.dt:.4g} Hz), {found['frames']} frames",
+        "duration": f"{duration['shortest']:.3g} to {duration['longest']:.4g} s, median "
+        f"{duration['median']:.3g} s",
+        "in total": f"{seconds:.1f} s ({seconds / 60:.1f} min)",
+        "arena": _arena(demos),
+    }
+    keypoints = told.get("keypoints", [])
     if len(keypoints) > 1:
-        used = {one.get("keypoint") for one in demos.provenance.get("cleaning", {}).values()}
-        rows.append(("keypoints", f"{', '.join(keypoints)}; used: {', '.join(map(str, used))}"))
-    unit = unit_of(demos)
-    scale = unit.per_arena_unit
+        used = {str(one.get("keypoint")) for one in _cleaning(demos).values()}
+        rows["keypoints"] = f"{', '.join(keypoints)}; used: {', '.join(used)}"
     for name in demos.individuals:
         speed = found[f"speed of {name}"]
-        rows.append(
-            (
-                f"speed of {name}",
-                f"median {scale * speed['median']:.3g}, 99th percentile "
-                f"{scale * speed['99 %']:.3g} {unit.name}/s, "
-                f"at rest {speed['resting']:.0%} of the time",
-            )
+        rows[f"speed of {name}"] = (
+            f"median {scale * speed['median']:.3g}, 99th percentile {scale * speed['99 %']:.3g} "
+            f"{speed_unit}, at rest {speed['resting']:.0%} of the time"
         )
     if "target" in demos.roles or "searcher" in demos.roles:
         targets = demos.roles.count("target")
         to = "source" if not targets else "target" if targets == 1 else "nearest target"
         table = episode_table(demos)
-        first = float(np.median([row["first_distance"] for row in table]))
-        least = float(np.median([row["least_distance"] for row in table]))
-        rows.append(
-            (
-                f"distance to the {to}",
-                f"first {scale * first:.3g}, least {scale * least:.3g} {unit.name} (medians)",
-            )
+        first, least = (
+            scale * float(np.median([row[f"{key}_distance"] for row in table]))
+            for key in ("first", "least")
+        )
+        rows[f"distance to the {to}"] = (
+            f"first {first:.3g}, least {least:.3g} {unit.name} (medians)"
         )
     for condition in np.unique(demos.condition):
-        outcomes = found[f"outcomes, condition {condition}"]
-        rows.append(
-            (
-                f"outcomes, condition {condition}",
-                ", ".join(f"{name}: {count}" for name, count in outcomes.items()),
-            )
-        )
-    if demos.signals:
-        rows.append(("signals", ", ".join(found["signals"])))
+        key = f"outcomes, condition {condition}"
+        rows[key] = ", ".join(f"{name}: {count}" for name, count in found[key].items())
     tracking = [f"{found[f'frames: {key}']} {key}" for key in TRACKING if f"frames: {key}" in found]
-    if tracking:
-        rows.append(("frames flagged", ", ".join(tracking)))
-    return [*rows, ("fingerprint", found["fingerprint"])]
+    rows["signals"] = ", ".join(found["signals"]) if demos.signals else None
+    rows["frames flagged"] = ", ".join(tracking) or None
+    rows["fingerprint"] = found["fingerprint"]
+    return [(name, str(words)) for name, words in rows.items() if words is not None]
 
 
 def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list[Row]:
-    """What an import is going to do, line by line."""
+    """Return what an import is going to do, line by line."""
     clean, scale, cut, split = recipe.cleaning, recipe.scaling, recipe.cutting, recipe.splitting
     cleaning = [f"keypoint {clean.keypoint}"]
     if clean.heading is not None:
@@ -143,7 +135,7 @@ def understood(recipe: ImportRecipe, source: str, files: Sequence[Path]) -> list
         ("cleaning", ", ".join(cleaning)),
         ("scaling", scaling),
         ("episodes", cutting),
-        ("splits", f"by {_SPLITS.get(split.by, split.by)}, seed {split.seed}"),
+        ("splits", f"by {SPLIT_BY.get(split.by, split.by)}, seed {split.seed}"),
     ]
 
 
@@ -158,23 +150,143 @@ def _target(recipe: ImportRecipe) -> str:
 
 
 def _arena(demos: Demonstrations) -> str:
-    arena = demos.arena
+    arena, sizes = demos.arena, sorted(_unit_sizes(demos))
     words = {"square": "square, half side 1", "disc": "disc, radius 1", "open": "open field"}
     said = words[arena.shape]
     if math.isfinite(arena.boundary):
         said += f", boundary {arena.boundary:g}"
-    scales: Mapping[str, Any] = demos.provenance.get("scales", {})
-    units = sorted(float(scale["unit"]) for scale in scales.values())
-    if units:
-        low, high = f"{units[0]:.4g}", f"{units[-1]:.4g}"
-        span = low if low == high else f"{low} to {high}"
-        said += f"; an arena unit is {span} {demos.provenance.get('unit', 'units of the file')}"
+    if sizes:
+        span = " to ".join(dict.fromkeys(f"{size:.4g}" for size in (sizes[0], sizes[-1])))
+        said += f"; an arena unit is {span} {_unit_name(demos)}"
     return said
 
 
 def counted(number: int, noun: str) -> str:
-    """So many of them, with a plural's s."""
+    """Return so many of them, with a plural's s."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+# -- hints ----------------------------------------------------------------------------------------
+
+
+def hints(demos: Demonstrations) -> list[str]:
+    """Return what somebody who looks at the result may have missed."""
+    told, counts = demos.provenance, {s: int((demos.split == s).sum()) for s in SPLITS}
+    found = []
+    if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
+        found.append(
+            "nobody is the target: name who is pursued by --target NAME, or --target auto for the "
+            "one whom the others approach, or who pursues all others by --pursuer NAME"
+        )
+    sizes = _unit_sizes(demos)
+    if sizes and max(sizes) > UNLIKE * min(sizes):
+        found.append(
+            f"SCALES DIFFER: an arena unit is {min(sizes):.4g} to {max(sizes):.4g} "
+            f"{_unit_name(demos)}, by recording, so speeds of different recordings do not compare: "
+            "leave --scale-each out, or give one --arena-width"
+        )
+    if ignored := told.get("metadata_ignored"):
+        found.append(f"columns of the metadata that were not used: {', '.join(ignored)}")
+    if counts["test"] < FEWEST_TESTED:
+        found.append(
+            f"split test has {counted(counts['test'], 'episode')}, fewer than {FEWEST_TESTED}, so "
+            "that an evaluation says little: record more, or cut shorter pieces by --piece SECONDS"
+        )
+    for split, count in counts.items():
+        there = demos.condition[demos.split == split]
+        missing = [str(one) for one in np.unique(demos.condition) if one not in there]
+        if count and missing:
+            found.append(
+                f"split {split} has no episode of condition {', '.join(missing)}: deal again by "
+                "another --split-seed, or say the splits in a --metadata table"
+            )
+    if unfilled := _total(demos, "untracked") - _total(demos, "filled"):
+        found.append(
+            f"{unfilled} gaps of one frame and individual cut the recordings: fill short ones by "
+            "--max-gap SECONDS"
+        )
+    if short := _total(demos, "too_short"):
+        found.append(
+            f"{counted(short, 'piece')} of fewer than two decisions were left out: "
+            "fill gaps by --max-gap, or choose a higher --decision-rate"
+        )
+    flags = [
+        f"{' and '.join(flag['individuals'])} at {flag['time']:g} s of {recording}"
+        for recording, one in _cleaning(demos).items()
+        for flag in [*one.get("first_jumps", []), *one.get("first_swaps", [])]
+    ]
+    jumps, swaps = _total(demos, "jumps"), _total(demos, "identity_swaps")
+    if jumps + swaps and not _total(demos, "jumps_dropped"):
+        recordings = sum(bool(one.get("jumps")) for one in _cleaning(demos).values())
+        found.append(
+            f"{counted(jumps, 'jump')} and {counted(swaps, 'swap')} of identities flagged in "
+            f"{counted(recordings, 'recording')}, first {flags[0]}: look there, or take jumps out "
+            "by --drop-jumps"
+        )
+    smoothing = [one.get("smoothing", {}) for one in _cleaning(demos).values()]
+    smoothed = any(one.get("cutoff_hz", np.inf) <= SMOOTH for one in smoothing)
+    if not (demos.synthetic or smoothed or 1.0 / demos.dt < OFTEN):
+        kept = zip(demos.individuals, persistence(demos))
+        jumpy = [f"{name} {100 * share:.0f} %" for name, share in kept if share < STEADY]
+        if jumpy:
+            found.append(
+                "velocities are hardly kept from one step to the next "
+                f"({', '.join(jumpy)}): probably tracking noise, which makes simulated animals too "
+                f"slow: consider --smoothing {SMOOTH:g}, in Hz, above the fastest movement that "
+                "matters"
+            )
+    return found
+
+
+def found_by_itself(demos: Demonstrations) -> list[str]:
+    """Return what an import decided because nobody stated it."""
+    found = []
+    recipe: Mapping[str, Any] = demos.provenance.get("recipe", {})
+    if recipe.get("target") == "auto" and "target" in demos.roles:
+        others = ", ".join(demos.individuals[:-1])
+        found.append(
+            f"{demos.individuals[-1]} is taken for the target, since {others} approach it most: "
+            "otherwise name who is pursued by --target NAME, or --target none"
+        )
+    contact, sizes = demos.provenance.get("contact_radius"), _unit_sizes(demos)
+    if contact is not None and not recipe.get("cutting", {}).get("contact"):
+        own = f" ({contact * sizes[0]:.4g} {_unit_name(demos)})" if len(set(sizes)) == 1 else ""
+        found.append(
+            f"coming within {contact:.3g} arena units of the target{own} "
+            "ends most recordings, so it is taken for contact: otherwise give --contact DISTANCE, "
+            "or --contact 0 for none"
+        )
+    least = [one.get("confidence_of_at_least") for one in _cleaning(demos).values()]
+    limits = [one for one in least if one is not None]
+    if limits and recipe.get("cleaning", {}).get("min_confidence") is None:
+        below = counted(_total(demos, "below_confidence"), "point")
+        found.append(
+            f"{below} of a likelihood below {max(limits):g} were not used: "
+            "otherwise give --min-confidence, 0 for all points"
+        )
+    return found
+
+
+def _cleaning(demos: Demonstrations) -> Mapping[str, Any]:
+    """Return what was done to the tracks, by recording."""
+    done: Mapping[str, Any] = demos.provenance.get("cleaning", {})
+    return done
+
+
+def _total(demos: Demonstrations, key: str) -> int:
+    return sum(one.get(key, 0) for one in _cleaning(demos).values())
+
+
+def _unit_sizes(demos: Demonstrations) -> list[float]:
+    """Return the length of an arena unit in each recording."""
+    return [float(scale["unit"]) for scale in demos.provenance.get("scales", {}).values()]
+
+
+def _unit_name(demos: Demonstrations) -> str:
+    return str(demos.provenance.get("unit", "units of the file"))
+
+
+# -- the terminal ---------------------------------------------------------------------------------
 
 
 def report(demos: Demonstrations, out: Path | None, plan: ImportRecipe | None) -> None:
@@ -184,10 +296,9 @@ def report(demos: Demonstrations, out: Path | None, plan: ImportRecipe | None) -
         return
     demos.save(out)
     console = wide_console()
-    console.print(f"Wrote {out}", highlight=False, soft_wrap=True)
+    console.print(f"Wrote {out}")
     if plan is not None:
-        recipe_file = plan.save(out.with_suffix(".recipe.yaml"))
-        console.print(f"Wrote {recipe_file}, which repeats it", highlight=False, soft_wrap=True)
+        console.print(f"Wrote {plan.save(out.with_suffix('.recipe.yaml'))}, which repeats it")
 
 
 def show(demos: Demonstrations) -> None:
@@ -197,14 +308,13 @@ def show(demos: Demonstrations) -> None:
 
 def show_rows(title: str, rows: list[Row]) -> None:
     """Print a table of names and words."""
-    table = Table(
-        title=Text(printable(title)), show_header=False, box=SIMPLE_HEAD, title_justify="left"
-    )
+    title_text = Text(printable(title))
+    table = Table(title=title_text, show_header=False, box=SIMPLE_HEAD, title_justify="left")
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for name, words in rows:
-        table.add_row(name, Text(printable(str(words))))
-    wide_console().print(table, highlight=False)
+        table.add_row(name, Text(printable(words)))
+    wide_console().print(table)
 
 
 def wide_console() -> PlainConsole:

@@ -5,41 +5,32 @@ What they look with is imported when they run: their help waits for none of it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Option
 
-from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_envs.errors import InputError
 
-if TYPE_CHECKING:
-    from animarl_envs.demos.demonstrations import Demonstrations
-
-Runs = Annotated[list[Path], typer.Argument(help="Run folders, of methods and seeds.")]
-Out = Annotated[Path, typer.Option(help="Folder for tables, figures and report.html.")]
+WIDTH = 128
+RUNS = "Run folders, of methods and seeds."
+OUT = "Folder for tables, figures and report.html."
 
 
+@helps(
+    runs=RUNS,
+    out=OUT,
+    acting="Without --out: how policies act, greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
+    "default as the run says.",
+    demos="With --out: other recordings of the same animals to judge the trained policies on, an "
+    ".npz of 'animarl import' or the name of a packaged set.",
+)
 def evaluate_command(
-    runs: Runs,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for tables, figures and report.html of the comparison."),
-    ] = None,
-    acting: Annotated[
-        str | None,
-        typer.Option(
-            help="Without --out: how policies act, greedy, boltzmann:TEMPERATURE or "
-            "epsilon:SHARE; by default as the run says."
-        ),
-    ] = None,
-    demos: Annotated[
-        str | None,
-        typer.Option(
-            help="With --out: other recordings of the same animals to judge the trained policies "
-            "on, an .npz of 'animarl import' or the name of a packaged set."
-        ),
-    ] = None,
+    runs: list[Path],
+    out: Path | None = None,
+    acting: str | None = None,
+    demos: str | None = None,
 ) -> None:
     """Compare runs with the recordings that they share: methods and seeds together.
 
@@ -57,20 +48,24 @@ def evaluate_command(
     """
     from animarl_algos.report.terminal import evaluation_table, verdict_table
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.evaluating import evaluate_runs
-    from animarl_algos.runs.rolling_out import lacking
+    from animarl_algos.runs.evaluating import evaluate_runs, lacking
     from animarl_algos.runs.run import Run
+    from animarl_envs.demos.demonstrations import Demonstrations
+    from animarl_envs.demos.packaged import load_packaged, packaged_names
 
-    console = _console()
+    missing: Sequence[str]
     if out is not None:
         if acting is not None:
             raise InputError(
                 "--acting does not go with --out, which compares rollouts that are there: give it "
                 "to 'animarl evaluate RUN'"
             )
-        given = None if demos is None else _recordings(demos)
+        given = None
+        if demos is not None:
+            packaged = demos in packaged_names()
+            given = load_packaged(demos) if packaged else Demonstrations.load(demos)
         found = evaluate_runs(runs, out, demos=given)
-        evaluation, missing = found.evaluation, list(found.lacking)
+        evaluation, missing = found.evaluation, found.lacking
     else:
         if demos is not None:
             raise InputError("--demos needs --out: name a folder for the new evaluation")
@@ -78,34 +73,27 @@ def evaluate_command(
             raise InputError(f"{len(runs)} runs are to be compared: name a folder with --out")
         run = Run(runs[0], acting)
         evaluation, missing = pipeline.evaluate_run(run), lacking(run)
+    console = PlainConsole(WIDTH)
     console.print(evaluation_table(evaluation))
     console.print(verdict_table(evaluation.verdict))
-    _say(console, missing, out)
+    for sentence in missing:
+        console.print(sentence)
+    if out is not None:
+        _say_page(out)
 
 
-def _recordings(given: str) -> Demonstrations:
-    """The file or the packaged set of a name."""
-    from animarl_envs.demos.demonstrations import Demonstrations
-    from animarl_envs.demos.packaged import load_packaged, packaged_names
-
-    if given in packaged_names():
-        return load_packaged(given)
-    return Demonstrations.load(given)
-
-
+@helps(
+    runs=RUNS,
+    out=OUT,
+    truth="Folder of the recorded agents' weights (indiv/p1_2.4.pth, ...): the truth of their "
+    "counterfactual. That of the packaged agents is known without it.",
+    repetitions=Option(min=1, help="Rollouts from each start; by default as the runs."),
+)
 def counterfactual_command(
-    runs: Runs,
-    out: Out = Path("out/counterfactual"),
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the recorded agents' weights (indiv/p1_2.4.pth, ...): the truth of "
-            "their counterfactual. That of the packaged agents is known without it."
-        ),
-    ] = None,
-    repetitions: Annotated[
-        int | None, typer.Option(min=1, help="Rollouts from each start; by default as the runs.")
-    ] = None,
+    runs: list[Path],
+    out: Path = Path("out/counterfactual"),
+    truth: Path | None = None,
+    repetitions: int | None = None,
 ) -> None:
     """Ask trained runs what if: predicted shifts beside the true ones and beside chance.
 
@@ -120,22 +108,20 @@ def counterfactual_command(
     from animarl_algos.runs.counterfactual import counterfactual_runs
 
     found = counterfactual_runs(runs, out, truth=truth, repetitions=repetitions)
-    console = _console()
     for _, row in found.effects.claims.iterrows():
-        names = found.runs.species.conditions
+        names = found.species.conditions
         said = "an effect of the cue" if row["worded"] else f"nothing is claimed: {row['reason']}"
         flip = f"{names[row['condition']]} -> {names[row['told']]}"
-        console.print(f"{row['method']}, {flip}: {said}", soft_wrap=True, highlight=False)
-    _say(console, [], out)
+        PlainConsole(WIDTH).print(f"{row['method']}, {flip}: {said}")
+    _say_page(out)
 
 
-def inspect_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
-    episode: Annotated[
-        int, typer.Option(min=0, help="Number of the demonstration in the test split, from 0.")
-    ],
-    out: Out = Path("out/inspect"),
-) -> None:
+@helps(
+    run="A run folder that was evaluated.",
+    episode=Option(min=0, help="Number of the demonstration in the test split, from 0."),
+    out=OUT,
+)
+def inspect_command(run: Path, episode: int, out: Path = Path("out/inspect")) -> None:
     """Look closely at one test demonstration: rollouts from its start, and what was valued.
 
     Example:
@@ -145,20 +131,18 @@ def inspect_command(
     from animarl_algos.runs.inspecting import inspect_run
 
     inspect_run(run, episode, out)
-    _say(_console(), [], out)
+    _say_page(out)
 
 
-def export_command(
-    run: Annotated[Path, typer.Argument(help="Run folder, trained and evaluated.")],
-    out: Annotated[Path, typer.Option(help="Folder of the model.")],
-    demonstrations: Annotated[
-        bool,
-        typer.Option(
-            "--with-demonstrations",
-            help="Copy the recordings too: whoever loads the model needs them.",
-        ),
-    ] = False,
-) -> None:
+@helps(
+    run="Run folder, trained and evaluated.",
+    out=Option(help="Folder of the model."),
+    demonstrations=Option(
+        "--with-demonstrations",
+        help="Copy the recordings too: whoever loads the model needs them.",
+    ),
+)
+def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
     """Write a run's trained policy with a model card: weights as safetensors, the rest as JSON.
 
     The folder loads like the run: animarl watch --model FOLDER, or in Python
@@ -172,21 +156,11 @@ def export_command(
     from animarl_algos.runs.run import Run
 
     folder = export_run(Run(run), out, with_demonstrations=demonstrations)
-    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    _console().print(
-        f"Wrote {folder} ({size / 1e6:.2f} MB); read {folder / CARD}",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+    PlainConsole(WIDTH).print(f"Wrote {folder} ({size:.2f} MB); read {folder / CARD}")
 
 
-def _say(console: PlainConsole, missing: list[str], out: Path | None) -> None:
-    for sentence in missing:
-        console.print(sentence, soft_wrap=True, highlight=False)
-    if out is not None:
-        from animarl_algos.runs.evaluating import PAGE
+def _say_page(out: Path) -> None:
+    from animarl_algos.report.page import PAGE_FILE
 
-        console.print(f"Open {out / PAGE}", soft_wrap=True, highlight=False)
-
-
-def _console() -> PlainConsole:
-    return PlainConsole(least_width=128)
+    PlainConsole(WIDTH).print(f"Open {out / PAGE_FILE}")

@@ -2,61 +2,80 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Any, Literal, get_args
 
-import typer
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from animarl_algos.cli.reading import SOURCE, load, named_split, refuse_overwriting, write_csv
-from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.ranges import SEED
+from animarl_algos.checked import SEED
+from animarl_algos.cli.shared import (
+    SOURCE,
+    PlainConsole,
+    helps,
+    load,
+    named_split,
+    refuse_overwriting,
+    write_csv,
+)
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.demos.units import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.fitting import IndividualFit, LocomotionFit, fit_locomotion
+from animarl_envs.fitting import LocomotionFit, fit_locomotion, track
+from animarl_envs.fitting.custom_species import arena_of
+from animarl_envs.fitting.joint import FAST
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method, doubts
+from animarl_envs.fitting.tracking import speed_distances, tracking_errors
+from animarl_envs.locomotion import MOST_THRUSTS
 from animarl_envs.species import get_species
 
 QUICK_STEPS = 800  # of a noise estimate, per individual
 MATTERS = 0.1  # relative difference of thrusts that is worth a warning
 TABLE_WIDTH = 112  # a narrower terminal wraps lines rather than losing digits
-
-
 MethodChoice = Literal["joint", "onset", "noise", "both"]
 """What ``--method`` takes."""
+THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "thrusts": ("thrusts", str),
+    "individual": ("individual", str),
+    "damping": ("d", "{:.4f}".format),
+    "thrust": ("u", "{:.3g}".format),  # [arena unit / s^2]
+    "magnitudes": ("multiples of u", lambda each: " ".join(f"{one:.2f}" for one in each)),
+    "tracking_error": ("tracking\nerror", "{:.2g}".format),
+    "speed_distance": ("speed\ndistance", "{:.1%}".format),
+    "terminal_speed": ("terminal\nspeed", "{:.3g}".format),
+    "fast_speed": ("99 %\nspeed", "{:.3g}".format),
+    "floor": ("floor\n(AUC)", lambda floor: f"{floor:.2f}" if math.isfinite(floor) else "-"),
+}
+"""Of the table of ``--thrusts``: by name in the file, the heading and how a value is shown."""
 
 
+@helps(
+    file="Demonstrations, a file that a reader knows, or a packaged set.",
+    source="Reader; by default found by a look at the file.",
+    species="Take the onset threshold of this species.",
+    method="joint (default), onset (the paper's), both, or noise: noisy tracks.",
+    thrusts="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit).",
+    split="Episodes the parameters come from: train, val, test or all.",
+    bootstrap="Resamples of episodes for the intervals.",
+    seed="Of the resampling.",
+    out="Save the table: .csv, or .json to use it again.",
+)
 def fit_command(
-    file: Annotated[
-        str, typer.Argument(help="Demonstrations, a file that a reader knows, or a packaged set.")
-    ],
-    source: Annotated[
-        str | None, typer.Option(help="Reader; by default found by a look at the file.")
-    ] = None,
-    species: Annotated[
-        str | None, typer.Option(help="Take the onset threshold of this species.")
-    ] = None,
-    method: Annotated[
-        MethodChoice,
-        typer.Option(help="joint (default), onset (the paper's), both, or noise: noisy tracks."),
-    ] = "joint",
-    thrusts: Annotated[
-        str | None,
-        typer.Option(help="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit)."),
-    ] = None,
-    split: Annotated[
-        str, typer.Option(help="Episodes the parameters come from: train, val, test or all.")
-    ] = "train",
-    bootstrap: Annotated[int, typer.Option(help="Resamples of episodes for the intervals.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of the resampling.")] = 0,
-    out: Annotated[
-        Path | None, typer.Option(help="Save the table: .csv, or .json to use it again.")
-    ] = None,
+    file: str,
+    source: str | None = None,
+    species: str | None = None,
+    method: MethodChoice = "joint",
+    thrusts: str | None = None,
+    split: str = "train",
+    bootstrap: int = 1000,
+    seed: int = 0,
+    out: Path | None = None,
 ) -> None:
     """Fit damping d and thrust u of v' = (1 - d) v + u a dt to recorded episodes.
 
@@ -75,138 +94,125 @@ def fit_command(
     if out is not None:
         refuse_overwriting(out, file)
     seed, chosen = SEED.check("seed", seed), named_split(split)
-    compared = _compared(thrusts, method)
-    demos = load(file, source, takes=(SOURCE,))
-    onset_threshold = None
-    if species is not None:
-        onset_threshold = get_species(species).recording.onset_threshold
-    console = PlainConsole(least_width=TABLE_WIDTH)
-    if compared:
-        compare_thrusts(demos, compared, chosen, seed, console, out)
-        return
-    fits: list[LocomotionFit] = []
-    methods = list(get_args(Method))[:2] if method == "both" else [method]
-    for name in methods:
-        try:
-            fit = fit_locomotion(
-                demos,
-                name,  # type: ignore[arg-type]
-                onset_threshold=onset_threshold,
-                split=chosen,
-                bootstrap=bootstrap,
-                seed=seed,
-            )
-        except InputError as error:
-            if method != "both" or not fits:
-                raise
-            console.print(f"{name}: {error}", highlight=False, soft_wrap=True)
-            continue
-        fits.append(fit)
-        console.print(format_fit_table(fit, demos))
-        for sentence in [*doubts(fit, demos), *noise_warnings(fit, demos)]:
-            console.print(sentence, style="yellow", highlight=False, soft_wrap=True)
-    if out is not None:
-        save_fits(fits, out)
-        console.print(f"Saved {out}", highlight=False, soft_wrap=True)
-
-
-def _compared(thrusts: str | None, method: MethodChoice) -> tuple[int, ...]:
-    """The numbers of thrust magnitudes to compare; none, to fit one."""
-    if thrusts is None:
-        return ()
-    from animarl_algos.cli.thrusts import parse_thrusts
-
-    if method != "joint":
+    numbers = () if thrusts is None else parse_thrusts(thrusts)
+    if numbers and method != "joint":
         raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
-    return parse_thrusts(thrusts)
-
-
-def compare_thrusts(
-    demos: Demonstrations,
-    numbers: tuple[int, ...],
-    split: str | None,
-    seed: int,
-    console: PlainConsole,
-    out: Path | None,
-) -> None:
-    """Fit each number of thrust magnitudes and print how closely it follows the episodes.
-
-    Also says which number ``animarl run`` chooses, among those that it tries.
-    """
-    from animarl_algos.cli.thrusts import format_thrust_table, save_thrust_rows, thrust_rows
-    from animarl_algos.evaluation.thrust_choice import thrusts_and_reason
-
-    if out is not None and out.suffix == ".json" and len(numbers) > 1:
-        raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
-    seen = demos if split is None else demos.select(split=split)
-    fits = [
-        fit_locomotion(demos, thrusts=number, split=split, bootstrap=0, seed=seed)
-        for number in numbers
-    ]
-    rows = thrust_rows(fits, seen, seed=seed)
-    console.print(format_thrust_table(rows, seen, split or "all"))
-    if len(numbers) > 1:
-        chosen, reason = thrusts_and_reason(demos, seed=seed)
-        console.print(
-            f"Chosen on training episodes: {chosen}, {reason}", highlight=False, soft_wrap=True
-        )
-    if out is not None:
-        if out.suffix == ".json":
-            fits[0].save(out)
-        else:
-            save_thrust_rows(rows, out)
-        console.print(f"Saved {out}", highlight=False, soft_wrap=True)
+    demos = load(file, source, takes=(SOURCE,))
+    threshold = None if species is None else get_species(species).recording.onset_threshold
+    console = PlainConsole(TABLE_WIDTH)
+    if numbers:
+        if out is not None and out.suffix == ".json" and len(numbers) > 1:
+            raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
+        fits, rows = _compare_thrusts(demos, numbers, chosen, seed, console)
+    else:
+        fits = []
+        for name in list(get_args(Method))[:2] if method == "both" else [method]:
+            try:
+                fit = fit_locomotion(
+                    demos,
+                    name,  # type: ignore[arg-type]
+                    onset_threshold=threshold,
+                    split=chosen,
+                    bootstrap=bootstrap,
+                    seed=seed,
+                )
+            except InputError as error:
+                if method != "both" or not fits:
+                    raise
+                console.print(f"{name}: {error}")
+                continue
+            fits.append(fit)
+            console.print(format_fit_table(fit, demos))
+            for sentence in [*doubts(fit, demos), *noise_warnings(fit, demos)]:
+                console.print(sentence, style="yellow")
+        rows = _fit_rows(fits)
+    if out is None:
+        return
+    if out.suffix == ".csv":
+        write_csv(out, rows)
+    elif len(fits) == 1:
+        fits[0].save(out)
+    else:
+        raise InputError(f"{out}: a .json holds one fit: choose one --method, or save a .csv")
+    console.print(f"Saved {out}")
 
 
 def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) -> Table:
-    """The paper's Table 1: one row per individual, parameters with their 95 % intervals.
+    """Return the paper's Table 1: a row per individual, parameters with their 95 % intervals.
 
     The terminal speed u dt / d is beside the recorded top speed, as a check: the onset rule makes
     them equal, the joint fit keeps the terminal speed from being too low.
     """
-    kind = "" if demos is None else (" synthetic" if demos.synthetic else " recorded")
+    kind, unit = "", RECORDED_SCALE
+    if demos is not None:
+        kind, unit = " synthetic" if demos.synthetic else " recorded", unit_of(demos)
+    scale = "" if unit == RECORDED_SCALE else f" of {unit.per_arena_unit:.4g} {unit.name}"
+    title = f"Locomotion of {fit.species}, {fit.method} fit"
+    if fit.onset_threshold is not None:
+        title += f" (th_acc = {fit.onset_threshold:.3g})"
     caption = (
         f"v' = (1 - d) v + u a dt, dt = {fit.dt:g} s; {fit.individuals[0].steps} steps of "
         f"{fit.episodes}{kind} episodes ({fit.fitted_on}); velocity RMSE on "
         f"{fit.validation_episodes} ({fit.validated_on}); 95 % intervals over {fit.bootstrap} "
-        "resamples of episodes. Lengths in " + _lengths(demos)
+        f"resamples of episodes. Lengths in arena units{scale}."
     )
-    title = f"Locomotion of {fit.species}, {fit.method} fit"
-    if fit.onset_threshold is not None:
-        title += f" (th_acc = {fit.onset_threshold:.3g})"
-    table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
-    table.add_column("individual", no_wrap=True)
-    last = ["onsets"] if fit.method == "onset" else ["terminal\nspeed"]
-    if fit.method == "noise":
-        last.append("tracking\nnoise")
-    for heading in (
-        "d (95 % CI)", "u (95 % CI)", "velocity\nRMSE", "braking\ntime, s", "top\nspeed", *last
-    ):  # fmt: skip
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for one in fit.individuals:
-        table.add_row(
-            Text(one.name),
-            _with_interval(one.damping, one.damping_interval),
-            _with_interval(one.thrust, one.thrust_interval),
-            f"{one.velocity_rmse:.2g}",
-            f"{one.braking_time:.3g}",
-            f"{one.top_speed:.3g}",
-            str(one.onsets) if fit.method == "onset" else f"{one.terminal_speed:.3g}",
-            *([] if one.tracking_noise is None else [f"{one.tracking_noise:.2g}"]),
-        )
+        row = {
+            "individual": one.name,
+            "d (95 % CI)": _with_interval(one.damping, one.damping_interval),
+            "u (95 % CI)": _with_interval(one.thrust, one.thrust_interval),
+            "velocity\nRMSE": f"{one.velocity_rmse:.2g}",
+            "braking\ntime, s": f"{one.braking_time:.3g}",
+            "top\nspeed": f"{one.top_speed:.3g}",
+        }
+        if fit.method == "onset":
+            row["onsets"] = str(one.onsets)
+        else:
+            row["terminal\nspeed"] = f"{one.terminal_speed:.3g}"
+        if one.tracking_noise is not None:
+            row["tracking\nnoise"] = f"{one.tracking_noise:.2g}"
+        rows.append(row)
+    return _table(title, caption, rows)
+
+
+def _table(title: str, caption: str, rows: Sequence[dict[str, str]]) -> Table:
+    table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1))
+    for heading in rows[0]:
+        side: Any = "left" if heading == "individual" else "right"
+        table.add_column(heading, justify=side, no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row.values()))
     return table
 
 
-def _lengths(demos: Demonstrations | None) -> str:
-    """The unit of the table, and what it is of the recordings' own."""
-    unit = RECORDED_SCALE if demos is None else unit_of(demos)
-    if unit == RECORDED_SCALE:
-        return "arena units."
-    return f"arena units of {unit.per_arena_unit:.4g} {unit.name}."
+def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
+    digits = 3 if abs(value) >= 0.1 else 4
+    if interval is None:
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits}f} ({interval[0]:.{digits}f}, {interval[1]:.{digits}f})"
+
+
+def _fit_rows(fits: Iterable[LocomotionFit]) -> list[dict[str, object]]:
+    rows = []
+    for fit in fits:
+        for one in fit.individuals:
+            row: dict[str, object] = {"method": fit.method, "individual": one.name}
+            for name, value, interval in (
+                ("d", one.damping, one.damping_interval),
+                ("u", one.thrust, one.thrust_interval),
+            ):
+                low, high = interval or (None, None)
+                row |= {name: value, f"{name}_low": low, f"{name}_high": high}
+            for name in ("velocity_rmse", "top_speed", "terminal_speed", "braking_time", "steps",
+                         "onsets", "tracking_noise"):  # fmt: skip
+                row[name] = getattr(one, name)
+            rows.append(row)
+    return rows
 
 
 def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
-    """Of a joint fit: who is tracked so noisily that it is not to be believed.
+    """Return who is tracked so noisily that the joint fit is not to be believed.
 
     By a quick fit that knows of noise, on some training episodes.
     """
@@ -224,29 +230,70 @@ def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     return warned
 
 
-def save_fits(fits: list[LocomotionFit], out: Path) -> None:
-    """Write ``.json`` (one fit, as ``LocomotionFit.load`` reads it) or ``.csv`` (all rows)."""
-    if out.suffix == ".json":
-        if len(fits) != 1:
-            raise InputError(f"{out}: a .json holds one fit: choose one --method, or save a .csv")
-        fits[0].save(out)
-        return
-    write_csv(out, [_csv_row(fit.method, one) for fit in fits for one in fit.individuals])
+# -- numbers of thrust magnitudes -----------------------------------------------------------------
 
 
-def _csv_row(method: str, one: IndividualFit) -> dict[str, object]:
-    d_low, d_high = one.damping_interval or (None, None)
-    u_low, u_high = one.thrust_interval or (None, None)
-    interval = {"d": one.damping, "d_low": d_low, "d_high": d_high}
-    interval |= {"u": one.thrust, "u_low": u_low, "u_high": u_high}
-    others = ("velocity_rmse", "top_speed", "terminal_speed", "braking_time", "steps", "onsets",
-              "tracking_noise")  # fmt: skip
-    named = {"method": method, "individual": one.name}
-    return named | interval | {name: getattr(one, name) for name in others}
+def parse_thrusts(given: str) -> tuple[int, ...]:
+    """Return the numbers of magnitudes in ``1,2,3``, each once, in order.
+
+    Raises
+    ------
+    InputError
+        If one is no whole number from 1 to 10.
+    """
+    texts = [text.strip() for text in given.split(",")]
+    if not all(text.isdecimal() and 1 <= int(text) <= MOST_THRUSTS for text in texts):
+        raise InputError(
+            f"--thrusts is {given!r}: give whole numbers of thrust magnitudes from 1 to "
+            f"{MOST_THRUSTS}, such as 1,2,3"
+        )
+    return tuple(sorted({int(text) for text in texts}))
 
 
-def _with_interval(value: float, interval: tuple[float, float] | None) -> str:
-    digits = 3 if abs(value) >= 0.1 else 4
-    if interval is None:
-        return f"{value:.{digits}f}"
-    return f"{value:.{digits}f} ({interval[0]:.{digits}f}, {interval[1]:.{digits}f})"
+def _compare_thrusts(
+    demos: Demonstrations,
+    numbers: tuple[int, ...],
+    split: str | None,
+    seed: int,
+    console: PlainConsole,
+) -> tuple[list[LocomotionFit], list[dict[str, object]]]:
+    """Fit each number of thrust magnitudes and print how closely it follows the episodes.
+
+    Also says which number ``animarl run`` chooses, among those that it tries.
+    """
+    from animarl_algos.evaluation.thrust_choice import thrusts_and_reason, tracking_floor
+
+    seen = demos if split is None else demos.select(split=split)
+    fits = [
+        fit_locomotion(demos, thrusts=number, split=split, bootstrap=0, seed=seed)
+        for number in numbers
+    ]
+    steps = np.delete(np.arange(len(seen.positions)), seen.offsets[:-1])
+    fast = np.quantile(np.linalg.norm(seen.velocities()[steps], axis=2), FAST, axis=0)
+    rows: list[dict[str, Any]] = []
+    for fit in fits:
+        tracking = track(seen, fit.locomotion, arena_of(seen))
+        errors, speeds = tracking_errors(seen, tracking), speed_distances(seen, tracking)
+        floor = tracking_floor(seen, fit.locomotion, seed=seed).estimate
+        for i, one in enumerate(fit.individuals):
+            found = (
+                len(one.magnitudes), one.name, one.damping, one.thrust, one.magnitudes,
+                float(errors[i]), float(speeds[i]), one.terminal_speed, float(fast[i]), floor,
+            )  # fmt: skip
+            rows.append(dict(zip(THRUST_COLUMNS, found, strict=True)))
+    cells = [
+        {heading: show(row[name]) for name, (heading, show) in THRUST_COLUMNS.items()}
+        for row in rows
+    ]
+    kind = "synthetic" if seen.synthetic else "recorded"
+    caption = (
+        f"{len(seen)} {kind} episodes ({split or 'all'}) followed in closed loop. Tracking error: "
+        "median distance over steps. Speed distance: Wasserstein distance of tracked and recorded "
+        "speeds over the mean recorded speed. Floor: how often a classifier ranks tracked motion "
+        "above recorded motion (0.5: cannot tell them apart). Lengths in arena units."
+    )
+    console.print(_table(f"Thrust magnitudes of {seen.species}", caption, cells))
+    if len(numbers) > 1:
+        best, reason = thrusts_and_reason(demos, seed=seed)
+        console.print(f"Chosen on training episodes: {best}, {reason}")
+    return fits, [row | {"magnitudes": " ".join(map(str, row["magnitudes"]))} for row in rows]

@@ -15,9 +15,15 @@ import yaml
 from rich.console import Console
 from rich.progress import Progress
 
-from animarl_algos.cli.describing import report, show_rows, understood, wide_console
-from animarl_algos.cli.hints import found_by_itself, hints
-from animarl_algos.cli.options import CONTEXT, asks_for, option
+from animarl_algos.cli.describing import (
+    found_by_itself,
+    hints,
+    report,
+    show_rows,
+    understood,
+    wide_console,
+)
+from animarl_algos.cli.shared import CONTEXT, asks_for, option
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, require
 from animarl_envs.importing.cleaning import Cleaning
@@ -106,7 +112,7 @@ def import_command(context: typer.Context, files: list[Path], **given: Any) -> N
     report(demos, None if dry_run else out, plan)
     console = wide_console()
     for hint in [*found_by_itself(demos), *hints(demos)]:
-        console.print(f"hint: {hint}", highlight=False, soft_wrap=True)
+        console.print(f"hint: {hint}")
     if dry_run:
         console.print("Dry run: nothing was written.")
 

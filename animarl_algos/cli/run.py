@@ -9,25 +9,32 @@ import inspect
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_origin
 
 import typer
 import yaml
 from rich.text import Text
 
-from animarl_algos.cli.options import CONTEXT, asks_for, option
-from animarl_algos.cli.reading import SOURCE, suggest_import_on_error
-from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.runs.run_settings import RunSettings
+from animarl_algos.cli.shared import (
+    CONTEXT,
+    SOURCE,
+    PlainConsole,
+    asks_for,
+    helps,
+    option,
+    suggest_import_on_error,
+)
+from animarl_algos.runs.run_settings import RunSettings, asked_species, pipeline_settings
+from animarl_envs import environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.species import CUSTOM, SPECIES
 
 if TYPE_CHECKING:
     from animarl_algos.runs.run import Run
 
+WIDTH = 128
 SET_BY_PRESET = ("species", "steps", "copies", "device", "fit_method", "thrusts", "acting")
 """Options that are None where they are not given."""
-
-
 OTHERS = {
     "context": CONTEXT,
     "env": option("env", str | None, None, typer.Option(
@@ -51,20 +58,22 @@ OTHERS = {
 """Options that are no field of :class:`RunSettings`."""
 
 
-def _field_option(name: str) -> inspect.Parameter:
-    """Return the option that sets a field of :class:`RunSettings`."""
-    field = RunSettings.model_fields[name]
-    kind: Any = str if get_origin(field.annotation) is Literal else field.annotation
-    prose = " ".join(str(field.description).split())
-    if name == "file":
-        return option(name, kind, field.default, typer.Argument(help=prose))
-    if name in SET_BY_PRESET:
-        return option(name, kind | None, None, typer.Option(help=prose))
-    return option(name, kind, field.default, typer.Option(help=prose))
-
-
 def _options(names: str) -> list[inspect.Parameter]:
-    return [OTHERS.get(name) or _field_option(name) for name in names.split()]
+    """Return the options of a command; those of :class:`RunSettings` are made from its fields."""
+    found = []
+    for name in names.split():
+        if name in OTHERS:
+            found.append(OTHERS[name])
+            continue
+        field = RunSettings.model_fields[name]
+        kind: Any = str if get_origin(field.annotation) is Literal else field.annotation
+        default = field.default
+        if name in SET_BY_PRESET:
+            kind, default = kind | None, None
+        info = typer.Argument if name == "file" else typer.Option
+        prose = " ".join(str(field.description).split())
+        found.append(option(name, kind, default, info(help=prose)))
+    return found
 
 
 @asks_for(_options(
@@ -91,27 +100,33 @@ def run_command(**given: Any) -> None:
     from animarl_algos.report.terminal import evaluation_table, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.run_warnings import far_acting_rules
+    from animarl_algos.runs.evaluating import far_acting_rules
     from animarl_envs.fitting.result import doubts
 
-    console = _console()
+    console = PlainConsole(WIDTH)
+
+    def begin(number: str, what: str) -> None:
+        console.print(Text.assemble("\n", (number, "bold"), f" {what}"))
+
+    def warn(sentences: list[str]) -> None:
+        for sentence in sentences:
+            console.print(f"WARNING: {sentence}", style="bold yellow")
+
     run = _open(given)
-    _say(console, "1/4", "fitting locomotion")
+    begin("1/4", "fitting locomotion")
     fit = pipeline.fit(run)
     console.print(format_fit_table(fit, run.demos))
-    for sentence in doubts(fit, run.demos):
-        _warn(console, sentence)
-    _say(console, "2/4", f"training {run.settings.algo.upper()}")
+    warn(doubts(fit, run.demos))
+    begin("2/4", f"training {run.settings.algo.upper()}")
     pipeline.learn_all(run)
-    _say(console, "3/4", "evaluating on the test split")
+    begin("3/4", "evaluating on the test split")
     evaluation = pipeline.evaluate_run(run)
-    for sentence in [*implausible(evaluation.verdict), *far_acting_rules(run)]:
-        _warn(console, sentence)
+    warn([*implausible(evaluation.verdict), *far_acting_rules(run)])
     console.print(evaluation_table(evaluation))
-    _say(console, "4/4", "writing the report")
+    begin("4/4", "writing the report")
     page = pipeline.report(run)
     console.print(verdict_table(evaluation.verdict, Words.of(run.demos)))
-    console.print(f"\nOpen {page}", soft_wrap=True, highlight=False)
+    console.print(f"\nOpen {page}")
 
 
 @asks_for(_options(
@@ -134,7 +149,6 @@ def train_command(context: typer.Context, **given: Any) -> None:
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run import Run
 
-    console = _console()
     if given["resume"] is not None:
         _refuse_beside_resume(context)
         run = Run(given["resume"])
@@ -142,12 +156,11 @@ def train_command(context: typer.Context, **given: Any) -> None:
     else:
         run = _open(given)
     pipeline.learn(run, run.settings.algo)
-    console.print(f"Trained: {run.path}", soft_wrap=True, highlight=False)
+    PlainConsole(WIDTH).print(f"Trained: {run.path}")
 
 
-def report_command(
-    run: Annotated[Path, typer.Argument(help="A run folder that was evaluated.")],
-) -> None:
+@helps(run="A run folder that was evaluated.")
+def report_command(run: Path) -> None:
     """Write the report of a run again.
 
     Example:
@@ -157,11 +170,11 @@ def report_command(
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.run import Run
 
-    _console().print(f"Open {pipeline.report(Run(run))}", soft_wrap=True, highlight=False)
+    PlainConsole(WIDTH).print(f"Open {pipeline.report(Run(run))}")
 
 
 def parse_settings(given: list[str] | None) -> dict[str, Any]:
-    """``KEY=VALUE`` pairs; values are read as YAML data.
+    """Return ``KEY=VALUE`` pairs; values are read as YAML data.
 
     Raises
     ------
@@ -181,11 +194,8 @@ def parse_settings(given: list[str] | None) -> dict[str, Any]:
 
 
 def _open(given: dict[str, Any]) -> Run:
-    """The run folder that a command's parameters ask for; refused before it is made."""
+    """Return the run folder that a command's options ask for; refused before it is made."""
     from animarl_algos.runs import pipeline
-    from animarl_algos.runs.run_settings import asked_species, pipeline_settings
-    from animarl_envs import environment_id
-    from animarl_envs.species import CUSTOM, SPECIES
 
     species = asked_species(given["env"], given["species"])
     with suggest_import_on_error(given["file"], takes=(SOURCE,)):
@@ -206,25 +216,13 @@ def _open(given: dict[str, Any]) -> Run:
 
 def _refuse_beside_resume(context: typer.Context) -> None:
     """A resumed run has its settings: only ``--steps`` and ``--device`` go with ``--resume``."""
+    written = {"file": "FILE", "settings": "--set"}
     for name in context.params:
         source = context.get_parameter_source(name)
-        set_here = source is not None and source.name == "COMMANDLINE"
-        if set_here and name not in ("resume", "steps", "device"):
-            written = {"file": "FILE", "settings": "--set"}
-            option = written.get(name, f"--{name.replace('_', '-')}")
+        given = source is not None and source.name == "COMMANDLINE"
+        if given and name not in ("resume", "steps", "device"):
+            flag = written.get(name, f"--{name.replace('_', '-')}")
             raise InputError(
-                f"{option} does not go with --resume, which keeps the settings of the run: "
+                f"{flag} does not go with --resume, which keeps the settings of the run: "
                 "give --steps only"
             )
-
-
-def _console() -> PlainConsole:
-    return PlainConsole(least_width=128)
-
-
-def _warn(console: PlainConsole, sentence: str) -> None:
-    console.print(f"WARNING: {sentence}", style="bold yellow", soft_wrap=True, highlight=False)
-
-
-def _say(console: PlainConsole, number: str, what: str) -> None:
-    console.print(Text.assemble("\n", (number, "bold"), f" {what}"))

@@ -4,90 +4,71 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import gymnasium as gym
 import numpy as np
-import typer
 from numpy.typing import NDArray
 from rich.progress import Progress
+from typer import Argument, Option
 
-from animarl_algos.cli.reading import load, named_split
-from animarl_algos.cli.screen import PlainConsole
-from animarl_algos.cli.watch_actors import (
-    Actor,
-    idle_actor,
-    load_trained,
-    programmed_actor,
-    trained_actor,
-    trained_environment,
-)
-from animarl_algos.ranges import SEED
+from animarl_algos.checked import SEED
+from animarl_algos.cli.shared import PlainConsole, helps, load, named_split
+from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
 from animarl_envs.drawing.scene import SceneRecorder
 from animarl_envs.errors import InputError
-from animarl_envs.scenario import PACKAGED, make_scenario
+from animarl_envs.scenario import PACKAGED, Scenario, make_scenario
+from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
+from animarl_envs.worlds.executed import ExecutedActions
+
+if TYPE_CHECKING:
+    from animarl_algos.runs.run import Run
 
 HOLD = 1.0  # the last picture of an episode stays for this time [s]
 PROGRAMMED = "programmed moth"  # the scripted rule that acts from outside of the world
-
-
 Rule = Literal["demonstration", "script"]
 """What ``--by`` takes."""
+Actor = Callable[[World, bool], NDArray[np.integer]]
+"""From a world of one copy, and whether an episode starts now, to its actions ``(1, K)``."""
 
 
+@helps(
+    env=Argument(help="Environment id, such as AnimaRL/Newt-v0; by default that of --model."),
+    model="Whose trained policy acts: a run's folder, or a packaged model by name, such as fly.",
+    out="Clip to write, .gif or .mp4; without it, a window opens.",
+    seed="Of the episodes and the policies.",
+    acting="How the policies of --model act: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
+    "default as the run says.",
+    episodes=Option(min=1, help="Number of episodes."),
+    steps=Option(min=1, help="Most steps of an episode; by default to its end."),
+    focal="The model drives this individual only: by default all that it learned.",
+    by="What moves those without a model: their demonstration (default, where there is one) or "
+    "their script.",
+    condition="0, 1, or that of the demonstration.",
+    demos="Demonstrations: packaged, none, or a file.",
+    split="Episodes to start from: train, val, test or all.",
+    fps="Steps shown per second.",
+    size="Width of the picture in pixels.",
+)
 def watch_command(
-    env: Annotated[
-        str | None,
-        typer.Argument(help="Environment id, such as AnimaRL/Newt-v0; by default that of --model."),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="Whose trained policy acts: a run's folder, or a packaged model by name, such as "
-            "fly."
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Clip to write, .gif or .mp4; without it, a window opens.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of the episodes and the policies.")] = 0,
-    acting: Annotated[
-        str | None,
-        typer.Option(
-            help="How the policies of --model act: greedy, boltzmann:TEMPERATURE or "
-            "epsilon:SHARE; by default as the run says."
-        ),
-    ] = None,
-    episodes: Annotated[int, typer.Option(min=1, help="Number of episodes.")] = 1,
-    steps: Annotated[
-        int | None, typer.Option(min=1, help="Most steps of an episode; by default to its end.")
-    ] = None,
-    focal: Annotated[
-        str | None,
-        typer.Option(help="The model drives this individual only: by default all that it learned."),
-    ] = None,
-    by: Annotated[
-        Rule | None,
-        typer.Option(
-            help="What moves those without a model: their demonstration (default, where there is "
-            "one) or their script."
-        ),
-    ] = None,
-    condition: Annotated[
-        Literal["0", "1", "demo"], typer.Option(help="0, 1, or that of the demonstration.")
-    ] = "demo",
-    demos: Annotated[
-        str, typer.Option(help="Demonstrations: packaged, none, or a file.")
-    ] = "packaged",
-    split: Annotated[
-        str, typer.Option(help="Episodes to start from: train, val, test or all.")
-    ] = "train",
-    fps: Annotated[float, typer.Option(help="Steps shown per second.")] = 10.0,
-    size: Annotated[int, typer.Option(help="Width of the picture in pixels.")] = 600,
+    env: str | None = None,
+    model: str | None = None,
+    out: Path | None = None,
+    seed: int = 0,
+    acting: str | None = None,
+    episodes: int = 1,
+    steps: int | None = None,
+    focal: str | None = None,
+    by: Rule | None = None,
+    condition: Literal["0", "1", "demo"] = "demo",
+    demos: str = "packaged",
+    split: str = "train",
+    fps: float = 10.0,
+    size: int = 600,
 ) -> None:
     """Watch animals move: recorded, scripted or driven by a trained model.
 
@@ -111,19 +92,16 @@ def watch_command(
     if focal is not None and model is None:
         raise InputError("--focal names whom the model drives, but there is no model: give --model")
     seed = SEED.check("seed", seed)
-    options = {
-        "demos": None if demos == "none" else demos,
-        "split": named_split(split),
-        "condition": "demo" if condition == "demo" else int(condition),
-    }
     world, actor = prepare(
-        env or trained_environment(str(model)),
+        env,
         model=model,
         focal=focal,
         by=by,
         seed=seed,
         acting=acting,
-        **options,
+        demos=None if demos == "none" else demos,
+        split=named_split(split),
+        condition="demo" if condition == "demo" else int(condition),
     )
     renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
     world.seed([seed])
@@ -144,15 +122,14 @@ def watch_command(
                 write_clip(pictures, out, fps)
         finally:
             renderer.close()
-    pace = fps * world.scenario.species.dt
     for number, ending in enumerate(endings):
-        console.print(f"episode {number}: {ending}", highlight=False)
+        console.print(f"episode {number}: {ending}")
     if out is not None:
-        console.print(f"Wrote {out} ({pace:g} x real time)", highlight=False, soft_wrap=True)
+        console.print(f"Wrote {out} ({fps * world.scenario.species.dt:g} x real time)")
 
 
 def prepare(
-    env: str,
+    env: str | None,
     *,
     model: str | Path | None = None,
     focal: str | None = None,
@@ -166,7 +143,7 @@ def prepare(
     Parameters
     ----------
     env
-        Id of an environment made of a species.
+        Id of an environment made of a species; None: that of the model.
     model, focal, by, seed, acting
         As for :func:`watch_command`.
     options
@@ -175,8 +152,13 @@ def prepare(
     Raises
     ------
     InputError
-        If the id is unknown or none of this suite, or an option is not valid.
+        If the id is unknown or none of this suite, an option is not valid, or the model has no
+        trained policy, or one of another species or of other individuals.
     """
+    run = None if model is None else _load_run(model, acting)
+    if env is None:
+        assert run is not None
+        env = environment_id(run.settings.species)
     try:
         kwargs = dict(gym.spec(env).kwargs)
     except gym.error.Error as error:
@@ -191,15 +173,13 @@ def prepare(
     species = kwargs.pop("species")
     options = kwargs | options
     demos = options.get("demos", PACKAGED)
-    if isinstance(demos, str | Path):
-        demos = options["demos"] = demos if str(demos) == PACKAGED else load(str(demos))
-    policy: Any = None
-    if model is not None:
+    if isinstance(demos, str | Path) and str(demos) != PACKAGED:
+        demos = options["demos"] = load(str(demos))
+    if run is not None:
         name = species if isinstance(species, str) else species.name
-        given = demos if isinstance(demos, Demonstrations) else None
-        run, shown = load_trained(model, name, seed, acting, given)
+        shown = _shown_with(run, name, demos if isinstance(demos, Demonstrations) else None)
+        run.policy.policy.seed(seed)
         species, learned = run.species, run.settings.focal
-        policy = run.for_all(run.policy)
         if learned is not None and focal not in (None, learned):
             raise InputError(
                 f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
@@ -212,17 +192,96 @@ def prepare(
     names = plain.names
     if focal is not None and focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
-    driven = set() if policy is None else {focal} if focal is not None else set(names)
+    driven = set() if run is None else {focal} if focal is not None else set(names)
     rule = by or ("demonstration" if plain.paired else "script")
     programmed = rule == "script" and plain.species.script == PROGRAMMED
     other = {"demonstration": "replay", "script": "action" if programmed else "scripted"}[rule]
     drivers = {name: "action" if name in driven else other for name in names}
     world = make_world(make_scenario(species, drivers=drivers, **options), 1)
-    if policy is not None:
-        return world, trained_actor(policy)
-    if programmed:
-        return world, programmed_actor(world.scenario, seed)
-    return world, idle_actor
+    if run is not None:
+        return world, trained_actor(run.for_all(run.policy))
+    return world, programmed_actor(world.scenario, seed) if programmed else idle_actor
+
+
+def _load_run(model: str | Path, acting: str | None) -> Run:
+    from animarl_algos.runs.pretrained import model_folder
+    from animarl_algos.runs.run import Run
+
+    return Run(model_folder(model), acting)
+
+
+def _shown_with(run: Run, species: str, given: Demonstrations | None) -> Demonstrations:
+    """Return the demonstrations that a run is shown with: those ``given``, or else its own."""
+    from animarl_algos.runs.run_world import select_individuals
+
+    settings = run.settings
+    if settings.species != species:
+        raise InputError(
+            f"{run.path}: it was trained as {settings.species}, not as {species}: watch "
+            f"{environment_id(settings.species)}"
+        )
+    run.use_demonstrations(given)
+    if run.has_policy(settings.algo):
+        run.acting(settings.algo)  # chosen already: watching chooses none
+    if given is None:
+        return run.demos
+    given = select_individuals(given, run.environment_options)
+    shown, learned = (
+        ", ".join(f"{name} ({role})" for name, role in zip(d.individuals, d.roles))
+        for d in (given, run.demos)
+    )
+    if shown != learned:
+        raise InputError(
+            f"{given.name}: it shows {shown}, but {run.path} learned from {learned}: give --demos "
+            "of the same individuals, in this order"
+        )
+    return given
+
+
+def idle_actor(world: World, start: bool) -> NDArray[np.integer]:
+    """Return no decisions: the world replays or follows its script."""
+    return np.zeros((1, world.num_individuals), dtype=np.int64)
+
+
+def programmed_actor(scenario: Scenario, seed: int) -> Actor:
+    """Return the programmed moth: surge, zigzag, loop."""
+    from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
+
+    species = scenario.species
+    assert isinstance(species, SearchSpecies)
+    moth = ProgrammedMoth(1, np.random.default_rng(seed), species)
+
+    def act(world: World, start: bool) -> NDArray[np.integer]:
+        if start:
+            moth.reset()
+        return moth.act(world.observation)
+
+    return act
+
+
+def trained_actor(policy: Any) -> Actor:
+    """Return a policy of ``predict``; one that was trained with the condition's flag is told it."""
+    from animarl_algos.evaluation.collect import remembered
+
+    state: Any = None
+    executed_by: ExecutedActions | None = None
+
+    def act(world: World, start: bool) -> NDArray[np.integer]:
+        nonlocal state, executed_by
+        if start or executed_by is None:
+            executed_by = ExecutedActions(world)
+        num = world.num_individuals
+        observation = world.observation[0]
+        if policy.observation_space.shape[-1] == observation.shape[-1] + 1:
+            flag = np.full((num, 1), world.condition[0], dtype=observation.dtype)
+            observation = np.concatenate([observation, flag], axis=1)
+        starts = np.full(num, start)
+        actions, state = policy.predict(observation, state=state, episode_start=starts)
+        asked = np.asarray(actions).reshape(1, num)
+        state = remembered(policy, state, asked, executed_by(asked))
+        return asked
+
+    return act
 
 
 def play(

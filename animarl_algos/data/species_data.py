@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.checked import POSITIVE, Range
 from animarl_algos.data.dataset import OfflineDataset, Reflection
-from animarl_algos.ranges import POSITIVE, Range
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
@@ -20,7 +20,7 @@ from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import Species
 from animarl_envs.worlds import Mirror, demonstration_observations
 
-HORIZON = Range(least=1.0)  # [steps]
+HORIZON = Range(ge=1)  # [steps]
 
 
 class Labels(StrEnum):

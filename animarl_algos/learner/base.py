@@ -15,6 +15,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
 
+from animarl_algos.checked import SEED
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions, refuse_other_slots
 from animarl_algos.learner import checks, saving
 from animarl_algos.learner.callbacks import BoundaryCallback
@@ -38,7 +39,6 @@ from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase, Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.ranges import SEED
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
@@ -206,7 +206,7 @@ class BaseLearner(OffPolicyAlgorithm):
     # -- set up -----------------------------------------------------------------------------------
 
     def _setup_model(self) -> None:
-        self.train_freq = as_frequency(self.train_freq, "train_freq")  # type: ignore[assignment]
+        self.train_freq = as_frequency(self.train_freq)  # type: ignore[assignment]
         if self.seed is not None:
             self.seed = SEED.check("seed", self.seed)
         checks.check_arguments(vars(self), self.policy_class)
@@ -219,7 +219,7 @@ class BaseLearner(OffPolicyAlgorithm):
                 refuse_other_slots(layout, learned)
             self.layout = layout
             self.episode_limit = longest_episode(self.env, self.max_episode_steps)
-        self.target_update = as_frequency(self.target_update_interval, "target_update_interval")
+        self.target_update = as_frequency(self.target_update_interval)
         drawn = np.random.SeedSequence().generate_state(1)[0] if self.seed is None else self.seed
         self.root_seed = int(drawn)
         self.observation_size = int(np.prod(self.observation_space.shape or ()))

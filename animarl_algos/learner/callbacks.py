@@ -21,10 +21,10 @@ from stable_baselines3.common.type_aliases import MaybeCallback
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
+from animarl_algos.checked import COUNT
 from animarl_algos.data.slots import Feedback, SlotLayout
 from animarl_algos.learner.checkpoint import save_checkpoint
 from animarl_algos.learner.collecting import Memory
-from animarl_algos.ranges import COUNT
 from animarl_envs.errors import InputError
 
 TERMINATED = 128 + signal.SIGTERM

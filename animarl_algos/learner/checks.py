@@ -7,11 +7,11 @@ from typing import Any
 
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 
+from animarl_algos.checked import refuse_unknown
 from animarl_algos.learner.exploration import Exploration
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.ranges import refuse_unknown
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, StateMode
 from animarl_envs.errors import InputError
 
@@ -58,7 +58,7 @@ def check_setting_combinations(
     InputError
         If there are any.
     """
-    frequency = as_frequency(settings["train_freq"], "train_freq")
+    frequency = as_frequency(settings["train_freq"])
     if frequency.unit is TrainFrequencyUnit.EPISODE and settings["gradient_steps"] != 1:
         raise InputError(
             f"gradient_steps is {settings['gradient_steps']} and train_freq counts episodes: "

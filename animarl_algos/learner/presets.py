@@ -11,7 +11,7 @@ data, never evaluated; what they leave open has the default of
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
@@ -47,16 +47,8 @@ Sections = dict[str, dict[str, dict[str, Any]]]
 class LearnerPreset:
     """A learner's settings in one environment.
 
-    Attributes
-    ----------
-    n_timesteps
-        Steps of the world.
-    n_envs
-        Copies of the world.
-    env_kwargs
-        Options of the training environment.
-    arguments
-        Of the algorithm, plain data; :func:`constructed` completes them.
+    ``n_timesteps`` are steps of the world, ``n_envs`` its copies, ``env_kwargs`` its options in
+    training, and ``arguments`` those of the algorithm, which :func:`constructed` completes.
     """
 
     n_timesteps: int
@@ -162,7 +154,7 @@ def constructor_settings(
 
 
 def section_of(env: Any) -> str:
-    """The environment id under which files speak of ``env``: its species', or its own.
+    """Return the environment id under which files speak of ``env``: its species', or its own.
 
     Parameters
     ----------
@@ -171,21 +163,18 @@ def section_of(env: Any) -> str:
     """
     if isinstance(env, str):
         return env
-    scenario, spec = None, None
-    if isinstance(env, VecEnv):
-        if hasattr(env, "scenario"):
-            scenario = env.scenario
-        elif env.has_attr("scenario"):
-            scenario = env.get_attr("scenario", indices=0)[0]
-        if scenario is None and env.has_attr("spec"):
-            spec = env.get_attr("spec", indices=0)[0]
-    elif isinstance(env, gym.Env):
-        spec = env.spec
-        if env.has_wrapper_attr("scenario"):
-            scenario = env.get_wrapper_attr("scenario")
+    scenario, spec = (_attribute_of(env, name) for name in ("scenario", "spec"))
     if isinstance(scenario, Scenario):
         return environment_id(scenario.species.name)
     return COMMON_SECTION if spec is None else str(spec.id)
+
+
+def _attribute_of(env: Any, name: str) -> Any:
+    if isinstance(env, gym.Env):
+        return env.get_wrapper_attr(name) if env.has_wrapper_attr(name) else None
+    if not isinstance(env, VecEnv) or hasattr(env, name):
+        return getattr(env, name, None)
+    return env.get_attr(name, indices=0)[0] if env.has_attr(name) else None
 
 
 def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -196,12 +185,13 @@ def check_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     InputError
         If one is unknown or out of its range.
     """
+    known = default_settings()
+    for name in given:
+        if name not in known:
+            raise InputError(
+                f"setting {name!r} is unknown: choose among {', '.join(sorted(known))}"
+            )
     own = {name: value for name, value in given.items() if name != "policy"}
-    if unknown := [
-        name for name in own if name in RUN_KEYS or name not in LearnerFile.model_fields
-    ]:
-        known = ", ".join(sorted(default_settings()))
-        raise InputError(f"setting {unknown[0]!r} is unknown: choose among {known}")
     checked: dict[str, Any] = LearnerFile.read(own, "")
     return dict(given) | checked
 
@@ -214,10 +204,13 @@ def read_preset(
     env_id: str,
     preset: str,
     model: type[Checked] = LearnerFile,
+    *,
+    within: tuple[str, ...] = (),
 ) -> tuple[dict[str, Any], bool]:
-    """Settings of an environment: those of the bases, then ``common``, then its own section.
+    """Return settings of an environment: of the bases, then ``common``, then its own section.
 
-    With them comes whether it has a section of its own for the preset.
+    With them comes whether it has a section of its own for the preset. ``within`` are the files
+    that named this one as their base.
 
     Raises
     ------
@@ -226,23 +219,13 @@ def read_preset(
     """
     if preset not in PRESETS:
         raise InputError(f"preset {preset!r} is unknown: choose {' or '.join(PRESETS)}")
-    return _resolve(config, env_id, preset, model, ())
-
-
-def _resolve(
-    config: str | Path,
-    env_id: str,
-    preset: str,
-    model: type[Checked],
-    within: Collection[str],
-) -> tuple[dict[str, Any], bool]:
     if str(config) in within:
         raise InputError(f"{config}: it is its own base: name another file under base")
     bases, sections = read_file(config, model)
     settings: dict[str, Any] = {}
     listed = preset in sections.get(env_id, {})
     for base in bases:
-        inherited, there = _resolve(base, env_id, preset, model, (*within, str(config)))
+        inherited, there = read_preset(base, env_id, preset, model, within=(*within, str(config)))
         settings, listed = merged(settings, inherited), listed or there
     for section in ("common", env_id):
         settings = merged(settings, sections.get(section, {}).get(preset, {}))
@@ -250,7 +233,7 @@ def _resolve(
 
 
 def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
-    """Both settings, the upper ones where both speak; the entries of a table one by one."""
+    """Return both settings, the upper ones where both speak; the entries of a table one by one."""
     tables = {
         key: lower[key] | value
         for key, value in upper.items()
@@ -260,7 +243,7 @@ def merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]
 
 
 def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[list[str], Sections]:
-    """The names of the base files, and section -> preset -> settings, every key checked.
+    """Return the names of the base files, and section -> preset -> settings, every key checked.
 
     Parameters
     ----------
@@ -277,7 +260,7 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
     file: Traversable = config if isinstance(config, Path) else CONFIGS / f"{config}.yml"
     name = str(config) if isinstance(config, Path) else f"zoo_configs/{config}.yml"
     try:
-        content = parsed(file.read_text(encoding="utf-8"), name)
+        content = deepcopy(_parse(file.read_text(encoding="utf-8"), name))
     except (FileNotFoundError, IsADirectoryError):
         raise InputError(f"{name}: there is no such configuration") from None
     except UnicodeDecodeError as error:
@@ -288,35 +271,25 @@ def read_file(config: str | Path, model: type[Checked] = LearnerFile) -> tuple[l
     bases = [base] if isinstance(base, str) else base
     if not isinstance(bases, list) or not all(isinstance(b, str) for b in bases):
         raise InputError(f"{name}: base is {base!r}: name a file of zoo_configs, or a list of them")
-    return bases, {
-        str(section): _checked_section(presets, f"{name}: {section}", model)
-        for section, presets in content.items()
-    }
+    sections: Sections = {}
+    for section, presets in content.items():
+        place = f"{name}: {section}"
+        wrong = presets
+        if isinstance(presets, dict):
+            wrong = next((str(key) for key in presets if key not in PRESETS), None)
+        if wrong is not None:
+            raise InputError(
+                f"{place}: it holds {wrong!r}: a section holds the presets "
+                f"{' and '.join(PRESETS)}, and these the settings"
+            )
+        for preset, settings in presets.items():
+            if not isinstance(settings, dict):
+                raise InputError(f"{place}: {preset} is {settings!r}: give a table of settings")
+            settings = {str(key): value for key, value in settings.items()}
+            checked = model.read(settings, f"{place}: {preset}: ")
+            sections.setdefault(str(section), {})[preset] = checked
+    return bases, sections
 
 
-def parsed(text: str, place: str) -> Any:
-    """The data in a YAML text; its caller may change it."""
-    return deepcopy(_parsed_once(text, place))
-
-
-@lru_cache
-def _parsed_once(text: str, place: str) -> Any:
-    """Every learner that is made reads the same few files, and parsing takes milliseconds each."""
-    return parse_yaml(text, place)
-
-
-def _checked_section(presets: Any, place: str, model: type[Checked]) -> dict[str, dict[str, Any]]:
-    if not isinstance(presets, dict) or set(presets) - set(PRESETS):
-        wrong = sorted(map(str, set(presets) - set(PRESETS))) if isinstance(presets, dict) else []
-        found = f"{wrong[0]!r}" if wrong else f"{presets!r}"
-        raise InputError(
-            f"{place}: it holds {found}: a section holds the presets {' and '.join(PRESETS)}, "
-            "and these the settings"
-        )
-    section = {}
-    for preset, settings in presets.items():
-        if not isinstance(settings, dict):
-            raise InputError(f"{place}: {preset} is {settings!r}: give a table of settings")
-        settings = {str(key): value for key, value in settings.items()}
-        section[preset] = model.read(settings, f"{place}: {preset}: ")
-    return section
+# Every learner that is made reads the same few files, and parsing takes milliseconds each.
+_parse = lru_cache(parse_yaml)

@@ -7,6 +7,7 @@ and the tables of ``docs/learners.md`` are made from :class:`LearnerSettings`.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Annotated, Any, Literal, get_type_hints
 
 import numpy as np
@@ -33,7 +34,7 @@ POLICIES = {"GruPolicy": GruPolicy, "MlpPolicy": MlpPolicy}
 LINEAR = "lin_"
 
 
-def as_frequency(value: Any, name: str = "") -> TrainFreq:
+def as_frequency(value: Any) -> TrainFreq:
     """Return ``(n, "step")``, ``(n, "episode")``, or ``n`` for steps, as stable-baselines3 has it.
 
     Raises
@@ -41,17 +42,13 @@ def as_frequency(value: Any, name: str = "") -> TrainFreq:
     InputError
         If it is neither.
     """
-    if isinstance(value, TrainFreq):
-        return value
-    number, unit = value, "step"
+    number: Any = value
+    unit: Any = "step"
     if isinstance(value, tuple | list) and len(value) == 2:
         number, unit = value
-    whole = isinstance(number, int | float | np.number) and not isinstance(number, bool)
-    if unit not in ("step", "episode") or not whole or number < 1 or number != int(number):
-        said = f"{name} is {value!r}: " if name else ""
-        raise InputError(
-            f'{said}give (n, "step"), (n, "episode") or a number n of steps, n at least 1'
-        )
+        unit = getattr(unit, "value", unit)
+    if unit not in ("step", "episode") or not _is_number(number) or number < 1 or number % 1:
+        raise InputError('give (n, "step"), (n, "episode") or a number n of steps, n at least 1')
     return TrainFreq(int(number), TrainFrequencyUnit(unit))
 
 
@@ -63,29 +60,28 @@ def _check_frequency(value: Any) -> Any:
 def _check_rate(value: Any) -> Any:
     """A number, ``lin_<number>``, or a schedule of the remaining progress."""
     if isinstance(value, str) and value.startswith(LINEAR):
-        linear_start(value)
+        linear_schedule(value)
         return value
     rate = value(1.0) if callable(value) else value
-    number = isinstance(rate, int | float | np.number) and not isinstance(rate, bool)
-    if not number or not math.isfinite(rate) or rate < 0 or (rate == 0 and not callable(value)):
+    if not _is_number(rate) or rate < 0 or (rate == 0 and not callable(value)):
         raise InputError("give a number above 0")
     return value if callable(value) else float(value)
 
 
-def linear_start(value: str) -> float:
-    """Return the first value of ``lin_<number>``."""
-    try:
-        start = float(value.removeprefix(LINEAR))
-    except ValueError:
-        raise InputError("write lin_ and a number") from None
-    if not 0 < start < math.inf:
-        raise InputError("write lin_ and a number above 0")
-    return start
+def _is_number(value: Any) -> bool:
+    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    return number and math.isfinite(value)
 
 
 def linear_schedule(rate: str) -> LinearSchedule:
     """Return ``lin_<number>`` as stable-baselines3 takes it: falling to zero over the run."""
-    return LinearSchedule(linear_start(rate), 0.0, 1.0)
+    try:
+        start = float(rate.removeprefix(LINEAR))
+    except ValueError:
+        raise InputError("write lin_ and a number") from None
+    if not 0 < start < math.inf:
+        raise InputError("write lin_ and a number above 0")
+    return LinearSchedule(start, 0.0, 1.0)
 
 
 Rate = Annotated[Any, AfterValidator(_check_rate), WithJsonSchema({"type": "number"})]
@@ -300,14 +296,11 @@ class LearnerFile(
     @model_validator(mode="before")
     @classmethod
     def _text_as_numbers(cls, given: dict[str, Any]) -> dict[str, Any]:
-        return {name: _number(value) for name, value in given.items()}
-
-
-def _number(value: Any) -> Any:
-    try:
-        return float(value) if isinstance(value, str) else value
-    except ValueError:
-        return value
+        numbers = dict(given)
+        for name, value in given.items():
+            with suppress(ValueError):
+                numbers[name] = float(value) if isinstance(value, str) else value
+        return numbers
 
 
 RUN_KEYS = ("n_timesteps", "n_envs", "env_kwargs")
@@ -328,10 +321,7 @@ def settings_prose() -> dict[str, str]:
 
 
 def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
-    """The time limit [steps]: as ``given``, or as the environment declares it.
-
-    Looked for are ``max_episode_steps`` or ``time_limit`` of the VecEnv or its environments, and
-    the Gymnasium spec.
+    """Return the time limit [steps]: as ``given``, or as the environment declares it.
 
     Raises
     ------
@@ -349,7 +339,11 @@ def longest_episode(env: VecEnv | None, given: int | None) -> int | None:
 
 
 def declared_limit(env: VecEnv) -> int | None:
-    """The time limit [steps] that an environment tells of itself, if any."""
+    """Return the time limit [steps] that an environment tells of itself, if any.
+
+    That is ``max_episode_steps`` or ``time_limit`` of the VecEnv or of its environments, or what
+    the Gymnasium specs say; of several the longest.
+    """
     for name in ("max_episode_steps", "time_limit"):
         declared = getattr(env, name, None)
         if declared is None and env.has_attr(name):
@@ -357,7 +351,5 @@ def declared_limit(env: VecEnv) -> int | None:
             declared = None if None in each else max(each)
         if declared is not None:
             return int(declared)
-    specs = [spec for spec in env.get_attr("spec") if spec is not None]
-    if specs and all(spec.max_episode_steps for spec in specs):
-        return max(int(spec.max_episode_steps) for spec in specs)
-    return None
+    limits = [spec.max_episode_steps for spec in env.get_attr("spec") if spec is not None]
+    return max(map(int, limits)) if limits and all(limits) else None

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from animarl_algos.ranges import Range
+from animarl_algos.checked import Range
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
@@ -211,7 +211,7 @@ class Quantiles:
     num_quantiles: int
 
     def __post_init__(self) -> None:
-        whole = Range(least=2, whole=True).check("n_quantiles", self.num_quantiles)
+        whole = Range(int, ge=2).check("n_quantiles", self.num_quantiles)
         object.__setattr__(self, "num_quantiles", whole)
 
     def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:

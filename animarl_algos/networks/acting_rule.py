@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.ranges import POSITIVE, PROBABILITY
+from animarl_algos.checked import POSITIVE, PROBABILITY
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_DIRECTIONS
 

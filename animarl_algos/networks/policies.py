@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
+from animarl_algos.checked import COUNT, NOT_NEGATIVE, Range
 from animarl_algos.losses.values import (
     ErrorLoss,
     ExpectedValue,
@@ -26,7 +27,6 @@ from animarl_algos.losses.values import (
 from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.kernels.acting import CompiledActor
 from animarl_algos.networks.networks import ConditionInput, StackedQNetwork
-from animarl_algos.ranges import COUNT, NOT_NEGATIVE, Range
 from animarl_envs.errors import InputError
 
 State = tuple[NDArray[np.float32], NDArray[np.int64]]
@@ -57,7 +57,7 @@ def decide_on_device(
     return slots(q_values), slots(state)
 
 
-DROPOUT = Range(most=0.95)
+DROPOUT = Range(ge=0, le=0.95)
 
 
 class GruPolicy(BasePolicy):  # type: ignore[misc]
@@ -145,7 +145,7 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
             )
         hidden = COUNT.check("hidden", hidden)
         depth = COUNT.check("depth", depth)
-        head_layers = Range(most=1, whole=True).check("head_layers", head_layers)
+        head_layers = Range(int, ge=0, le=1).check("head_layers", head_layers)
         DROPOUT.check("dropout", dropout)
         NOT_NEGATIVE.check("reversal", reversal)
         if acting is None:

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from animarl_algos.ranges import COUNT_OR_NONE, NOT_NEGATIVE, PROBABILITY
+from animarl_algos.checked import COUNT_OR_NONE, NOT_NEGATIVE, PROBABILITY
 from animarl_algos.replay import sequence_kernels as kernels
 from animarl_algos.replay.sequence_kernels import SumTrees
 from animarl_algos.replay.store import (

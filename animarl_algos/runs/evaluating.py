@@ -1,9 +1,13 @@
-"""Many runs against the recordings they share: tables, figures, a page. Nothing is trained."""
+"""Runs rolled out, and compared with the recordings they share: tables, figures, a page.
+
+Nothing is trained here.
+"""
 
 from __future__ import annotations
 
+import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,36 +15,169 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from animarl_algos.evaluation.collect import Cue
-from animarl_algos.evaluation.decisions import Decisions
+from animarl_algos.evaluation.acting_choice import NEAR
+from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy
+from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.evaluation.tables import TABLES, Evaluation
+from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
+from animarl_algos.losses.terms import OfflineLoss, Selection
+from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
-from animarl_algos.runs.rolling_out import (
-    DECISIONS,
-    RANDOM,
-    UNTRAINED,
-    evaluate_rollouts,
-    lacking,
-    stored_rollouts,
-    test_policies,
-)
-from animarl_algos.runs.run import Run, method_name
+from animarl_algos.runs.run import DECISIONS, Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
-from animarl_algos.runs.run_warnings import run_warnings
-from animarl_algos.runs.run_world import world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.units import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
+from animarl_envs.fitting.result import doubts
+from animarl_envs.fitting.tracking import track
 
-PAGE = "report.html"
+UNTRAINED, RANDOM = "untrained", "random"
+INFORMATION = "offline/val/cross_entropy_minus_marginal"
+
+
+# -- one run --------------------------------------------------------------------------------------
+
+
+def roll_out(run: Run) -> dict[str, Rollouts]:
+    """Roll out every method from each test demonstration's start; write what the learner values.
+
+    Where the learners see the condition, trained ones are also told the other one, in the same
+    world: the counterfactual.
+    """
+    learner = run.trained(run.settings.algo)
+    policies = _policies(run, learner)
+    decide_along(
+        learner.policy,
+        run.species,
+        run.demos.select(split="test"),
+        condition_flag=learner.layout.condition_flag,
+        focal=run.settings.focal,
+    ).save(run.path / DECISIONS)
+    rollouts = {}
+    for name, (policy, cue) in policies.items():
+        cues = [cue]
+        if cue is not None and name != UNTRAINED:
+            cues.append("flipped")
+        rollouts[name] = Rollouts.concatenate([run.roll_out(policy, name, one) for one in cues])
+        rollouts[name].save(run.path / "rollouts" / f"{name}.npz")
+    return rollouts
+
+
+def _policies(run: Run, learner: SequenceQLearning) -> dict[str, tuple[Policy, Cue | None]]:
+    """Return the trained learner and what it is compared with, as far as it is there.
+
+    With each stands what it is told where it is told what is so.
+    """
+    settings = run.settings
+    cue: Cue | None = "actual" if learner.layout.condition_flag else None
+    policies: dict[str, tuple[Policy, Cue | None]] = {method_name(settings.algo): (learner, cue)}
+    for algo in settings.compared:
+        if run.has_policy(algo):
+            policies[method_name(algo)] = run.trained(algo), cue
+    if settings.baselines:
+        untrained = run.untrained()
+        policies[UNTRAINED] = untrained, cue
+        policies[RANDOM] = RandomPolicy(settings.seed, untrained.policy.num_actions), None
+    return policies
+
+
+def evaluate_rollouts(
+    run: Run,
+    rollouts: dict[str, Rollouts],
+    *,
+    learner: str,
+    seed: int,
+    demos: Demonstrations | None = None,
+    resamples: int = RESAMPLES,
+) -> Evaluation:
+    """Return rollouts measured and compared with the test recordings of a run.
+
+    Beside them stand the recordings as the fitted locomotion follows them, as they are and with one
+    action in ten at random. ``demos`` are others to compare with, whose starts ``rollouts`` had.
+    """
+    known, species = run.demos, run.species
+    test, others = demos, known
+    if test is None:
+        test = known.select(split="test")
+        others = known.select(episodes=np.flatnonzero(known.split != "test"))
+    moving = test, species.locomotion, species.arena
+    return evaluate(
+        rollouts,
+        test,
+        seed=seed,
+        planned_flip=species.planned_flip,
+        floor=track(*moving),
+        perturbed=track(*moving, random_share=0.1, seed=seed),
+        learner=learner,
+        references=others,
+        resamples=resamples,
+    )
+
+
+def lacking(run: Run) -> list[str]:
+    """Return what the run was asked for but does not have, each with the command that adds it."""
+    return [
+        f"{run.path}: it has no trained {method_name(algo)} to compare with: add it with "
+        f"'{run.suggested_command()}'"
+        for algo in run.settings.compared
+        if not run.has_policy(algo)
+    ]
+
+
+def run_warnings(run: Run) -> list[str]:
+    """Return what is doubtful of the fit, of the clones and of how the policy acts.
+
+    The terminal says the same while a run is made.
+    """
+    found = doubts(run.fit, run.learnable_demos)
+    return [*found, *uninformative_clones(run), *far_acting_rules(run)]
+
+
+def uninformative_clones(run: Run) -> list[str]:
+    """Return which clones are no better than predicting action frequencies, as one sentence."""
+    algo = run.settings.algo
+    cloning = run.record["learner"].get("offline_loss") == OfflineLoss.CLONING
+    if not cloning and named_recipe(algo).algorithm.recipe.selection is Selection.MEAN_RANK:
+        return []  # its values are no logits
+    curves = run.learning_curves()
+    own = curves[(curves["method"] == algo) & (curves["phase"] == "offline")]
+    best = own[own["quantity"].str.startswith(INFORMATION)].groupby("quantity")["value"].min()
+    several = len(best) > 1
+    names = [
+        str(name).removeprefix(INFORMATION).removeprefix("/") or "all individuals"
+        for name, value in best.items()
+        if value >= 0 and not (several and name == INFORMATION)
+    ]
+    if not names:
+        return []
+    return [
+        f"The clone of {', '.join(names)} is no better than predicting action frequencies: give "
+        "more demonstrations, more updates, or standardised inputs."
+    ]
+
+
+def far_acting_rules(run: Run) -> list[str]:
+    """Return whether no candidate of the acting rules came near the recordings, as one sentence."""
+    file = run.acting_file(run.settings.algo)
+    if not file.exists():
+        return []
+    least = min(one["mismatch"] for one in json.loads(file.read_text())["candidates"])
+    if least <= NEAR:
+        return []
+    return [
+        f"No candidate of the acting rules came near the recordings (mismatch {least:.2f} on "
+        f"training and validation episodes, {NEAR:g} is near): treat the simulator with care."
+    ]
+
+
+# -- several runs ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +185,7 @@ class EvaluatedRuns:
     """An evaluation of many runs, what it was made from, and what the runs lack, in sentences."""
 
     runs: RunSet
+    test: Demonstrations
     rollouts: dict[str, Rollouts]
     evaluation: Evaluation
     lacking: tuple[str, ...]
@@ -79,24 +217,31 @@ def compare_runs(
         are of other individuals, another time step or another arena.
     """
     runs = RunSet.open(folders)
-    test = None if demos is None else new_recordings(runs, demos)
-    rollouts = joined_rollouts(runs) if test is None else rolled_out_on(runs, test)
+    new = None if demos is None else _new_recordings(runs, demos)
+    test = runs.demos.select(split="test") if new is None else new
+
+    def rollouts_of(run: Run) -> dict[str, Rollouts]:
+        if new is None:
+            return _stored_rollouts(run, runs)
+        own, scenario = method_name(run.settings.algo), run.starting_from("test", demos=new)
+        return {
+            name: run.roll_out(policy, name, cue, scenario=scenario)
+            for name, (policy, cue) in _policies(run, run.policy).items()
+            if name == own or name not in runs.methods
+        }
+
+    rollouts = _join(runs, rollouts_of)
     learner = next(iter(runs.methods))
     evaluation = evaluate_rollouts(
-        runs.first, rollouts, learner=learner, seed=0, demos=test, resamples=resamples
+        runs.first, rollouts, learner=learner, seed=0, demos=new, resamples=resamples
     )
-    return EvaluatedRuns(runs, rollouts, evaluation, tuple(_absent(runs, rollouts)))
+    return EvaluatedRuns(runs, test, rollouts, evaluation, tuple(_absent(runs, rollouts)))
 
 
-def new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
+def _new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
     """Return recordings to judge runs on, all of them as a test split.
 
     Of the very set that the runs were trained on, only the test split is new.
-
-    Raises
-    ------
-    InputError
-        If they are of other individuals, another time step or another arena than the runs.
     """
     known = runs.demos
     if demos.fingerprint() == known.fingerprint():
@@ -116,22 +261,50 @@ def new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
     return replace(demos, split=np.full(demos.num_episodes, "test"))
 
 
-def rolled_out_on(runs: RunSet, test: Demonstrations) -> dict[str, Rollouts]:
-    """Return rollouts of every method of the runs from all starts of other recordings."""
-    parts: dict[str, list[Rollouts]] = {name: [] for name in runs.methods}
+def _stored_rollouts(run: Run, runs: RunSet) -> dict[str, Rollouts]:
+    found, tests = run.rollouts(), int((runs.demos.split == "test").sum())
+    for rollouts in found.values():
+        if rollouts.individuals != runs.demos.individuals or int(rollouts.demo.max()) >= tests:
+            raise InputError(
+                f"{run.path}: its rollouts of {rollouts.method} are of other recordings: make "
+                f"them again with 'animarl evaluate {run.path}'"
+            )
+    return found
+
+
+def _join(runs: RunSet, rollouts_of: Callable[[Run], dict[str, Rollouts]]) -> dict[str, Rollouts]:
+    """Return all seeds joined by method: those of the runs, then what these compare with.
+
+    A method that a run was made for is taken from such runs alone; of what several runs hold to
+    compare with, the first of each seed counts.
+    """
+    parts: dict[str, dict[int, Rollouts]] = {name: {} for name in runs.methods}
     for run in runs.runs:
         own = method_name(run.settings.algo)
-        policies = test_policies(run)
-        learner = policies[own]
-        assert isinstance(learner, SequenceQLearning)
-        for name, policy in policies.items():
+        for name, rollouts in rollouts_of(run).items():
             if name == own or name not in runs.methods:
-                flagged = learner.layout.condition_flag and name != RANDOM
-                scenario = run.starting_from("test", demos=test)
-                cue: Cue | None = "actual" if flagged else None
-                made = run.roll_out(policy, name, cue, scenario=scenario)
-                parts.setdefault(name, []).append(made)
-    return {name: Rollouts.concatenate(some, name) for name, some in parts.items()}
+                parts.setdefault(name, {}).setdefault(run.settings.seed, rollouts)
+    return {name: Rollouts.concatenate(list(some.values()), name) for name, some in parts.items()}
+
+
+def _absent(runs: RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
+    """Yield what there is nothing of to compare with, each with what adds it."""
+    baseline = method_name(BEHAVIOUR_CLONING)
+    if baseline not in rollouts:
+        asked = [sentence for run in runs.runs for sentence in lacking(run)]
+        file = shlex.quote(runs.first.settings.file)
+        yield from asked or [
+            f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
+            f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
+        ]
+    if UNTRAINED not in rollouts:
+        yield (
+            "There is no untrained network to compare with: 'animarl run' without --no-baselines "
+            "rolls one out"
+        )
+
+
+# -- pages ----------------------------------------------------------------------------------------
 
 
 def evaluate_runs(
@@ -149,49 +322,29 @@ def evaluate_runs(
     """
     refuse_run_folder(out)
     found = compare_runs(folders, demos=demos)
-    records = {
-        f"{name} {key}": value
-        for name, some in found.runs.methods.items()
-        for key, value in (("learner", some[0].record["learner"]), ("acting", _acting(some)))
-    }
+    settings: dict[str, Any] = {}
+    for name, some in found.runs.methods.items():
+        settings[f"{name} learner"] = some[0].record["learner"]
+        settings[f"{name} acting"] = {
+            f"seed {run.settings.seed}": str(run.acting(run.settings.algo))
+            for run in some
+            if run.has_policy(run.settings.algo)
+        }
+    made_by, evaluation = command("evaluate", folders), found.evaluation
     inputs = report_inputs(
         found.runs,
         found.rollouts,
-        found.evaluation,
-        records,
-        command("evaluate", folders),
-        test=None if demos is None else new_recordings(found.runs, demos),
+        evaluation,
+        settings,
+        made_by,
+        test=None if demos is None else found.test,
     )
-    page = run_page(inputs)
-    evaluation = found.evaluation
     tables = {name: getattr(evaluation, name) for name in TABLES}
     with all_files_or_none(out) as part:
         evaluation.verdict.save(part)
         write_tables(tables | {"verdict": evaluation.verdict.table}, part)
-        page.write(part)
+        run_page(inputs).write(part)
     return found
-
-
-def joined_rollouts(runs: RunSet) -> dict[str, Rollouts]:
-    """By method, all seeds joined: those of the runs first, then what these compare with.
-
-    A method that a run was made for is taken from such runs alone; of what several runs hold to
-    compare with, the first of each seed counts.
-    """
-    parts: dict[str, list[Rollouts]] = {name: [] for name in runs.methods}
-    beside: dict[str, dict[int, Rollouts]] = {}
-    for run in runs.runs:
-        own = method_name(run.settings.algo)
-        for name, rollouts in stored_rollouts(run).items():
-            _refuse_stale(run, rollouts, runs)
-            if name == own:
-                parts[name].append(rollouts)
-            elif name not in runs.methods:
-                beside.setdefault(name, {}).setdefault(run.settings.seed, rollouts)
-    joined = {name: Rollouts.concatenate(some, name) for name, some in parts.items()}
-    return joined | {
-        name: Rollouts.concatenate(list(some.values()), name) for name, some in beside.items()
-    }
 
 
 def report_inputs(
@@ -204,37 +357,29 @@ def report_inputs(
     test: Demonstrations | None = None,
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
-    demos, species, first = runs.demos, runs.species, runs.first
+    demos, first, known = runs.demos, runs.first, runs.page_inputs()
     along = first.path / DECISIONS
     return ReportInputs(
-        title=f"{species.title}: {', '.join(runs.methods)}",
+        title=f"{runs.species.title}: {', '.join(runs.methods)}",
         learner=next(iter(runs.methods)),
         demos=demos.select(split="test") if test is None else test,
         rollouts=rollouts,
         evaluation=evaluation,
-        species=species,
         fit=first.fit,
         decisions=Decisions.load(along) if test is None and along.exists() else None,
         learning_curves=pd.concat([run.learning_curves() for run in runs.runs], ignore_index=True),
-        settings={
-            "world": world_in_words(species),
-            "environment": first.environment_options,
-            **settings,
-        },
-        seeds=runs.seeds,
-        versions=first.record["versions"],
+        settings={"world": known["world"], "environment": known["environment"], **settings},
+        seeds=tuple(sorted({run.settings.seed for run in runs.runs})),
         command=command,
         created=created,
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
-        environment=first.environment_options,
-        machine=runs.machine,
-        wall_time=runs.wall_time,
         warnings=tuple(sentence for run in runs.runs for sentence in run_warnings(run)),
+        **known,
     )
 
 
 def command(name: str, folders: Sequence[str | Path], *more: str) -> str:
-    """How a page of several runs is made again, wherever it is put."""
+    """Return how a page of several runs is made again, wherever it is put."""
     return shlex.join(["animarl", name, *map(str, folders), *more, "--out", "OUT"])
 
 
@@ -242,37 +387,3 @@ def refuse_run_folder(out: str | Path) -> None:
     """Results of several runs are not mixed with those of one."""
     if (Path(out) / "settings.json").exists():
         raise InputError(f"{out}: it is a run folder: name another --out")
-
-
-def _absent(runs: RunSet, rollouts: dict[str, Rollouts]) -> Iterator[str]:
-    """What there is nothing of to compare with, each with what adds it."""
-    baseline = method_name(BEHAVIOUR_CLONING)
-    if baseline not in rollouts:
-        asked = [sentence for run in runs.runs for sentence in lacking(run)]
-        file = shlex.quote(runs.first.settings.file)
-        yield from asked or [
-            f"There is no {baseline} to compare with: train it with 'animarl run {file} --algo "
-            f"{BEHAVIOUR_CLONING} --out RUN' and name RUN too"
-        ]
-    if UNTRAINED not in rollouts:
-        yield (
-            "There is no untrained network to compare with: 'animarl run' without --no-baselines "
-            "rolls one out"
-        )
-
-
-def _acting(runs: Sequence[Run]) -> dict[str, str]:
-    return {
-        f"seed {run.settings.seed}": str(run.acting(run.settings.algo))
-        for run in runs
-        if run.has_policy(run.settings.algo)
-    }
-
-
-def _refuse_stale(run: Run, rollouts: Rollouts, runs: RunSet) -> None:
-    tests = int((runs.demos.split == "test").sum())
-    if rollouts.individuals != runs.demos.individuals or int(rollouts.demo.max()) >= tests:
-        raise InputError(
-            f"{run.path}: its rollouts of {rollouts.method} are of other recordings: make them "
-            f"again with 'animarl evaluate {run.path}'"
-        )

@@ -29,16 +29,10 @@ from animarl_algos.learner.collecting import check_environment_supports
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
+from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
-from animarl_algos.runs.evaluating import PAGE, report_inputs
-from animarl_algos.runs.machine import timed
-from animarl_algos.runs.rolling_out import (
-    evaluate_rollouts,
-    roll_out,
-    stored_rollouts,
-)
+from animarl_algos.runs.evaluating import evaluate_rollouts, report_inputs, roll_out
 from animarl_algos.runs.run import Run, method_name
-from animarl_algos.runs.run_lock import locked, run_lock
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -58,7 +52,7 @@ def open_run(
     rehearse(settings, demos)
     run = Run(out)
     run.path.mkdir(parents=True, exist_ok=True)
-    with run_lock(run.path):
+    with run.lock():
         run.start(settings, demos, command)
     return run
 
@@ -89,7 +83,7 @@ def rehearse(settings: RunSettings, demos: Demonstrations) -> None:
 def load_demonstrations(
     file: str, source: str | None = None, species: str | None = None
 ) -> Demonstrations:
-    """A file of recorded episodes, or the demonstrations packaged for a species (``packaged``)."""
+    """Return those of a file, or those packaged for a species (``packaged``)."""
     if file == PACKAGED:
         return load_packaged(species or "agent")
     demos = read(file, source)
@@ -97,24 +91,22 @@ def load_demonstrations(
     return demos
 
 
-@locked
 def fit(run: Run) -> LocomotionFit:
     """Stage 1: damping and thrust of every individual."""
-    file = run.path / "locomotion.json"
-    if file.exists():
-        return run.fit
-    settings, demos = run.settings, run.learnable_demos
-    method = settings.fit_method
-    if settings.thrusts != AUTO:
-        thrusts = int(settings.thrusts)
-    else:
-        thrusts = choose_thrusts(demos, seed=settings.seed) if method == "joint" else 1
-    result = fit_locomotion(demos, method, seed=settings.seed, thrusts=thrusts)
-    result.save(file)
-    return result
+    with run.lock():
+        file, settings = run.path / "locomotion.json", run.settings
+        if file.exists():
+            return run.fit
+        demos, method, thrusts = run.learnable_demos, settings.fit_method, 1
+        if settings.thrusts != AUTO:
+            thrusts = int(settings.thrusts)
+        elif method == "joint":
+            thrusts = choose_thrusts(demos, seed=settings.seed)
+        result = fit_locomotion(demos, method, seed=settings.seed, thrusts=thrusts)
+        result.save(file)
+        return result
 
 
-@locked
 def learn(
     run: Run, algo: str, *, clone: Run | None = None, progress_bar: bool = True
 ) -> SequenceQLearning:
@@ -124,43 +116,39 @@ def learn(
     has done the same offline phase (:func:`animarl_algos.learner.checkpoint.cloned_progress`).
     """
     torch.set_num_threads(1)
-    settings = run.settings
-    fit(run)
-    model = run.learner(algo, run.environment(run.learnable_demos))
-    if run.has_policy(algo) and not _unfinished(run, algo, settings.steps):
-        run.load_policy(algo, model)
+    with run.lock():
+        fit(run)
+        settings, logs = run.settings, run.path / "logs"
+        checkpoints = run.path / "checkpoints" / algo
+        model = run.learner(algo, run.environment(run.learnable_demos))
+        latest = latest_checkpoint(checkpoints)
+        online = model.recipe.online
+        unfinished = latest is not None and online and steps_done(latest) < settings.steps
+        if run.has_policy(algo) and not unfinished:
+            run.load_policy(algo, model)
+            return run.let_act(algo, model)
+        if latest is not None:
+            load_checkpoint(model, checkpoints)
+        elif clone is not None:
+            other = clone.settings.algo
+            model.offline_progress = cloned_progress(clone.path / "checkpoints" / other)
+            shutil.copytree(clone.path / "logs" / other, logs / algo, dirs_exist_ok=True)
+        session = logs / algo / f"{len(list((logs / algo).glob('[0-9]*'))):03d}"
+        with (
+            run.timed(f"training {method_name(algo)}"),
+            closing(configure(str(session), ["csv", "tensorboard"])) as logger,
+        ):
+            model.set_logger(logger)
+            done = 0 if latest is None else model.num_timesteps
+            model.learn(
+                max(0, settings.steps - done),
+                callback=CheckpointCallback(checkpoints, settings.checkpoint_every),
+                reset_num_timesteps=latest is None,
+                progress_bar=progress_bar,
+            )
+        run.acting_file(algo).unlink(missing_ok=True)  # chosen for another policy
+        run.save_policy(algo, model)
         return run.let_act(algo, model)
-    checkpoints = run.path / "checkpoints" / algo
-    resumed = latest_checkpoint(checkpoints) is not None
-    if resumed:
-        load_checkpoint(model, checkpoints)
-    elif clone is not None:
-        other = clone.settings.algo
-        model.offline_progress = cloned_progress(clone.path / "checkpoints" / other)
-        logs = run.path / "logs" / algo
-        shutil.copytree(clone.path / "logs" / other, logs, dirs_exist_ok=True)
-    with (
-        timed(run.path, f"training {method_name(algo)}"),
-        closing(configure(str(run.log_folder(algo)), ["csv", "tensorboard"])) as logger,
-    ):
-        model.set_logger(logger)
-        model.learn(
-            max(0, settings.steps - model.num_timesteps) if resumed else settings.steps,
-            callback=CheckpointCallback(checkpoints, settings.checkpoint_every),
-            reset_num_timesteps=not resumed,
-            progress_bar=progress_bar,
-        )
-    run.acting_file(algo).unlink(missing_ok=True)  # chosen for another policy
-    run.save_policy(algo, model)
-    return run.let_act(algo, model)
-
-
-def _unfinished(run: Run, algo: str, steps: int) -> bool:
-    """Whether the last checkpoint has fewer steps than the run now asks for."""
-    latest = latest_checkpoint(run.path / "checkpoints" / algo)
-    if latest is None or not named_recipe(algo).algorithm.recipe.online:
-        return False
-    return steps_done(latest) < steps
 
 
 def learn_all(run: Run, *, progress_bar: bool = True) -> None:
@@ -169,26 +157,25 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
         learn(run, algo, progress_bar=progress_bar)
 
 
-@locked
 def evaluate_run(run: Run) -> Evaluation:
     """Stage 4: rollouts on the test split, measured and compared with the recordings."""
-    with timed(run.path, "evaluation"):
+    with run.lock(), run.timed("evaluation"):
         learner, seed = method_name(run.settings.algo), run.settings.seed
         evaluation = evaluate_rollouts(run, roll_out(run), learner=learner, seed=seed)
         evaluation.save(run.path / "evaluation")
     return evaluation
 
 
-@locked
 def report(run: Run) -> Path:
     """Stage 5: the page to show."""
-    record = run.record
-    inputs = report_inputs(
-        RunSet({method_name(run.settings.algo): (run,)}),
-        stored_rollouts(run),
-        Evaluation.load(run.path / "evaluation"),
-        {"run": record["settings"], "learner": record["learner"]},
-        record["command"],
-        datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-    )
-    return write_report(inputs, run.path / PAGE)
+    with run.lock():
+        record = run.record
+        inputs = report_inputs(
+            RunSet({method_name(run.settings.algo): (run,)}),
+            run.rollouts(),
+            Evaluation.load(run.path / "evaluation"),
+            {"run": record["settings"], "learner": record["learner"]},
+            record["command"],
+            datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        )
+        return write_report(inputs, run.path / PAGE_FILE)

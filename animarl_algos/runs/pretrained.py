@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,8 @@ from animarl_algos.report.verdict_section import verdict_as_table, verdict_sente
 from animarl_algos.report.words import Words
 from animarl_algos.runs.evaluating import refuse_run_folder
 from animarl_algos.runs.run import DEMONSTRATIONS, Run
-from animarl_algos.runs.weights import GIVEN, write_weights
+from animarl_algos.runs.run_files import GIVEN, write_weights
+from animarl_algos.runs.run_settings import CHOSEN
 from animarl_envs import environment_id
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
@@ -35,18 +35,12 @@ CARD, METRICS = "README.md", "metrics.json"
 
 
 def pretrained_names() -> tuple[str, ...]:
-    """Models that come with the package."""
+    """Return the names of the models that come with the package."""
     return tuple(sorted(path.parent.name for path in FOLDER.glob("*/settings.json")))
 
 
 def model_folder(model: str | Path) -> Path:
-    """A folder as it is; else that of the packaged model of this name.
-
-    Raises
-    ------
-    InputError
-        If there is neither.
-    """
+    """Return a folder as it is; else that of the packaged model of this name, if there is one."""
     folder = Path(model)
     if folder.exists():
         return folder
@@ -113,8 +107,7 @@ def export_run(
     InputError
         If the run was not trained or not evaluated, or the folder holds something else.
     """
-    settings, record = run.settings, deepcopy(run.record)
-    algo = settings.algo
+    settings, algo = run.settings, run.settings.algo
     network = run.policy.policy.q_net
     if not (run.path / "evaluation" / "verdict.json").exists():
         raise InputError(
@@ -124,25 +117,27 @@ def export_run(
         refuse_run_folder(out)
         if out.is_dir() and any(out.iterdir()):
             raise InputError(f"{out}: it holds something that is no model: name another --out")
-    evaluation = Evaluation.load(run.path / "evaluation")
+    verdict = Evaluation.load(run.path / "evaluation").verdict
     packaged = _is_packaged(run)
     # A path says more of somebody's disk than of the model.
     file = PACKAGED if packaged else Path(settings.file).name
-    record["settings"] |= {"file": file, "device": "cpu"}
-    record["command"] = made_by or record["command"]
-    metrics = _metrics(evaluation.verdict) | {"chosen_by_validation": dict(chosen or {})}
-    policies = Path("policies")
+    record = run.record | {
+        "settings": run.record["settings"] | {"file": file, "device": "cpu"},
+        "command": made_by or run.record["command"],
+    }
+    metrics = _metrics(verdict) | {"chosen_by_validation": dict(chosen or {})}
+    copied = ["locomotion.json", f"policies/{algo}.acting.json"]
+    if with_demonstrations and not packaged:
+        copied.append(DEMONSTRATIONS)
     with all_files_or_none(out) as part:
-        (part / policies).mkdir()
-        write_weights(network.state_dict(), part / policies / f"{algo}{GIVEN}")
-        if run.acting_file(algo).exists():
-            shutil.copyfile(run.acting_file(algo), part / policies / f"{algo}.acting.json")
-        shutil.copyfile(run.path / "locomotion.json", part / "locomotion.json")
+        (part / "policies").mkdir()
+        write_weights(network.state_dict(), part / "policies" / f"{algo}{GIVEN}")
+        for name in copied:
+            if (run.path / name).exists():
+                shutil.copyfile(run.path / name, part / name)
         (part / "settings.json").write_text(json.dumps(record, indent=2) + "\n")
         (part / METRICS).write_text(json.dumps(metrics, indent=1) + "\n")
-        if with_demonstrations and not packaged:
-            shutil.copyfile(run.path / DEMONSTRATIONS, part / DEMONSTRATIONS)
-        card = model_card(run, evaluation, record, network.num_parameters, chosen or {})
+        card = model_card(run, verdict, record, network.num_parameters, chosen or {})
         (part / CARD).write_text(card, encoding="utf-8")
     return out
 
@@ -170,93 +165,83 @@ def _is_packaged(run: Run) -> bool:
 
 def model_card(
     run: Run,
-    evaluation: Evaluation,
+    verdict: Verdict,
     record: Mapping[str, Any],
     parameters: int,
     chosen: Mapping[str, float],
 ) -> str:
-    """Data, licence, settings, metrics and limits of a trained model, as Markdown."""
-    settings, demos = run.settings, run.demos
-    words, verdict = Words.of(demos), evaluation.verdict
-    species = run.species
-    licence = str(demos.provenance.get("licence") or "not stated")
+    """Return data, licence, settings, metrics and limits of a trained model, as Markdown."""
+    settings, demos, species = run.settings, run.demos, run.species
+    words, lines = Words.of(demos), "\n".join
     kind = "synthetic, recorded from no animal" if demos.synthetic else "recorded"
     counts = ", ".join(f"{(demos.split == s).sum()} {s}" for s in ("train", "val", "test"))
-    table = verdict_as_table(verdict, words)
-    rows = "\n".join(
-        f"| {' | '.join(cell.replace(chr(10), ' ') for cell in cells)} |"
-        for cells in (table.columns, ["---"] * len(table.columns),
-                      *(row.cells for row in table.groups[0].rows))
-    )  # fmt: skip
-    lines = [
-        f"# {species.title}: {settings.algo}",
-        "",
-        f"A policy of {', '.join(species.individuals)} in `{environment_id(settings.species)}`, "
-        f"trained with `{settings.algo}` (seed {settings.seed}, {parameters:,} parameters). "
-        "Weights: safetensors; everything else: JSON.",
-        "",
-        f"- **Data**: {demos.provenance.get('source') or demos.name} ({kind}); episodes: {counts}; "
-        f"fingerprint `{record['fingerprint']}`.",
-        f"- **Licence**: of the data {licence}; of the weights that of the data, of the code MIT.",
-        f"- **Made by** `{record['command']}`, commit "
-        f"{record['machine']['commit']}.",
-        "- **Acts by** the rule in `policies`, "
-        + ("chosen on training and validation episodes." if settings.acting == "chosen"
-           else f"`{settings.acting}`."),
-        *(
-            [
-                "- **Chosen** by mismatch of outcomes, durations, path lengths and speeds on "
-                "validation episodes (the lower, the more alike): "
-                + ", ".join(f"{name} {number:.3f}" for name, number in chosen.items())
-                + "."
-            ]
-            if chosen
-            else []
-        ),
-        "",
-        "## Metrics",
-        "",
-        verdict_sentence(verdict, words),
-        "",
-        "Rollouts from the starts of the test split; training and the choice of acting saw none of "
-        "it. docs/faithful.md says how to read the table.",
-        "",
-        rows,
-        "",
-        "## Limits",
-        "",
-        *(f"- {words.say(limit)}" for limit in _limits(run, verdict)),
-        "",
-        "## Settings",
-        "",
-        *(f"- {name}: {value}" for name, value in flattened(record["learner"])),
-        *(f"- environment {name}: {value}" for name, value in flattened(record["environment"])),
-        *(f"- {name} {version}" for name, version in record["versions"].items()),
-        "",
-    ]  # fmt: skip
-    return "\n".join(lines)
+    acting = f"`{settings.acting}`"
+    if settings.acting == CHOSEN:
+        acting = "chosen on training and validation episodes"
+    if chosen:
+        acting += (
+            ".\n- **Chosen** by mismatch of outcomes, durations, path lengths and speeds on "
+            "validation episodes (the lower, the more alike): "
+            + ", ".join(f"{name} {number:.3f}" for name, number in chosen.items())
+        )
+    shown = verdict_as_table(verdict, words)
+    table = [shown.columns, ["---"] * len(shown.columns)]
+    table += [row.cells for row in shown.groups[0].rows]
+    return f"""\
+# {species.title}: {settings.algo}
+
+A policy of {", ".join(species.individuals)} in `{environment_id(settings.species)}`, trained with \
+`{settings.algo}` (seed {settings.seed}, {parameters:,} parameters). Weights: safetensors; \
+everything else: JSON.
+
+- **Data**: {demos.provenance.get("source") or demos.name} ({kind}); episodes: {counts}; \
+fingerprint `{record["fingerprint"]}`.
+- **Licence**: of the data {demos.provenance.get("licence") or "not stated"}; of the weights that \
+of the data, of the code MIT.
+- **Made by** `{record["command"]}`, commit {record["machine"]["commit"]}.
+- **Acts by** the rule in `policies`, {acting}.
+
+## Metrics
+
+{verdict_sentence(verdict, words)}
+
+Rollouts from the starts of the test split; training and the choice of acting saw none of it. \
+docs/faithful.md says how to read the table.
+
+{lines(f"| {' | '.join(cell.replace(chr(10), ' ') for cell in cells)} |" for cells in table)}
+
+## Limits
+
+{lines(f"- {words.say(limit)}" for limit in _limits(run, verdict))}
+
+## Settings
+
+{lines(f"- {name}: {value}" for name, value in flattened(record["learner"]))}
+{lines(f"- environment {name}: {value}" for name, value in flattened(record["environment"]))}
+{lines(f"- {name} {version}" for name, version in record["versions"].items())}
+"""
 
 
 def _limits(run: Run, verdict: Verdict) -> list[str]:
     """Return what its metrics do not show, the worst first."""
-    demos, seed = run.demos, run.settings.seed
-    limits = [
+    limits = []
+    if verdict.judgement == UNKNOWN:
+        limits.append(f"The test split is too small to say: {verdict.too_little}.")
+    elif verdict.judgement != SAME:
+        limits.append(f"What differs on the test split: {verdict.overall}.")
+    if run.demos.synthetic:
+        limits.append("The data are synthetic: it says nothing about living animals.")
+    if _is_packaged(run):
+        limits.append(
+            "The package's default settings were chosen while tables of this test split were "
+            "looked at (docs/results/README.md): it is not untouched."
+        )
+    return [
+        *limits,
         "Mild faults pass its verdict at so few starts: docs/statistics.md says how often.",
-        f"One training seed ({seed}): its intervals speak of test starts, not of other trainings.",
+        f"One training seed ({run.settings.seed}): its intervals speak of test starts, not of "
+        "other trainings.",
         "It moves as these recordings do, from starts like theirs, in their arena; nothing was "
         "tested elsewhere.",
         "A counterfactual of it is no measurement: compare it with a truth where there is one.",
     ]
-    if _is_packaged(run):
-        limits.insert(
-            0,
-            "The package's default settings were chosen while tables of this test split were "
-            "looked at (docs/results/README.md): it is not untouched.",
-        )
-    if demos.synthetic:
-        limits.insert(0, "The data are synthetic: it says nothing about living animals.")
-    if verdict.judgement == UNKNOWN:
-        limits.insert(0, f"The test split is too small to say: {verdict.too_little}.")
-    elif verdict.judgement != SAME:
-        limits.insert(0, f"What differs on the test split: {verdict.overall}.")
-    return limits

@@ -14,14 +14,16 @@ report.html
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 import shlex
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock, Timeout
 
 from animarl_algos.data.slots import FocalPolicy, focal_drivers
 from animarl_algos.data.vec_env import SlotVecEnv
@@ -38,14 +40,15 @@ from animarl_algos.learner.checkpoint import latest_checkpoint, serialise_tensor
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
-from animarl_algos.runs.machine import machine
-from animarl_algos.runs.run_curves import logged_curves
-from animarl_algos.runs.run_settings import (
-    BEHAVIOUR_CLONING,
-    CHOSEN,
-    RunSettings,
-    checked_species,
+from animarl_algos.runs.run_files import (
+    logged_curves,
+    machine,
+    read_weights,
+    versions,
+    weights_file,
+    write_json,
 )
+from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING, CHOSEN, RunSettings, checked_species
 from animarl_algos.runs.run_world import (
     changed_inputs,
     select_individuals,
@@ -53,7 +56,6 @@ from animarl_algos.runs.run_world import (
     training_options,
     world_options,
 )
-from animarl_algos.runs.weights import read_weights, weights_file
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable
@@ -72,11 +74,8 @@ if TYPE_CHECKING:
 
     from animarl_algos.whatif.answer import WhatIf
 
-PACKAGES = (
-    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
-    "scipy", "stable-baselines3", "torch",
-)  # fmt: skip
 DEMONSTRATIONS = "demonstrations.npz"
+DECISIONS = Path("rollouts", "decisions.npz")
 
 
 class Run:
@@ -104,33 +103,39 @@ class Run:
             If the folder holds another run.
         """
         own, other = settings.learner(), settings.learner(BEHAVIOUR_CLONING)
-        resolved = {
-            "settings": settings.model_dump(),
-            "learner": own.arguments,
-            "baseline": other.arguments,
-            "environment": _environment(settings, demos, own.env_kwargs),
-            "fingerprint": demos.fingerprint(),
-        }
-        if (self.path / "settings.json").exists():
-            for key, value in resolved.items():
-                if (there := self.record.get(key)) != (here := _plain(value)):
-                    if isinstance(there, dict) and isinstance(here, dict):
-                        keys = [k for k in here | there if here.get(k) != there.get(k)]
-                        key = f"{key}: {', '.join(keys)}"
-                    raise InputError(
-                        f"{self.path}: it holds another run (its {key} differ): "
-                        "choose another --out, or remove it"
-                    )
+        moving = select_individuals(demos, own.env_kwargs)
+        species = with_options(checked_species(settings, moving), **species_options(own.env_kwargs))
+        # Options by which worlds differ are said in full, whatever their defaults become.
+        world = {"observation": species.observation, "rebound": species.arena.rebound}
+        resolved = _as_json(
+            {
+                "settings": settings.model_dump(),
+                "learner": own.arguments,
+                "baseline": other.arguments,
+                "environment": world | own.env_kwargs,
+                "fingerprint": demos.fingerprint(),
+            }
+        )
+        if not (self.path / "settings.json").exists():
+            demos.save(self.path / DEMONSTRATIONS)
+            made = {"versions": versions(), "machine": machine(), "command": command}
+            self._write_record(resolved | made)
             return
-        demos.save(self.path / DEMONSTRATIONS)
-        versions_and_machine = {"versions": versions(), "machine": machine()}
-        self._write_record(resolved | versions_and_machine | {"command": command})
+        for key, here in resolved.items():
+            there = self.record.get(key)
+            if there != here:
+                if isinstance(there, dict) and isinstance(here, dict):
+                    keys = [k for k in here | there if here.get(k) != there.get(k)]
+                    key = f"{key}: {', '.join(keys)}"
+                raise InputError(
+                    f"{self.path}: it holds another run (its {key} differ): "
+                    "choose another --out, or remove it"
+                )
 
     def _write_record(self, record: Mapping[str, Any]) -> None:
-        self.record = _plain(record)
+        self.record = _as_json(record)
         self.__dict__.pop("settings", None)
-        with write_then_rename(self.path / "settings.json") as part:
-            part.write_text(json.dumps(self.record, indent=2) + "\n")
+        write_json(self.path / "settings.json", self.record)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -171,8 +176,8 @@ class Run:
                 "--steps"
             )
         online = named_recipe(settings.algo).algorithm.recipe.online
-        further = steps is not None and steps > settings.steps
         checkpoint = latest_checkpoint(self.path / "checkpoints" / settings.algo)
+        further = steps is not None and steps > settings.steps
         if further and online and self.has_policy(settings.algo) and checkpoint is None:
             raise InputError(
                 f"{self.path}: its checkpoints are gone, so it cannot go on: start a new run"
@@ -186,6 +191,36 @@ class Run:
         if words[:1] == ["animarl"] and words[1:2] in (["run"], ["train"]):
             return shlex.join(["animarl", "run", *words[2:]])
         return f"animarl run with the settings of the run and --out {self.path}"
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the folder, if there is one, or refuse to while another process does.
+
+        A process may hold it again; a dead one holds nothing.
+        """
+        lock = FileLock(self.path / ".lock", timeout=0, is_singleton=True)
+        try:
+            with lock if self.path.is_dir() else nullcontext():
+                yield
+        except Timeout:
+            raise InputError(
+                f"{self.path}: another process is at work in this run: wait for it, or name "
+                "another folder"
+            ) from None
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the wall time of what is done within it to that of its stage, if it succeeds."""
+        begun = time.monotonic()
+        yield
+        times = self.wall_times()
+        times[stage] = times.get(stage, 0.0) + time.monotonic() - begun
+        write_json(self.path / "wall_time.json", times)
+
+    def wall_times(self) -> dict[str, float]:
+        """Return seconds by stage; none of a run that never came so far."""
+        file = self.path / "wall_time.json"
+        return dict(json.loads(file.read_text())) if file.exists() else {}
 
     # -- its world --------------------------------------------------------------------------------
 
@@ -248,8 +283,7 @@ class Run:
     def species(self) -> Species:
         """The species that the run trains and is evaluated in.
 
-        With the recording's arena and names, the fitted locomotion, and over these the run's own
-        options (``env_kwargs``).
+        With the recording's arena and names, the fitted locomotion, and over these its options.
         """
         fitted = species_of(self.demos, self.fit.locomotion, base=self.settings.species)
         return with_options(fitted, **species_options(self.environment_options))
@@ -260,19 +294,25 @@ class Run:
         return self.starting_from("test")
 
     def starting_from(
-        self, split: str, condition: Condition = "demo", demos: Demonstrations | None = None
+        self,
+        split: str | None,
+        condition: Condition = "demo",
+        *,
+        demos: Demonstrations | None = None,
+        species: Species | None = None,
     ) -> Scenario:
         """Return the world of the run from the starts of ``split``: to evaluate in and to watch.
 
-        Episodes start from each demonstration and in its condition, or in the one given. Those who
-        did not learn replay their demonstration.
+        Episodes have the condition of their demonstration, or the one given. Those who did not
+        learn replay their demonstration.
         """
+        species = species or self.species
         return make_scenario(
-            self.species,
+            species,
             demos=self.demos if demos is None else demos,
             split=split,
             condition=condition,
-            drivers=focal_drivers(self.species.individuals, self.settings.focal),
+            drivers=focal_drivers(species.individuals, self.settings.focal),
             **self.world_options,
         )
 
@@ -326,35 +366,25 @@ class Run:
         """Return the network that the training of the run began with."""
         return self.learner(self.settings.algo, self.environment())
 
+    def has_policy(self, name: str) -> bool:
+        return weights_file(self.path / "policies", name).exists()
+
     def save_policy(self, name: str, model: SequenceQLearning) -> None:
         """Write the final weights, tensors only."""
         with write_then_rename(self.path / "policies" / f"{name}.pt") as part:
             part.write_bytes(serialise_tensors(model.policy.q_net.state_dict()))
 
     def load_policy(self, name: str, model: SequenceQLearning) -> None:
-        """Put the final weights into a learner of the same settings."""
         file = weights_file(self.path / "policies", name)
         try:
             weights = read_weights(file)
             model.policy.q_net.load_state_dict(weights)
             model.policy.q_net_target.load_state_dict(weights)
-        except FileNotFoundError:
-            raise InputError(
-                f"{file}: there is no trained policy yet: train the run first"
-            ) from None
         except (RuntimeError, ValueError, TypeError, LookupError) as error:
             raise InputError(
                 f"{file}: it is not a policy of this run ({summarise_error(error)}): "
                 "remove it and train again"
             ) from None
-
-    def has_policy(self, name: str) -> bool:
-        return weights_file(self.path / "policies", name).exists()
-
-    def log_folder(self, name: str) -> Path:
-        """Return a new folder for the logs of one session of one learner."""
-        base = self.path / "logs" / name
-        return base / f"{len(list(base.glob('[0-9]*'))):03d}"
 
     def learning_curves(self) -> pd.DataFrame:
         """Return all logged quantities: ``method, phase, seed, step, quantity, value``."""
@@ -398,12 +428,8 @@ class Run:
         return model
 
     def _choose_acting(self, algo: str, model: SequenceQLearning) -> None:
-        seed, focal = self.settings.seed, self.settings.focal
+        seed = self.settings.seed
         demos = choice_episodes(self.learnable_demos, seed)
-        drivers = focal_drivers(self.species.individuals, focal)
-        scenario = make_scenario(
-            self.species, demos=demos, split=None, drivers=drivers, **self.world_options
-        )
 
         def acting_by(rule: Acting) -> Policy:
             model.policy.acting = rule
@@ -413,15 +439,14 @@ class Run:
         fitted = model.fit_temperature(model.demonstration_data().val)
         choice = choose_acting(
             acting_by,
-            partial(make_world, scenario),
+            partial(make_world, self.starting_from(None, demos=demos)),
             demos,
             candidate_rules(fitted),
             further_rules(fitted),
             seed=seed,
             cue="actual" if model.layout.condition_flag else None,
         )
-        with write_then_rename(self.acting_file(algo)) as part:
-            part.write_text(json.dumps(choice.to_json(), indent=2) + "\n")
+        write_json(self.acting_file(algo), choice.to_json())
 
     def for_all(self, policy: Policy) -> Policy:
         """Return a policy that is asked for all individuals, also where one alone learned."""
@@ -431,6 +456,22 @@ class Run:
         return FocalPolicy(policy, self.species.individuals, focal)
 
     # -- what they do -----------------------------------------------------------------------------
+
+    def rollouts(self) -> dict[str, Rollouts]:
+        """Return those on the test split by method, the run's own learner first.
+
+        Raises
+        ------
+        InputError
+            If the run has no rollouts yet, or a file is damaged.
+        """
+        own, folder = method_name(self.settings.algo), self.path / DECISIONS.parent
+        files = {f.stem: f for f in sorted(folder.glob("*.npz")) if f.name != DECISIONS.name}
+        if own not in files:
+            raise InputError(
+                f"{self.path}: it has no rollouts yet: add them with 'animarl evaluate {self.path}'"
+            )
+        return {name: Rollouts.load(files[name]) for name in dict.fromkeys([own, *files])}
 
     def roll_out(
         self,
@@ -442,7 +483,7 @@ class Run:
         repetitions: int | None = None,
         seed: int | None = None,
         draws: int = 0,
-        wrap: Callable[[Policy], Policy] | None = None,
+        wrap: Callable[[Policy], Policy] = lambda policy: policy,
     ) -> Rollouts:
         """Return rollouts of a policy from every start of a world, told ``cue``.
 
@@ -464,10 +505,9 @@ class Run:
             if isinstance(policy, SequenceQLearning):
                 policy.policy.seed(seed + draws)
 
-        acting = self.for_all(policy)
         return collect_rollouts(
             partial(make_world, scenario or self.scenario),
-            acting if wrap is None else wrap(acting),
+            wrap(self.for_all(policy)),
             method=name,
             seed=self.settings.seed if seed is None else seed,
             repetitions=repetitions or self.settings.repetitions,
@@ -484,7 +524,7 @@ class Run:
         told: Cue = "actual",
         seed: int | None = None,
         reading: Reading = "habit",
-        wrap: Callable[[Policy], Policy] | None = None,
+        wrap: Callable[[Policy], Policy] = lambda policy: policy,
         **options: Any,
     ) -> Rollouts:
         """Let the policy drive everybody who learned, in the run's world or in another one.
@@ -524,22 +564,12 @@ class Run:
                 f"{changed} changes what the policy is shown, who has not learned from that: "
                 "train a run with it"
             )
-        before = self.scenario
-        scenario = make_scenario(
-            change_world(before.species, reading, **options),
-            demos=self.demos,
-            split=split,
-            condition=condition,
-            drivers=dict(zip(before.names, before.drivers, strict=True)),
-            observation_noise=before.observation_noise,
-            observation_delay=before.observation_delay,
-        )
-        cue = told if self.told_condition else None
+        species = change_world(self.species, reading, **options)
         return self.roll_out(
             self.policy,
             method_name(self.settings.algo),
-            cue,
-            scenario=scenario,
+            told if self.told_condition else None,
+            scenario=self.starting_from(split, condition, species=species),
             repetitions=repetitions,
             seed=seed,
             wrap=wrap,
@@ -565,21 +595,5 @@ def method_name(algo: str) -> str:
     return algo.upper()
 
 
-def _environment(
-    settings: RunSettings, demos: Demonstrations, options: dict[str, Any]
-) -> dict[str, Any]:
-    """The options, and those by which worlds differ in full, whatever their defaults become."""
-    moving = select_individuals(demos, options)
-    species = with_options(checked_species(settings, moving), **species_options(options))
-    return {"observation": species.observation, "rebound": species.arena.rebound} | options
-
-
-def versions() -> dict[str, str]:
-    """Return versions of Python and of the packages that decide a result."""
-    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return {"python": platform.python_version()} | packages
-
-
-def _plain(value: Any) -> Any:
-    """As JSON would give it back."""
+def _as_json(value: Any) -> Any:
     return json.loads(json.dumps(value, default=str))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from animarl_algos.runs.machine import wall_times
 from animarl_algos.runs.run import Run, method_name
+from animarl_algos.runs.run_world import SENSES, world_in_words
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.errors import InputError
@@ -45,11 +45,17 @@ class RunSet:
         runs = [Run(Path(folder)) for folder in folders]
         methods: dict[str, list[Run]] = {}
         for run in runs:
-            _check_same_experiment(run, runs[0])
-            before = methods.setdefault(method_name(run.settings.algo), [])
-            for other in before:
-                _check_same_method(run, other)
-            before.append(run)
+            _check_same(run, runs[0], _experiment(run), _experiment(runs[0]))
+            name = method_name(run.settings.algo)
+            for other in methods.setdefault(name, []):
+                if run.settings.seed == other.settings.seed:
+                    raise InputError(
+                        f"{run.path} and {other.path} are both {name} with seed "
+                        f"{run.settings.seed}: name each training once"
+                    )
+                keys = run.record["learner"] | other.record["learner"]
+                _check_same(run, other, _method(run, keys), _method(other, keys))
+            methods[name].append(run)
         return cls({name: tuple(some) for name, some in methods.items()})
 
     @property
@@ -72,96 +78,69 @@ class RunSet:
         return self.first.species
 
     @property
-    def seeds(self) -> tuple[int, ...]:
-        """Training seeds of all, each once."""
-        return tuple(sorted({run.settings.seed for run in self.runs}))
+    def seeds(self) -> dict[str, tuple[int, ...]]:
+        """Training seeds by method."""
+        return {name: tuple(r.settings.seed for r in some) for name, some in self.methods.items()}
 
-    @property
-    def machine(self) -> dict[str, str]:
-        """Commit, system, processor and accelerator; several where runs differ."""
-        told: dict[str, list[str]] = {}
+    def page_inputs(self) -> dict[str, Any]:
+        """Return what every page says of its runs: species, world, machine, time and versions.
+
+        What differs between runs is listed; seconds by stage are summed.
+        """
+        machine: dict[str, list[str]] = {}
+        seconds: dict[str, float] = {}
         for run in self.runs:
             for what, value in run.record["machine"].items():
-                told.setdefault(what, []).append(str(value))
-        return {what: "; ".join(dict.fromkeys(values)) for what, values in told.items()}
-
-    @property
-    def wall_time(self) -> dict[str, float]:
-        """Seconds by stage, over all runs."""
-        total: dict[str, float] = {}
-        for run in self.runs:
-            for stage, seconds in wall_times(run.path).items():
-                total[stage] = total.get(stage, 0.0) + seconds
-        return total
-
-
-def _check_same_experiment(one: Run, other: Run) -> None:
-    """Refuse runs of different species, animals, recordings, splits or worlds."""
-    same_file = "train them on the same file"
-    for what, fix, of in (
-        ("species", "compare runs of one species", lambda run: run.settings.species),
-        ("individuals", "compare runs of the same animals",
-         lambda run: ", ".join(run.demos.individuals)),
-        ("recordings", same_file, _recordings),
-        ("split", same_file, _split),
-    ):  # fmt: skip
-        if of(one) != of(other):
-            raise _refused(one, other, what, of(one), of(other), fix)
-    _check_same_entries(one, other, _world, "world ({})", "train them in the same world")
+                machine.setdefault(what, []).append(str(value))
+            for stage, took in run.wall_times().items():
+                seconds[stage] = seconds.get(stage, 0.0) + took
+        return {
+            "species": self.species,
+            "world": world_in_words(self.species),
+            "environment": self.first.environment_options,
+            "machine": {what: "; ".join(dict.fromkeys(all_)) for what, all_ in machine.items()},
+            "wall_time": seconds,
+            "versions": self.first.record["versions"],
+        }
 
 
-def _check_same_method(one: Run, other: Run) -> None:
-    """Refuse runs of one method with the same seed, or with different settings."""
-    method, seed = method_name(one.settings.algo), one.settings.seed
-    if seed == other.settings.seed:
-        raise InputError(
-            f"{one.path} and {other.path} are both {method} with seed {seed}: name each training "
-            "once"
-        )
-    fix = "seeds of one method must have the same settings"
-    _check_same_entries(one, other, _method, f"settings of {method} ({{}})", fix)
+Facts = Iterator[tuple[str, object, str]]
+"""What must be the same, its value, and what to do where it is not."""
 
 
-def _check_same_entries(
-    one: Run, other: Run, of: Callable[[Run], Mapping[str, object]], named: str, fix: str
-) -> None:
-    """Refuse the first entry that is not the same here and there."""
-    here, there = of(one), of(other)
-    for key in {**here, **there}:
-        if here.get(key) != there.get(key):
-            raise _refused(one, other, named.format(key), here.get(key), there.get(key), fix)
+def _check_same(one: Run, other: Run, here: Facts, there: Facts) -> None:
+    for (what, mine, fix), (_, others, _) in zip(here, there):
+        if mine != others:
+            raise InputError(
+                f"{one.path} and {other.path} do not share their {what}: {_short(mine)} and "
+                f"{_short(others)}: {fix}"
+            )
 
 
-def _refused(one: Run, other: Run, what: str, here: object, there: object, fix: str) -> InputError:
-    return InputError(
-        f"{one.path} and {other.path} do not share their {what}: "
-        f"{_short(here)} and {_short(there)}: {fix}"
-    )
-
-
-def _recordings(run: Run) -> str:
-    """A digest of everything but the split, with the number of episodes to show."""
-    plain = replace(run.demos, split=np.full(run.demos.num_episodes, SPLITS[0]))
-    return f"{run.demos.num_episodes} episodes, fingerprint {plain.fingerprint()}"
-
-
-def _split(run: Run) -> str:
-    counts = ", ".join(f"{split} {int((run.demos.split == split).sum())}" for split in SPLITS)
-    return f"{counts} (fingerprint {run.demos.fingerprint()})"
-
-
-def _world(run: Run) -> dict[str, Any]:
+def _experiment(run: Run) -> Facts:
+    """Yield species, animals, recordings, splits and world."""
+    yield "species", run.settings.species, "compare runs of one species"
+    demos, same_file = run.demos, "train them on the same file"
+    yield "individuals", ", ".join(demos.individuals), "compare runs of the same animals"
+    plain = replace(demos, split=np.full(demos.num_episodes, SPLITS[0]))
+    yield (
+        "recordings", f"{demos.num_episodes} episodes, fingerprint {plain.fingerprint()}", same_file
+    )  # fmt: skip
+    counts = ", ".join(f"{split} {int((demos.split == split).sum())}" for split in SPLITS)
+    yield "split", f"{counts} (fingerprint {demos.fingerprint()})", same_file
     named = {f.name for f in fields(run.species)} - set(METHOD_FIELDS)
     world = {name: getattr(run.species, name) for name in sorted(named)}
-    replaying = {"who learned": run.settings.focal or "all"}
-    everything = world | run.world_options | replaying
-    return {key.replace("_", " "): value for key, value in everything.items()}
+    senses = {name: run.world_options.get(name) for name in SENSES}
+    for key, value in (world | senses | {"who learned": run.settings.focal or "all"}).items():
+        yield f"world ({key.replace('_', ' ')})", value, "train them in the same world"
 
 
-def _method(run: Run) -> dict[str, Any]:
-    own = {"steps": run.settings.steps, "acting": run.settings.acting}
-    learner: dict[str, Any] = run.record["learner"]
-    return own | learner
+def _method(run: Run, keys: Iterable[str]) -> Facts:
+    """Yield steps, acting and these settings of the learner."""
+    own = {"steps": run.settings.steps, "acting": run.settings.acting} | run.record["learner"]
+    name, fix = method_name(run.settings.algo), "seeds of one method must have the same settings"
+    for key in ("steps", "acting", *keys):
+        yield f"settings of {name} ({key})", own.get(key), fix
 
 
 def _short(value: object) -> str:

@@ -114,7 +114,7 @@ class RunSettings(PipelineSettings):
         return (BEHAVIOUR_CLONING,) if self.baselines and adapts else ()
 
     def learner(self, algo: str | None = None) -> LearnerPreset:
-        """The settings of the run's learner, or of the one it is compared with.
+        """Return the settings of the run's learner, or of the one it is compared with.
 
         The other one gets the run's policy, without quantiles, but none of its other ``overrides``
         or its ``config``.
@@ -148,15 +148,15 @@ def check_device(device: str) -> None:
     try:
         kind = torch.device(device).type
     except RuntimeError:
-        raise InputError(f"device {device!r} is unknown: choose cpu or cuda") from None
+        kind = ""
     if kind not in ("cpu", "cuda"):
-        raise InputError(f"device {device!r} is not supported: choose cpu or cuda")
+        raise InputError(f"device {device!r} is unknown: choose cpu or cuda")
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError(f"device {device!r} is asked for but this machine has none: choose cpu")
 
 
 def asked_species(env: str | None, species: str | None) -> str | None:
-    """The species that ``--env`` and ``--species`` name; None if neither is given.
+    """Return the species that ``--env`` and ``--species`` name; None if neither is given.
 
     Raises
     ------
@@ -165,10 +165,8 @@ def asked_species(env: str | None, species: str | None) -> str | None:
     """
     if env is None:
         return species
-    try:
-        named = gym.spec(env).kwargs.get("species")
-    except gym.error.Error:
-        named = None
+    spec = gym.registry.get(env)
+    named = None if spec is None else spec.kwargs.get("species")
     if not isinstance(named, str):
         raise InputError(
             f"environment {env!r} is none of AnimaRL's: choose among "
@@ -181,7 +179,7 @@ def asked_species(env: str | None, species: str | None) -> str | None:
 
 
 def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
-    """The species of a run, its locomotion not yet fitted; what does not fit is refused.
+    """Return the species of a run, its locomotion not yet fitted.
 
     Raises
     ------
@@ -191,7 +189,7 @@ def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
     """
     from animarl_algos.recipes.registry import named_recipe
 
-    named, algo = settings.species, settings.algo
+    named, algo, focal = settings.species, settings.algo, settings.focal
     refuse_other_species(demos, named, "--species")
     unfitted = (Locomotion(1.0, 1.0),) * demos.num_individuals
     species = species_of(demos, unfitted, base=named)
@@ -206,8 +204,6 @@ def checked_species(settings: RunSettings, demos: Demonstrations) -> Species:
                 f"{demos.name}: {algo} needs episodes of both conditions and all are of "
                 f"condition {demos.condition[0]}: choose {instead}"
             )
-    if settings.focal is not None and settings.focal not in demos.individuals:
-        raise InputError(
-            f"focal is {settings.focal!r}: choose one of {', '.join(demos.individuals)}"
-        )
+    if focal is not None and focal not in demos.individuals:
+        raise InputError(f"focal is {focal!r}: choose one of {', '.join(demos.individuals)}")
     return species

@@ -8,7 +8,7 @@ start of every test demonstration, in its condition.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -19,7 +19,6 @@ from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.species.options import with_options
 from animarl_envs.worlds import observation_components
-from animarl_envs.worlds.base import ObservationComponent
 
 SENSES = ("observation_noise", "observation_delay")
 CHANGES_INPUTS = (
@@ -57,20 +56,18 @@ def world_in_words(species: Species) -> dict[str, str]:
     arena = species.arena
     edge = "walls" if arena.rebound else f"out of bounds beyond {arena.boundary:g}"
     field = arena.shape if arena.shape == "open" else f"{arena.shape}, {arena.size:g}, {edge}"
-    described = {
+    return {
         "individuals": ", ".join(species.individuals),
         "arena": field,
         "contact radius": f"{species.contact_radius:g} {species.length_unit}s",
         "time limit": f"{species.time_limit} steps ({species.time_limit * species.dt:g} s)",
         "time step": f"{species.dt:g} s",
         "warm-up": f"{species.warmup} steps",
+    } | {
+        f"locomotion of {name}": f"d {motion.damping:.4g}, u {motion.thrust:.4g}, thrusts "
+        + ", ".join(f"{m:g}" for m in motion.magnitudes)
+        for name, motion in zip(species.individuals, species.locomotion)
     }
-    for name, motion in zip(species.individuals, species.locomotion):
-        each = ", ".join(f"{m:g}" for m in motion.magnitudes)
-        described[f"locomotion of {name}"] = (
-            f"d {motion.damping:.4g}, u {motion.thrust:.4g}, thrusts {each}"
-        )
-    return described
 
 
 def changed_inputs(species: Species, options: Mapping[str, Any]) -> str:
@@ -83,18 +80,18 @@ def changed_inputs(species: Species, options: Mapping[str, Any]) -> str:
     InputError
         If an option is unknown.
     """
-    found = [key for key in CHANGES_INPUTS if key in options]
-    if found:
-        return found[0]
-    shown = _named(observation_components(species))
-    if _named(observation_components(with_options(species, **options))) == shown:
+    for key in CHANGES_INPUTS:
+        if key in options:
+            return key
+
+    def shown(given: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+        components = observation_components(with_options(species, **given))
+        return [(one.name, one.frame, one.unit) for one in components]
+
+    if shown(options) == shown({}):
         return ""
     for key, value in options.items():
         with suppress(InputError):  # one that needs another beside it
-            if _named(observation_components(with_options(species, **{key: value}))) != shown:
+            if shown({key: value}) != shown({}):
                 return key
     return " with ".join(options)
-
-
-def _named(components: Iterable[ObservationComponent]) -> list[tuple[str, str, str]]:
-    return [(one.name, one.frame, one.unit) for one in components]

@@ -18,7 +18,7 @@ NOT_SLOTS = ("others", "render_mode")
 
 
 def species_of_id(env_id: str) -> str | None:
-    """The species of an AnimaRL id, None for any other environment.
+    """Return the species of an AnimaRL id, None for any other environment.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def species_of_id(env_id: str) -> str | None:
 def slot_environment(
     env_id: str, copies: int, *, split: str = "train", **options: Any
 ) -> SlotVecEnv:
-    """The slot VecEnv of an AnimaRL id; ``options`` win over those that it was registered with.
+    """Return the slot VecEnv of an AnimaRL id; ``options`` win over its registered ones.
 
     The condition is the last observation component if the species has conditions and the
     demonstrations hold both.
@@ -51,7 +51,7 @@ def slot_environment(
 
 
 def validation_environment(env_id: str, copies: int, **options: Any) -> VecEnv:
-    """What policies are scored in: episodes of the validation split, :class:`Scored`."""
+    """Return what policies are scored in: episodes of the validation split, :class:`Scored`."""
     options["dtw"] = "closeness"  # whatever the learner is paid for, scores are comparable
     slots = Scored(slot_environment(env_id, copies, split="val", **options))
     with warnings.catch_warnings():

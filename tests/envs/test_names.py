@@ -13,7 +13,7 @@ from report_inputs import report_inputs
 from typer.testing import CliRunner
 
 from animarl_algos.cli.main import app
-from animarl_algos.cli.screen import PlainConsole
+from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.checks import LONGEST_NAME, check_names, printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.drawing.summary_figure import plot_summary

@@ -41,7 +41,6 @@ ROOMS = (
     "animarl_envs.views",
     "animarl_envs.wrappers",
     "animarl_envs",
-    "animarl_algos.ranges",
     "animarl_algos.checked",
     "animarl_algos.replay",
     "animarl_algos.losses",

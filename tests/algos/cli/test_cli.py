@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pickle
 import re
 import shutil
 import signal
-import sys
 import warnings
 import zipfile
 from collections.abc import Callable
@@ -18,65 +18,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import Done
+from small_runs import few
 
-from animarl_algos.cli.main import main
+from animarl_algos.cli.main import COMMANDS
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.runs.run import Run
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.packaged import load_packaged
 
 TINY = ["--steps", "300", "--copies", "4", "--set", "offline_epochs=1"]
-
-
-@pytest.fixture
-def animarl(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Callable[..., Done]:
-    """The command line in this process, in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-
-    def call(*arguments: str) -> Done:
-        monkeypatch.setattr(sys, "argv", ["animarl", *arguments])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return Done(int(ended.value.code or 0), said.out, said.err)
-
-    return call
 
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Demonstrations of a few short episodes of both conditions in each split."""
-    demos = load_packaged("agent")
-    chosen = []
-    for split, count in (("train", 4), ("val", 2), ("test", 2)):
-        for condition in (0, 1):
-            found = np.flatnonzero((demos.split == split) & (demos.condition == condition))
-            chosen.extend(found[np.argsort(demos.lengths[found])][5 : 5 + count].tolist())
-    path = tmp_path_factory.mktemp("demos") / "small.npz"
-    return demos.select(episodes=chosen).save(path)
+    return few(train=4, val=2, test=2, skip=5).save(tmp_path_factory.mktemp("demos") / "small.npz")
 
 
 def test_from_a_file_to_a_report_and_again(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
-    command = [
-        "run",
-        str(small),
-        "--species",
-        "agent",
-        "--algo",
-        "dqdil-pt",
-        *TINY,
-        "--repetitions",
-        "2",
-        "--no-baselines",
-    ]
-    done = animarl(*command, "--out", "run")
+    command = ["run", small, "--species", "agent", "--algo", "dqdil-pt", *TINY, "--no-baselines"]
+    command += ["--repetitions", "2", "--out", "run"]
+    done = animarl(*command)
     assert done.returncode == 0, done.stderr
     assert "run/report.html" in done.stdout
     run = tmp_path / "run"
@@ -89,11 +53,11 @@ def test_from_a_file_to_a_report_and_again(
     assert methods == {"DQDIL-PT", "decisions"}
     weights = (run / "policies" / "dqdil-pt.pt").read_bytes()
 
-    again = animarl(*command, "--out", "run")
+    again = animarl(*command)
     assert again.returncode == 0, again.stderr
     assert (run / "policies" / "dqdil-pt.pt").read_bytes() == weights
 
-    other = animarl(*command, "--seed", "1", "--out", "run")
+    other = animarl(*command, "--seed", "1")
     assert other.returncode == 2
     assert "holds another run" in other.stderr
 
@@ -247,43 +211,33 @@ def test_a_damaged_checkpoint_or_folder_is_refused(
         assert refused.returncode == 2 and word in refused.stderr, refused.stderr
 
 
-def bad_files(folder: Path) -> dict[str, tuple[Path, str]]:
-    """Files that no reader may accept, each with a word of the sentence that refuses it."""
-    files: dict[str, tuple[Path, str]] = {}
-    text = folder / "text.npz"
-    text.write_text("x,y\n1,2\n")
-    files["text"] = (text, "npz")
-    whole = folder / "whole.npz"
-    np.savez(whole, positions=np.zeros((10, 3, 2)))
-    cut = folder / "cut.npz"
-    cut.write_bytes(whole.read_bytes()[:-200])
-    files["truncated"] = (cut, "")
-    pickled = folder / "pickle.npz"
-    np.savez(pickled, positions=np.array([{"a": 1}], dtype=object))
-    files["pickle"] = (pickled, "")
-    raw = folder / "raw.npz"
-    raw.write_bytes(pickle.dumps({"positions": 1}))
-    files["bare pickle"] = (raw, "")
-    with zipfile.ZipFile(folder / "empty.npz", "w"):
-        pass
-    files["empty archive"] = (folder / "empty.npz", "")
-    files["missing"] = (folder / "nowhere.npz", "no such file")
-    return files
+def bad_content(kind: str) -> bytes:
+    """What no reader may accept."""
+    stream = io.BytesIO()
+    if kind == "empty archive":
+        zipfile.ZipFile(stream, "w").close()
+    elif kind == "pickle":
+        np.savez(stream, positions=np.array([{"a": 1}], dtype=object))
+    else:
+        np.savez(stream, positions=np.zeros((10, 3, 2)))
+    return {
+        "text": b"x,y\n1,2\n", "bare pickle": pickle.dumps({"positions": 1}),
+        "truncated": stream.getvalue()[:-200],
+    }.get(kind, stream.getvalue())  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "kind", ["text", "truncated", "pickle", "bare pickle", "empty archive", "missing"]
 )
-@pytest.mark.parametrize("command", ["fit", "run"])
+@pytest.mark.parametrize("command", [["fit"], ["run", "--out", "never"]])
 def test_bad_files_are_refused_in_one_sentence(
-    animarl: Callable[..., Done], kind: str, command: str, tmp_path: Path
+    animarl: Callable[..., Done], kind: str, command: list[str], tmp_path: Path
 ) -> None:
-    path, word = bad_files(tmp_path)[kind]
-    out = ["--out", "never"] if command == "run" else []
-    done = animarl(command, str(path), *out)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert path.name in done.stderr and word in done.stderr
+    if kind != "missing":
+        (tmp_path / "bad.npz").write_bytes(bad_content(kind))
+    done = animarl(*command, "bad.npz")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert "bad.npz" in done.stderr and (kind != "missing" or "no such file" in done.stderr)
     assert len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "never").exists()
 
@@ -297,7 +251,8 @@ def test_bad_files_are_refused_in_one_sentence(
         (["run", "packaged", "--set", "learning_rat=1"], "learning_rat"),
         (["run", "packaged", "--set", "oops"], "KEY=VALUE"),
         (["evaluate", "nowhere"], "nowhere"),
-        (["report", "nowhere"], "nowhere"),
+        (["report", "nowhere"], "nowhere: it is not a run folder"),
+        (["report", __file__], "it is not a run folder"),
         (["train", "--resume", "nowhere"], "nowhere"),
         (["train", "--resume", "nowhere", "--seed", "1"], "--seed does not go with --resume"),
         (["train", "--env", "AnimaRL/Fly-v0", "--species", "newt"], "contradict each other"),
@@ -354,12 +309,7 @@ def test_no_input_is_written_over(
 
 @pytest.mark.parametrize(
     "command",
-    [
-        ["fit"],
-        ["run"],
-        ["data", "show"],
-        ["watch", "AnimaRL/Custom-v0", "--out", "w.gif", "--demos"],
-    ],
+    [["fit"], ["run"], ["data", "show"], ["watch", "AnimaRL/Custom-v0", "--out=w.gif", "--demos"]],
 )
 def test_what_only_an_import_can_be_told_is_said_with_it(
     command: list[str], animarl: Callable[..., Done], tmp_path: Path
@@ -382,11 +332,6 @@ def test_a_source_is_asked_for_where_the_command_takes_one(
     assert "'animarl import tracks.xyz --source ... --out demos.npz'" in shown
 
 
-def test_a_file_is_no_run_folder(animarl: Callable[..., Done], small: Path) -> None:
-    done = animarl("report", str(small))
-    assert done.returncode == 2 and "it is not a run folder" in done.stderr
-
-
 def test_warnings_are_sentences_on_the_command_line_only(
     animarl: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -402,22 +347,10 @@ def test_warnings_are_sentences_on_the_command_line_only(
         warned()
 
 
-def test_help_teaches_by_example(animarl: Callable[..., Done]) -> None:
-    for name in (
-        "import",
-        "fit",
-        "run",
-        "train",
-        "evaluate",
-        "counterfactual",
-        "inspect",
-        "report",
-        "watch",
-        "data",
-    ):
-        done = animarl(name, "--help")
-        assert done.returncode == 0
-        assert f"animarl {name}" in done.stdout
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_teaches_by_example(name: str, animarl: Callable[..., Done]) -> None:
+    done = animarl(name, "--help")
+    assert done.returncode == 0 and f"animarl {name}" in done.stdout
 
 
 @pytest.mark.parametrize("name", ["sources", "show", "check", "split", "convert", "plot"])

@@ -6,6 +6,7 @@ import ast
 import io
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,39 +14,27 @@ import pytest
 import typer
 from stable_baselines3.common.callbacks import CallbackList
 
-from animarl_algos.cli.lazy import COMMANDS
-from animarl_algos.cli.main import app
+from animarl_algos.cli.main import COMMANDS, app
 from animarl_algos.learner.callbacks import ProgressBar, with_progress_bar
 from animarl_envs.compiling import FirstCompilation
 
-HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "numba", "scipy", "pandas", "matplotlib"}
+LEARNING = {"torch", "stable_baselines3", "sb3_contrib", "sklearn", "matplotlib"}
+HEAVY = {"numba", "scipy", "pandas"}
 ANIMARL = "from animarl_algos.cli.main import main; main()"
 
 
-def test_start_of_the_help_imports_nothing_heavy() -> None:
+@pytest.mark.parametrize("name", ["", *(name for name in COMMANDS if name != "benchmark")])
+def test_start_of_a_help_imports_no_learners(name: str) -> None:
     program = (
-        "import sys\ntry:\n    from animarl_algos.cli.main import main; main()\n"
+        f"import sys\ntry:\n    {ANIMARL}\n"
         "finally:\n    print(sorted(m for m in sys.modules if '.' not in m), file=sys.stderr)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "--help"], capture_output=True, text=True, check=True
-    )
-    assert not HEAVY & set(ast.literal_eval(done.stderr))
-    for name, place in COMMANDS.items():
-        assert name in done.stdout and place.summary()[:20] in done.stdout
-
-
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "benchmark"])
-def test_start_of_the_help_of_a_command_imports_no_learners(name: str) -> None:
-    program = (
-        "import sys\ntry:\n    from animarl_algos.cli.main import main; main()\n"
-        "finally:\n    print(sorted(m for m in sys.modules if '.' not in m), file=sys.stderr)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, name, "--help"], capture_output=True, text=True, check=True
-    )
-    learning = {"torch", "stable_baselines3", "sb3_contrib", "sklearn", "matplotlib"}
-    assert not learning & set(ast.literal_eval(done.stderr))
+    asked = [sys.executable, "-c", program, *name.split(), "--help"]
+    done = subprocess.run(asked, capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(done.stderr))
+    assert not loaded & (LEARNING if name else LEARNING | HEAVY)
+    for command, place in COMMANDS.items():
+        assert name or (command in done.stdout and place.summary()[:20] in done.stdout)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -58,20 +47,13 @@ def test_start_of_a_command_is_as_listed(name: str) -> None:
     assert command.help.partition("\n")[0] == listed.help
 
 
-def test_start_of_an_unknown_command_is_refused() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", ANIMARL, "trian"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2 and "train" in done.stderr
-
-
-def test_start_of_a_report_without_a_run_names_the_folder(tmp_path: Any) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", ANIMARL, "report", str(tmp_path / "nowhere")],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "nowhere: it is not a run folder" in done.stderr and "make one with" in done.stderr
+@pytest.mark.parametrize(
+    ("words", "said"), [("trian", "train"), ("report nowhere", "nowhere: it is not a run folder")]
+)
+def test_start_that_is_refused(words: str, said: str, tmp_path: Path) -> None:
+    asked = [sys.executable, "-c", ANIMARL, *words.split()]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr
 
 
 class Terminal(io.StringIO):

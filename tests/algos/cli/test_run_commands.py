@@ -7,7 +7,6 @@ import json
 import resource
 import shutil
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ import pytest
 from commands import Done
 from small_runs import few, made
 
-from animarl_algos.cli.main import main
 from animarl_algos.evaluation import Rollouts
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.tables import TABLES
@@ -26,24 +24,6 @@ from animarl_algos.runs.run import Run
 from animarl_envs.files import all_files_or_none
 
 METHODS = ("dqcil-pt", "dqdil-pt")
-
-
-@pytest.fixture
-def animarl(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Callable[..., Done]:
-    """The command line in this process, in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> Done:
-        monkeypatch.setattr(sys, "argv", ["animarl", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr()
-        return Done(int(ended.value.code or 0), said.out, said.err)
-
-    return call
 
 
 @pytest.fixture(scope="module")

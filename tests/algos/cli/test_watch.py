@@ -14,8 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from animarl_algos.cli.watch import play, prepare, watch_command
-from animarl_algos.cli.watch_actors import trained_actor
+from animarl_algos.cli.watch import play, prepare, trained_actor, watch_command
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import Renderer

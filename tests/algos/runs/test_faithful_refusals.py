@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import toys
+from commands import Done
 from pair_learners import demonstrations
 
-from animarl_algos.cli.main import main
 from animarl_algos.data.slots import refuse_other_observation
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
@@ -141,16 +141,13 @@ def test_demonstrations_too_few_to_split(
     recordings: list[str],
     mend: str,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    animarl: Callable[..., Done],
 ) -> None:
     demos = load_packaged("fly").select(episodes=range(len(recordings)))
     split = np.array(["train", "val", "train"])[: len(recordings)]
-    file = replace(demos, recording=np.array(recordings), split=split).save(tmp_path / "few.npz")
-    monkeypatch.setattr(sys, "argv", ["animarl", "run", str(file), "--out", str(tmp_path / "run")])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr().err.strip()
-    assert ended.value.code == 2 and is_one_sentence(said)
+    replace(demos, recording=np.array(recordings), split=split).save(tmp_path / "few.npz")
+    done = animarl("run", "few.npz", "--out", "run")
+    said = done.stderr.strip()
+    assert done.returncode == 2 and is_one_sentence(said)
     assert f"split 'test' holds no episode: {mend}" in said
     assert not (tmp_path / "run").exists()

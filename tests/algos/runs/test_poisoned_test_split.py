@@ -14,8 +14,8 @@ from animarl_algos.benchmark.plan import plan
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.runs.pipeline import learn, open_run
 from animarl_algos.runs.run import Run
+from animarl_algos.runs.run_files import weights_file
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings
-from animarl_algos.runs.weights import weights_file
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import learnable

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from commands import Done
 from small_runs import made
 
 from animarl_algos import load_pretrained
-from animarl_algos.cli.main import main
 from animarl_algos.cli.watch import prepare
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.pretrained import FOLDER, export_run, pretrained_names
@@ -134,24 +134,14 @@ def test_recordings_of_other_individuals_are_refused(
         prepare("AnimaRL/Agent-v0", model=run.path, demos=file)
 
 
-def said_by(arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> tuple[int, str]:
-    monkeypatch.setattr(sys, "argv", ["animarl", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr()
-    return int(ended.value.code or 0), said.out + said.err
-
-
 def test_the_command_exports_and_refuses(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    run: Run, tmp_path: Path, animarl: Callable[..., Done]
 ) -> None:
-    out = tmp_path / "model"
-    code, said = said_by(["export", str(run.path), "--out", str(out)], monkeypatch, capsys)
-    assert code == 0 and "README.md" in said and (out / "README.md").is_file()
-    code, said = said_by(["watch"], monkeypatch, capsys)
-    assert code == 2 and "nothing to watch" in said
-    code, said = said_by(["watch", "--model", "cat"], monkeypatch, capsys)
-    assert code == 2 and "no packaged model" in said
+    done = animarl("export", run.path, "--out", "model")
+    assert "README.md" in done.stdout and (tmp_path / "model" / "README.md").is_file()
+    for words, said in (([], "nothing to watch"), (["--model", "cat"], "no packaged")):
+        refused = animarl("watch", *words)
+        assert refused.returncode == 2 and said in refused.stderr
 
 
 def test_packaged_models_are_small_and_hold_no_code() -> None:
@@ -179,12 +169,6 @@ def test_packaged_models_act_in_their_world(name: str) -> None:
     assert "synthetic" in card and "no animal" in card and "**Licence**" in card
 
 
-def test_watch_takes_a_packaged_model_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
-    clip = tmp_path / "fly.gif"
-    code, said = said_by(
-        ["watch", "--model", "fly", "--steps", "4", "--size", "100", "--out", str(clip)],
-        monkeypatch, capsys,
-    )  # fmt: skip
-    assert code == 0 and str(clip) in said and clip.stat().st_size > 100
+def test_watch_takes_a_packaged_model_by_name(tmp_path: Path, animarl: Callable[..., Done]) -> None:
+    done = animarl("watch", "--model", "fly", "--steps", 4, "--size", 100, "--out", "fly.gif")
+    assert "fly.gif" in done.stdout and (tmp_path / "fly.gif").stat().st_size > 100

@@ -21,6 +21,7 @@ import rl_zoo3.utils
 import yaml
 from behaviours import Behaviour, PartlyRandom, Same
 from commands import Done
+from stable_baselines3.common import callbacks
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import load_results
 from zoo_commands import AGENT, CARTPOLE, TINY
@@ -30,15 +31,19 @@ from zoo_commands import zoo as zoo
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.settings import LearnerFile
 from animarl_algos.recipes.registry import RECIPES, SoftBC
-from animarl_algos.zoo import manager, samplers
+from animarl_algos.zoo import manager
 from animarl_algos.zoo.__main__ import register
 from animarl_algos.zoo.environments import slot_environment, validation_environment
-from animarl_algos.zoo.samplers import sampler
+from animarl_algos.zoo.manager import sample_settings
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import COAST
 
 NAME = "AnimaRL-Agent-v0"
+
+
+def tiny(small: Path) -> list[str]:
+    return ["--env", AGENT, *TINY, "--env-kwargs", f"demos:{small}"]
 
 
 def test_all_learners_are_in_the_tables_of_rl_zoo3() -> None:
@@ -49,9 +54,7 @@ def test_all_learners_are_in_the_tables_of_rl_zoo3() -> None:
 
 @pytest.mark.parametrize("algo", RECIPES)
 def test_optuna_chooses_settings_that_the_learner_knows(algo: str) -> None:
-    register()
-    study = optuna.create_study()
-    drawn = sampler(algo)(study.ask(), 0, 16, {})
+    drawn = sample_settings(optuna.create_study().ask(), algo, {})
     assert drawn and learner_preset(algo, AGENT, "default", drawn)
     weights = {key.removeprefix("offline_") for key in drawn} & {"alpha", "lambda2", "lambda3"}
     wanted = {"dil": {"alpha"}, "cil": {"alpha", "lambda2"}, "aas": {"lambda3"}}
@@ -147,8 +150,7 @@ def trained_scores(species: str) -> tuple[dict[bool, float], dict[bool, float]]:
 def test_training_leaves_a_model_its_settings_and_scores(
     zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
-    demos = ["--env-kwargs", f"demos:{small}"]
-    done = zoo("train", "--algo", "dqdil", "--env", AGENT, *TINY, *demos)
+    done = zoo("train", "--algo", "dqdil", *tiny(small))
     assert done.returncode == 0, done.stderr
     run = tmp_path / "logs" / "dqdil" / f"{NAME}_1"
     for name in (f"{NAME}.zip", "best_model.zip", "evaluations.npz", "progress.csv"):
@@ -165,11 +167,10 @@ def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
     zoo: Callable[..., Done], small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """``-i``, and rl_zoo3's own ``plot_train``."""
-    asked = ["--algo", "dqdil", "--env", AGENT]
-    demos = ["--env-kwargs", f"demos:{small}"]
-    assert zoo("train", *asked, *TINY, *demos).returncode == 0
+    asked = ["--algo", "dqdil", *tiny(small)]
+    assert zoo("train", *asked).returncode == 0
     runs = [tmp_path / "logs" / "dqdil" / f"{NAME}_{k}" for k in (1, 2)]
-    done = zoo("train", "-i", str(runs[0] / f"{NAME}.zip"), *asked, *TINY, *demos)
+    done = zoo("train", "-i", str(runs[0] / f"{NAME}.zip"), *asked)
     assert done.returncode == 0, done.stderr
     for run in runs:
         episodes = load_results(str(run))
@@ -199,8 +200,7 @@ def test_the_same_seed_gives_the_same_scores(
 ) -> None:
     scores = []
     for number in (1, 2):
-        done = zoo("train", "--algo", "dqn", "--env", AGENT, *TINY, "--env-kwargs",
-                   f"demos:{small}")  # fmt: skip
+        done = zoo("train", "--algo", "dqn", *tiny(small))
         assert done.returncode == 0, done.stderr
         file = tmp_path / "logs" / "dqn" / f"{NAME}_{number}" / "evaluations.npz"
         with np.load(file) as evaluations:
@@ -235,9 +235,8 @@ def test_evaluations_are_a_tenth_of_the_run_apart_unless_told(
 
 
 def test_one_individual_in_training(zoo: Callable[..., Done], small: Path) -> None:
-    options = ["--env-kwargs", f"demos:{small}", "focal:prey"]
     params = ["-params", "offline_epochs:1", "learning_rate:lin_1e-3"]
-    done = zoo("train", "--algo", "qr-dqcil-pt", "--env", AGENT, *TINY, "-P", *options, *params)
+    done = zoo("train", "--algo", "qr-dqcil-pt", *tiny(small), "focal:prey", "-P", *params)
     assert done.returncode == 0, done.stderr
     assert "online" in done.stderr  # the progress bar
 
@@ -245,8 +244,7 @@ def test_one_individual_in_training(zoo: Callable[..., Done], small: Path) -> No
 def test_a_learner_without_an_online_phase(
     zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
-    done = zoo("train", "--algo", "bc", "--env", AGENT, *TINY, "--env-kwargs", f"demos:{small}",
-               "-params", "offline_epochs:2")  # fmt: skip
+    done = zoo("train", "--algo", "bc", *tiny(small), "-params", "offline_epochs:2")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "logs" / "bc" / f"{NAME}_1" / f"{NAME}.zip").exists()
 
@@ -262,8 +260,7 @@ def test_optimize_tunes_into_sqlite(
     algo: str, zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
     """Two trials, then two more in the same study; the best one's settings train a model."""
-    tune = ["optimize", "--algo", algo, "--env", AGENT, *TINY, "--n-trials", "2", "--pruner",
-            "none", "--env-kwargs", f"demos:{small}"]  # fmt: skip
+    tune = ["optimize", "--algo", algo, "--n-trials", "2", "--pruner", "none", *tiny(small)]
     if algo == "bc":
         tune += ["-params", "offline_epochs:1"]
     for _ in range(2):
@@ -303,7 +300,7 @@ def test_a_trial_has_the_network_that_was_asked_for(
         return 0.0, 0.0
 
     monkeypatch.setattr(manager, "evaluate_policy", score)
-    monkeypatch.setattr(samplers, "QUANTILES", (7,))
+    monkeypatch.setattr(manager, "QUANTILES", (7,))
     params = ["-params", "gamma:0.5", "learning_rate:0.001", "policy_kwargs:{hidden: 8}"]
     tune = ["optimize", "--algo", "qr-dqn", *CARTPOLE, "--n-trials=1", "--pruner=none", *params]
     done = zoo(*tune)
@@ -320,3 +317,24 @@ def test_help_says_what_a_zip_file_is(zoo: Callable[..., Done]) -> None:
     train: Any = zoo("train", "--help")
     assert "--preset {paper,default}" in train.stdout and "pickles" in train.stdout
     assert "python -m animarl_algos.zoo train" in zoo("--help").stdout
+
+
+@pytest.mark.parametrize("exploration", ["epsilon", "boltzmann"])
+def test_training_scores_a_policy_that_samples_as_it_acts(
+    exploration: str, zoo: Callable[..., Done], small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the best actions otherwise, as rl_zoo3 does; its callback and optuna's alike."""
+    greedily: list[tuple[bool, str]] = []
+
+    def score(model: Any, *_: Any, deterministic: bool, **asked: Any) -> Any:
+        greedily.append((deterministic, str(model.policy.acting.kind)))
+        return ([0.0], [1]) if asked.get("return_episode_rewards") else (0.0, 0.0)
+
+    monkeypatch.setattr(callbacks, "evaluate_policy", score)
+    monkeypatch.setattr(manager, "evaluate_policy", score)
+    params = ["-params", "offline_epochs:1", f"exploration:{exploration}"]
+    told = ["--algo", "dqdil-pt", *tiny(small), *params]
+    for command in (["train"], ["optimize", "--n-trials", "1", "--pruner", "none"]):
+        done = zoo(*command, *told)
+        assert done.returncode == 0, done.stderr
+    assert len(greedily) > 2 and set(greedily) == {(exploration == "epsilon", exploration)}

@@ -12,7 +12,7 @@ from commands import animarl
 from numpy.typing import NDArray
 
 from animarl_algos.cli.data import merged
-from animarl_algos.cli.hints import hints
+from animarl_algos.cli.describing import hints
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.joining import join

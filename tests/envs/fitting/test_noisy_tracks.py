@@ -13,7 +13,7 @@ from small_runs import few
 from thrust_walks import walk
 from typer.testing import CliRunner
 
-from animarl_algos.cli.hints import hints
+from animarl_algos.cli.describing import hints
 from animarl_algos.cli.main import app
 from animarl_algos.runs import pipeline
 from animarl_algos.runs.run_settings import RunSettings
@@ -108,8 +108,8 @@ def test_an_import_of_jumping_tracks_hints_at_smoothing(tmp_path: Path) -> None:
         rows += [f"{t},{name},{x!r},{y!r}" for t, (x, y) in enumerate(jumping.tolist())]
     (tmp_path / "pair.csv").write_text("\n".join(rows) + "\n")
     words = ("import", tmp_path / "pair.csv", "--fps", 25, "--target", "female", "--dry-run")
-    assert "smooth it by --smoothing 2" in animarl(*words)
-    assert "smooth it" not in animarl(*words, "--smoothing", 2)
+    assert "consider --smoothing 2" in animarl(*words)
+    assert "consider --smoothing" not in animarl(*words, "--smoothing", 2)
 
 
 def test_smoothed_tracks_are_not_advised_to_be_smoothed_so_again() -> None:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from thrust_walks import DT, ROLES, TRUTH, walk
 from typer.testing import CliRunner
 
+from animarl_algos.cli.fit import parse_thrusts
 from animarl_algos.cli.main import app
-from animarl_algos.cli.thrusts import parse_thrusts
 from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena
 from animarl_envs.demos.packaged import load_packaged

@@ -1,0 +1,149 @@
+"""What commands share: their options, what they read and write, and the terminal.
+
+Names and texts from files are shown as they are, never obeyed.
+"""
+
+from __future__ import annotations
+
+import csv
+import inspect
+import re
+import shlex
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+from rich.console import Console
+
+from animarl_envs.checks import printable
+from animarl_envs.demos import Demonstrations
+from animarl_envs.demos.episode import SPLITS
+from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
+from animarl_envs.importing.readers import read
+
+CONTEXT = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+ALL = "all"
+SOURCE = "--source"
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
+Command = Callable[..., None]
+
+
+class PlainConsole(Console):
+    """A console without markup (``[/red]`` is a name like any other) or terminal escapes."""
+
+    def __init__(self, least_width: int = 0, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+        self.width = max(self.width, least_width)
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As rich's; sentences are not broken, and what cannot be printed is written out."""
+        if objects and all(isinstance(o, str) for o in objects):
+            options = {"soft_wrap": True} | options
+        super().print(*(printable(o) if isinstance(o, str) else o for o in objects), **options)
+
+
+# -- options made from a model or a table ---------------------------------------------------------
+
+
+def option(name: str, kind: Any, default: Any, info: Any) -> inspect.Parameter:
+    """Return a parameter as typer reads it; ``info`` is typer's Option or Argument."""
+    default = inspect.Parameter.empty if default is ... else default
+    annotation = Annotated[kind, info]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, keyword, default=default, annotation=annotation)
+
+
+def asks_for(parameters: Iterable[inspect.Parameter]) -> Callable[[Command], Command]:
+    """Decorator: let typer see these parameters of a command that takes ``**given``."""
+    listed = list(parameters)
+
+    def decorate(command: Command) -> Command:
+        command.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]
+        command.__annotations__ = {one.name: one.annotation for one in listed}
+        return command
+
+    return decorate
+
+
+def helps(**texts: Any) -> Callable[[Command], Command]:
+    """Decorator: tell typer what each parameter is, by its help, or by its Option or Argument.
+
+    By its help alone it is an argument without a default, or else an option.
+    """
+
+    def decorate(command: Command) -> Command:
+        kinds, listed = get_type_hints(command), []
+        for name, one in inspect.signature(command).parameters.items():
+            info = texts[name]
+            if isinstance(info, str):
+                of = typer.Argument if one.default is one.empty else typer.Option
+                info = of(help=info)
+            listed.append(one.replace(annotation=Annotated[kinds[name], info]))
+        return asks_for(listed)(command)
+
+    return decorate
+
+
+# -- files ----------------------------------------------------------------------------------------
+
+
+def load(file: str, source: str | None = None, *, takes: Collection[str] = ()) -> Demonstrations:
+    """Return a packaged set by name, or those of a file; see :func:`suggest_import_on_error`."""
+    path = Path(file)
+    if file in packaged_names() and not path.exists():
+        return load_packaged(file)
+    if not path.exists():
+        raise InputError(
+            f"{file}: there is no such file, and packaged are {', '.join(packaged_names())}: check "
+            "the path"
+        )
+    with suggest_import_on_error(file, takes):
+        return read(file, source)
+
+
+@contextmanager
+def suggest_import_on_error(file: str | Path, takes: Collection[str] = ()) -> Iterator[None]:
+    """Where a file is refused, say how ``animarl import`` reads it.
+
+    Readers name options of that command; those in ``takes`` the command at hand has too.
+    """
+    try:
+        yield
+    except InputError as error:
+        said = str(error)
+        lacking = [name for name in dict.fromkeys(OPTION.findall(said)) if name not in takes]
+        if not lacking or "animarl " in said:
+            raise
+        place = "" if said.startswith(str(file)) else f"{file}: "
+        options = " ".join(f"{name} ..." for name in lacking)
+        raise InputError(
+            f"{place}{said}, as in 'animarl import {shlex.quote(str(file))} {options} --out "
+            "demos.npz', and take what that writes"
+        ) from None
+
+
+def named_split(split: str) -> str | None:
+    """Return what ``--split`` names; ``None``: all episodes."""
+    if split not in (*SPLITS, ALL):
+        raise InputError(f"--split is {split!r}: choose one of {', '.join((*SPLITS, ALL))}")
+    return None if split == ALL else split
+
+
+def refuse_overwriting(out: Path, *read_from: str | Path) -> None:
+    """Refuse to write a result over a file that it is made from."""
+    for file in map(Path, read_from):
+        if out.exists() and file.exists() and out.samefile(file):
+            raise InputError(f"{out}: it is the file that is read: name another --out")
+
+
+def write_csv(out: Path, rows: Iterable[Mapping[str, object]]) -> None:
+    """Write a table of at least one row; None is an empty cell."""
+    whole = list(rows)
+    with write_then_rename(out) as part, part.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(whole[0]))
+        writer.writeheader()
+        writer.writerows(whole)

@@ -1,0 +1,146 @@
+"""What lies in a run's folder: weights, learning curves, and what the run was made with and on."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+
+from animarl_algos.learner.checkpoint import load_tensors, summarise_error
+from animarl_envs.errors import InputError, MissingExtraError
+from animarl_envs.files import write_then_rename
+
+OWN, GIVEN = ".pt", ".safetensors"
+"""Weights: torch's own within a run, safetensors, which hold no code, to give away."""
+CURVE_COLUMNS = ["method", "phase", "seed", "step", "quantity", "value"]
+PACKAGES = (
+    "animarl", "gymnasium", "numba", "numpy", "pettingzoo", "sb3-contrib", "scikit-learn",
+    "scipy", "stable-baselines3", "torch",
+)  # fmt: skip
+
+
+def write_json(file: Path, content: Any) -> None:
+    with write_then_rename(file) as part:
+        part.write_text(json.dumps(content, indent=2) + "\n")
+
+
+# -- weights --------------------------------------------------------------------------------------
+
+
+def weights_file(folder: Path, name: str) -> Path:
+    """Return where the weights of a policy lie, or would."""
+    given = folder / f"{name}{GIVEN}"
+    return given if given.exists() else folder / f"{name}{OWN}"
+
+
+def read_weights(file: Path) -> Any:
+    """Return tensors by name.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        If it is damaged, or holds more than tensors and plain values.
+    """
+    if file.suffix != GIVEN:
+        return load_tensors(file)
+    formats, content = _safetensors(), file.read_bytes()
+    try:
+        return formats.load(content)
+    except Exception as error:  # safetensors' own, and torch's on a shape that is none
+        raise ValueError(f"{file.name} is no whole file of tensors ({error})") from error
+
+
+def write_weights(tensors: Mapping[str, torch.Tensor], file: Path) -> None:
+    """Write tensors by name as safetensors."""
+    plain = {name: one.detach().cpu().contiguous() for name, one in tensors.items()}
+    with write_then_rename(file) as part:
+        part.write_bytes(_safetensors().save(plain))
+
+
+def _safetensors() -> Any:
+    try:
+        from safetensors import torch as formats
+    except ImportError as error:
+        raise MissingExtraError("a model as safetensors", "algos") from error
+    return formats
+
+
+# -- learning curves ------------------------------------------------------------------------------
+
+
+def logged_curves(logs: Path, seed: int) -> pd.DataFrame:
+    """Return all quantities that were logged: ``method, phase, seed, step, quantity, value``.
+
+    Raises
+    ------
+    InputError
+        If a table is damaged.
+    """
+    found = [pd.DataFrame(columns=[c for c in CURVE_COLUMNS if c != "seed"])]
+    for file in sorted(logs.glob("*/*/progress.csv")):
+        if file.stat().st_size == 0:
+            continue
+        try:
+            table = pd.read_csv(file)
+        except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"{file}: the table cannot be read ({summarise_error(error)}): remove it, "
+                "or train again"
+            ) from None
+        for phase, step, kinds in (
+            ("offline", "offline/epoch", ("offline/",)),
+            ("online", "time/total_timesteps", ("rollout/", "train/")),
+        ):
+            if step in table:
+                columns = [c for c in map(str, table) if c.startswith(kinds) and c != step]
+                long = table.melt(id_vars=step, value_vars=columns, var_name="quantity").dropna()
+                long = long.rename(columns={step: "step"})
+                found.append(long.assign(method=file.parent.parent.name, phase=phase))
+    curves = pd.concat(found[1:] or found, ignore_index=True).assign(seed=seed)
+    return curves.drop_duplicates(CURVE_COLUMNS[:-1], keep="last")[CURVE_COLUMNS]
+
+
+# -- versions and machine -------------------------------------------------------------------------
+
+
+def versions() -> dict[str, str]:
+    """Return versions of Python and of the packages that decide a result."""
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | packages
+
+
+def machine() -> dict[str, str]:
+    """Return commit, system, processor and accelerator, as texts."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    processor = models[0] if models else platform.processor() or platform.machine()
+    accelerator = torch.cuda.get_device_name() if torch.cuda.is_available() else "none"
+    return {
+        "commit": commit(Path(__file__).resolve().parents[2]),
+        "system": f"{platform.system()} {platform.machine()}",
+        "processor": f"{processor}, {os.cpu_count()} logical cores",
+        "accelerator": accelerator,
+    }
+
+
+def commit(root: Path) -> str:
+    """Return the commit that the code in ``root`` stands at, and whether it was changed since."""
+    if not (root / ".git").exists():
+        return "none (an installed package, no checkout)"
+    asked = ["git", "-C", str(root), "describe", "--always", "--exclude=*", "--abbrev=40",
+             "--dirty= with changes"]  # fmt: skip
+    try:
+        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown (git did not tell)"
