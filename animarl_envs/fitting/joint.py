@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +76,12 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
         fit_joint(data, f"{demos.name}: {name}")
         for data, name in zip(every, demos.individuals, strict=True)
     ]
-    if thrusts == 1:
-        return tuple(_fast_enough(data, one) for data, one in zip(every, ones, strict=True))
+    if thrusts == 1:  # or the best fit that reaches the fast speed
+        return tuple(
+            one if one.terminal_speed(demos.dt) >= fast_speed(data)
+            else fit_joint(data, least_speed=fast_speed(data))
+            for data, one in zip(every, ones, strict=True)
+        )  # fmt: skip
     multiples = fixed_multiples(thrusts)
     fitted = [_fit_magnitudes(data, one, thrusts) for data, one in zip(every, ones, strict=True)]
     fixed = [_with_multiples(data, one, multiples) for data, one in zip(every, ones, strict=True)]
@@ -180,18 +185,19 @@ def bootstrap_joint(
 def _starting_points(data: Transitions) -> list[tuple[float, float]]:
     """The most promising cells of a grid over d and u."""
     every = max(1, len(data) // GRID_STEPS)
-    velocity, next_velocity = data.velocity[::every], data.next_velocity[::every]
-    focus = np.ascontiguousarray(data.focus[::every])
-    velocity, next_velocity = np.ascontiguousarray(velocity), np.ascontiguousarray(next_velocity)
-    error, action, level = _scratch(len(velocity))
+    few = replace(
+        data,
+        velocity=np.ascontiguousarray(data.velocity[::every]),
+        next_velocity=np.ascontiguousarray(data.next_velocity[::every]),
+        focus=np.ascontiguousarray(data.focus[::every]),
+    )
     found = []
-    for damping in GRID_DAMPING:
-        rest = locomotion.residual(next_velocity, velocity, float(damping))
+    for damping in GRID_DAMPING.tolist():
+        rest = locomotion.residual(few.next_velocity, few.velocity, damping)
         length = np.hypot(rest[:, 0], rest[:, 1]) / data.dt
         for thrust in np.unique(np.quantile(length[length > 0], GRID_QUANTILES)):
-            impulse = np.array([thrust * data.dt])
-            assign(velocity, next_velocity, focus, damping, impulse, error, action, level)
-            found.append((_loss(error), float(damping), float(thrust)))
+            error = nearest_actions(few, damping, np.array([thrust]))[0]
+            found.append((_loss(error), damping, float(thrust)))
     found.sort()
     return [(damping, thrust) for _, damping, thrust in found[:STARTS]]
 
@@ -205,39 +211,40 @@ def _alternate(
     far: float,
 ) -> tuple[float, Floats, float]:
     """Assign actions, trim, solve; until nothing changes. Returns d, thrusts and the mean loss."""
-    error, action, level = scratch = _scratch(len(data))
-    tracks = (data.velocity, data.next_velocity)
     for _ in range(ITERATIONS):
-        assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
-        vv, vn, va, aa, an = sums(
-            *tracks, action, level, error, _limit(error, far), data.dt, len(thrusts)
-        )
-        new_damping, new_thrusts = _solve(vv, vn, va, aa, an, thrusts, data.dt, least_speed)
+        error, action, level = nearest_actions(data, damping, thrusts)
+        inner = sums(
+            data.velocity, data.next_velocity, action, level, error, _limit(error, far), data.dt,
+            len(thrusts),
+        )  # fmt: skip
+        new_damping, new_thrusts = _solve(*inner, thrusts, data.dt, least_speed)
         if not (new_thrusts > 0).all():
             return damping, thrusts, math.inf
         change = max(abs(new_damping - damping), np.max(np.abs(new_thrusts - thrusts) / thrusts))
         damping, thrusts = new_damping, new_thrusts
         if change < tolerance:
             break
-    assign(*tracks, data.focus, damping, thrusts * data.dt, *scratch)
-    return damping, thrusts, _loss(error, far)
+    return damping, thrusts, _loss(nearest_actions(data, damping, thrusts)[0], far)
+
+
+def nearest_actions(
+    data: Transitions, damping: float, thrusts: Floats
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Of every step the squared miss of the nearest action, its vector, and which thrust it has."""
+    found = np.empty(len(data)), np.empty((len(data), 2)), np.empty(len(data), dtype=np.int64)
+    assign(data.velocity, data.next_velocity, data.focus, damping, thrusts * data.dt, *found)
+    return found
 
 
 def _solve(
-    vv: float,
-    vn: float,
-    va: Floats,
-    aa: Floats,
-    an: Floats,
-    thrusts: Floats,
-    dt: float,
+    vv: float, vn: float, va: Floats, aa: Floats, an: Floats, thrusts: Floats, dt: float,
     least_speed: float,
-) -> tuple[float, Floats]:
+) -> tuple[float, Floats]:  # fmt: skip
     """Least squares for v' = (1 - d) v + sum_j u_j (dt a_j), from its :func:`sums`.
 
     The terminal speed of the largest thrust is at least ``least_speed``. A thrust that no step is
     nearest to stays what it was.
-    """  # fmt: skip
+    """
     used = aa > 0
     if not used.any():
         return 0.0, np.zeros_like(thrusts)
@@ -278,16 +285,14 @@ def _loss(error: Floats, far: float = FAR) -> float:
 
 def _gradients(data: Transitions, point: Floats) -> Floats:
     """Half the gradient of the loss by (d, u), per episode ``(episodes, 2)``."""
-    error, action = _nearest(data, point)
+    error, action, _ = nearest_actions(data, point[0], point[1:])
     kept = error <= _limit(error)
     impulse = data.dt * action
-    rest = locomotion.residual(data.next_velocity, data.velocity, float(point[0]))
-    miss = rest - point[1] * impulse
-    terms = np.column_stack([np.sum(miss * data.velocity, axis=1), -np.sum(miss * impulse, axis=1)])
-    out = np.zeros((data.num_episodes, 2))
-    for column in range(2):
-        out[:, column] = np.bincount(data.episode, terms[:, column] * kept, data.num_episodes)
-    return out
+    miss = locomotion.residual(data.next_velocity, data.velocity, float(point[0]))
+    miss = miss - point[1] * impulse
+    terms = np.sum(miss * data.velocity, axis=1), -np.sum(miss * impulse, axis=1)
+    each = [np.bincount(data.episode, term * kept, data.num_episodes) for term in terms]
+    return np.stack(each, axis=1)
 
 
 def _curvature(data: Transitions, point: Floats, step: Floats) -> Floats:
@@ -301,29 +306,9 @@ def _curvature(data: Transitions, point: Floats, step: Floats) -> Floats:
 
 def _fixed_curvature(data: Transitions, point: Floats) -> Floats:
     """Half the Hessian of the loss with all actions held fixed, ``(2, 2)``."""
-    _, action = _nearest(data, point)
-    impulse = data.dt * action
+    impulse = data.dt * nearest_actions(data, point[0], point[1:])[1]
     mixed = -np.sum(data.velocity * impulse)
     return np.array([[np.sum(data.velocity**2), mixed], [mixed, np.sum(impulse**2)]])
-
-
-def _nearest(data: Transitions, point: Floats) -> tuple[Floats, Floats]:
-    """Squared errors ``(steps,)`` and nearest action vectors ``(steps, 2)`` at (d, u)."""
-    error, action, level = _scratch(len(data))
-    impulse = point[1:] * data.dt
-    assign(data.velocity, data.next_velocity, data.focus, point[0], impulse, error, action, level)
-    return error, action
-
-
-def _scratch(steps: int) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return empty arrays for :func:`assign`: squared error, vector, thrust of each action."""
-    return np.empty(steps), np.empty((steps, 2)), np.empty(steps, dtype=np.int64)
-
-
-def _fast_enough(data: Transitions, one: Locomotion) -> Locomotion:
-    """The joint fit, or the best one that reaches the fast speed."""
-    fast = fast_speed(data)
-    return one if one.terminal_speed(data.dt) >= fast else fit_joint(data, least_speed=fast)
 
 
 def _with_multiples(data: Transitions, one: Locomotion, multiples: Sequence[float]) -> Locomotion:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from animarl_envs.compiling import jit, part
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.fitting.joint import fit_joint
 from animarl_envs.fitting.transitions import transitions
-from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS
+from animarl_envs.locomotion import ACTION_VECTORS, NUM_ACTIONS, Locomotion, apply_actions
 
 Floats = NDArray[np.float64]
 
@@ -92,160 +92,116 @@ def fit_with_noise(
         If there are fewer than three steps, or the individual never moves.
     """
     name = f"{demos.name}: {demos.individuals[individual]}"
-    few = demos.select(episodes=np.arange(_enough(demos.lengths - 1, most_steps)))
+    enough = np.searchsorted(np.cumsum(demos.lengths - 1), most_steps, side="right")
+    few = demos.select(episodes=np.arange(max(1, enough)))
     joint = fit_joint(transitions(few, individual), name)
-    data = _Data.of(few, individual)
-    best: tuple[float, Floats] | None = None
-    for share in FIRST_NOISE:
-        guess = _logits(
-            max(joint.damping, 0.02), joint.thrust * few.dt, share * data.median_step, 0.5
+    model = _Model(few, individual)
+    step = model.median_step
+    found = [
+        model.search(
+            _logits(max(joint.damping, 0.02), joint.thrust * few.dt, share * step, 0.5), 60, 0.5
         )
-        found = _search(data, guess, np.full(NUM_ACTIONS, 1 / NUM_ACTIONS), 60, wide=True)
-        if best is None or found[0] < best[0]:
-            best = found
-    assert best is not None
-    point, shares = best[1], np.full(NUM_ACTIONS, 1 / NUM_ACTIONS)
+        for share in FIRST_NOISE
+    ]
+    point = min(found, key=lambda one: one[0])[1]
     for _ in range(ROUNDS):
-        data.negative(point, shares)
-        shares = (data.taken + 1) / (data.taken.sum() + NUM_ACTIONS)  # none is impossible
-        point = _search(data, point, shares, 100, wide=False)[1]
-    if _natural(point)[2] < LEAST_NOISE * data.median_step:
+        model.negative(point)
+        # Shares of actions; none is impossible.
+        model.shares = (model.taken + 1) / (model.taken.sum() + NUM_ACTIONS)
+        point = model.search(point, 100, 0.1)[1]
+    if _natural(point)[2] < LEAST_NOISE * step:
         kept = _natural(point)[3]
-        return NoisyFit(joint.damping, joint.thrust, 0.0, kept, data.median_step, None, None, None)
-    around = _intervals(data, point, shares) if intervals else None
+        return NoisyFit(joint.damping, joint.thrust, 0.0, kept, step, None, None, None)
+    around: list[Interval | None] = [None] * 3
     if intervals:
-        bias = _bias(data, point, shares)
-        point, around = point - bias, None if around is None else around - bias[:, None]
+        bounds, bias = model.intervals(point), model.bias(point)
+        point = point - bias
+        if bounds is not None:
+            low, high = (_natural(side - bias) for side in bounds)
+            around = [(low[0], high[0]), (low[1] / few.dt, high[1] / few.dt), (low[2], high[2])]
     damping, impulse, noise, kept = _natural(point)
-    return NoisyFit(
-        damping=damping,
-        thrust=impulse / few.dt,
-        noise=noise,
-        kept=kept,
-        median_step=data.median_step,
-        damping_interval=_interval(around, 0, 1.0),
-        thrust_interval=_interval(around, 1, 1 / few.dt),
-        noise_interval=_interval(around, 2, 1.0),
-    )
+    return NoisyFit(damping, impulse / few.dt, noise, kept, step, *around)
 
 
-@dataclass(frozen=True)
-class _Data:
-    """One individual's track, and the filter's scratch."""
+class _Model:
+    """One individual's track, how often its actions are chosen, and the filter's scratch."""
 
-    positions: Floats
-    focus: Floats
-    first: NDArray[np.int64]
-    dt: float
-    median_step: float
-    hypotheses: tuple[Floats, Floats, Floats, Floats]
-    episodes: Floats
-    taken: Floats
-
-    @classmethod
-    def of(cls, demos: Demonstrations, individual: int) -> _Data:
-        positions = np.ascontiguousarray(demos.positions[:, individual])
-        steps = np.linalg.norm(demos.velocities()[:, individual], axis=1) * demos.dt
-        median = float(np.median(steps[steps > 0]))
+    def __init__(self, demos: Demonstrations, individual: int) -> None:
         A = NUM_ACTIONS
-        return cls(
-            positions=positions,
-            focus=np.ascontiguousarray(demos.focus()[:, individual]),
-            first=demos.offsets.astype(np.int64),
-            dt=demos.dt,
-            median_step=median,
-            hypotheses=(
-                np.zeros((2, A, 2, 2)),
-                np.zeros((2, A, 2, 3)),
-                np.zeros((4, A)),
-                np.zeros((A, 2, 9)),
-            ),
-            episodes=np.zeros(demos.num_episodes),
-            taken=np.zeros(A),
-        )
+        steps = np.linalg.norm(demos.velocities()[:, individual], axis=1) * demos.dt
+        self.median_step = float(np.median(steps[steps > 0]))
+        self.positions = np.ascontiguousarray(demos.positions[:, individual])
+        self.focus = np.ascontiguousarray(demos.focus()[:, individual])
+        self.first, self.dt = demos.offsets.astype(np.int64), demos.dt
+        self.shares, self.taken = np.full(A, 1 / A), np.zeros(A)
+        self.episodes = np.zeros(demos.num_episodes)
+        self.hypotheses = (
+            np.zeros((2, A, 2, 2)), np.zeros((2, A, 2, 3)), np.zeros((4, A)), np.zeros((A, 2, 9))
+        )  # fmt: skip
 
-    def negative(self, point: Floats, shares: Floats) -> float:
+    def negative(self, point: Floats) -> float:
         """Minus the log likelihood per frame; ``episodes`` and ``taken`` are filled."""
-        parameters = _natural(point)
-        least = LEAST_NOISE * self.median_step
-        parameters = (parameters[0], parameters[1], math.hypot(parameters[2], least), parameters[3])
+        damping, impulse, noise, kept = _natural(point)
+        parameters = damping, impulse, math.hypot(noise, LEAST_NOISE * self.median_step), kept
         total = log_likelihood(
             self.positions, self.focus, self.first, ACTION_VECTORS, self.dt,
-            3.0 * self.median_step / self.dt, parameters, shares, self.hypotheses, self.episodes,
-            self.taken,
+            3.0 * self.median_step / self.dt, parameters, self.shares, self.hypotheses,
+            self.episodes, self.taken,
         )  # fmt: skip
         return float(-total / len(self.positions)) if math.isfinite(total) else math.inf
 
+    def search(self, point: Floats, calls: int, size: float) -> tuple[float, Floats]:
+        """Nelder and Mead's search from ``point``."""
+        from scipy.optimize import minimize
 
-def _enough(steps: NDArray[np.integer], most: int) -> int:
-    """How many episodes, from the first, hold up to ``most`` steps; at least one."""
-    return max(1, int(np.searchsorted(np.cumsum(steps), most, side="right")))
+        corners = np.vstack([point, point + size * np.eye(len(point))])
+        options = {"maxfev": calls, "xatol": 1e-3, "fatol": 1e-7, "initial_simplex": corners}
+        found = minimize(self.negative, point, method="Nelder-Mead", options=options)
+        return float(found.fun), np.asarray(found.x)
 
+    def intervals(self, point: Floats) -> tuple[Floats, Floats] | None:
+        """Lower and upper ends, unbounded; the sandwich over episodes, and what the bias adds."""
+        from scipy.stats import t as student
 
-def _search(
-    data: _Data, point: Floats, shares: Floats, calls: int, *, wide: bool
-) -> tuple[float, Floats]:
-    """Nelder and Mead's search from ``point``."""
-    from scipy.optimize import minimize
+        count = len(self.episodes)
+        if count < FEWEST_EPISODES:
+            return None
 
-    size = 0.5 if wide else 0.1
-    corners = np.vstack([point, point + size * np.eye(len(point))])
-    found = minimize(
-        data.negative,
-        point,
-        args=(shares,),
-        method="Nelder-Mead",
-        options={"maxfev": calls, "xatol": 1e-3, "fatol": 1e-7, "initial_simplex": corners},
-    )
-    return float(found.fun), np.asarray(found.x)
+        def per_episode(at: Floats) -> Floats:
+            self.negative(at)
+            return self.episodes.copy()
 
+        scores = _gradient(per_episode, point)  # (episodes, 4)
+        curvature = _gradient(lambda at: _gradient(per_episode, at).sum(0), point)
+        inverse = np.linalg.pinv(-(curvature + curvature.T) / 2)
+        scores = scores - scores.mean(0)
+        variance = inverse @ (scores.T @ scores * count / (count - 1)) @ inverse
+        spread = np.sqrt(np.maximum(np.diag(variance), 0) * (1 + 1 / REPLICATES))
+        half = student.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
+        return point - half, point + half
 
-def _intervals(data: _Data, point: Floats, shares: Floats) -> Floats | None:
-    """``(4, 2)``, unbounded; the sandwich over episodes, and what the bias adds."""
-    from scipy.stats import t as student
+    def bias(self, point: Floats) -> Floats:
+        """Return the bias of merging hypotheses: the mean shift of fits to simulated tracks."""
+        rng, shifts, recorded = np.random.default_rng(0), [], self.positions
+        for _ in range(REPLICATES):
+            self.positions = self._simulate(recorded, point, rng)
+            shifts.append(self.search(point, 80, 0.1)[1] - point)
+        self.positions = recorded
+        return np.asarray(np.mean(shifts, axis=0))
 
-    count = len(data.episodes)
-    if count < FEWEST_EPISODES:
-        return None
-
-    def per_episode(at: Floats) -> Floats:
-        data.negative(at, shares)
-        return data.episodes.copy()
-
-    scores = _gradient(per_episode, point)  # (episodes, 4)
-    curvature = _gradient(lambda at: _gradient(per_episode, at).sum(0), point)
-    inverse = np.linalg.pinv(-(curvature + curvature.T) / 2)
-    scores = scores - scores.mean(0)
-    variance = inverse @ (scores.T @ scores * count / (count - 1)) @ inverse
-    spread = np.sqrt(np.maximum(np.diag(variance), 0) * (1 + 1 / REPLICATES))
-    half = student.ppf(0.5 + CONFIDENCE / 2, count - 1) * spread
-    return np.stack([point - half, point + half], axis=1)
-
-
-def _bias(data: _Data, point: Floats, shares: Floats) -> Floats:
-    """Return the bias of merging hypotheses: the mean shift of fits to simulated tracks."""
-    rng = np.random.default_rng(0)
-    shifts = []
-    for _ in range(REPLICATES):
-        made = replace(data, positions=_simulated(data, point, shares, rng))
-        shifts.append(_search(made, point, shares, 80, wide=False)[1] - point)
-    return np.asarray(np.mean(shifts, axis=0))
-
-
-def _simulated(data: _Data, point: Floats, shares: Floats, rng: np.random.Generator) -> Floats:
-    """Tracks ``(frames, 2)`` that the model makes from the recorded starts and focus directions."""
-    damping, impulse, noise, kept = _natural(point)
-    path = data.positions.copy()
-    for begin, end in itertools.pairwise(data.first.tolist()):
-        velocity = (path[min(begin + 1, end - 1)] - path[begin]) / data.dt
-        action = rng.choice(NUM_ACTIONS, p=shares)
-        for t in range(begin, end - 1):
-            if rng.random() >= kept:
-                action = rng.choice(NUM_ACTIONS, p=shares)
-            (ahead, left), (x, y) = impulse * ACTION_VECTORS[action], data.focus[t]
-            velocity = (1 - damping) * velocity + [ahead * x - left * y, ahead * y + left * x]
-            path[t + 1] = path[t] + data.dt * velocity
-    return path + noise * rng.standard_normal(path.shape)
+    def _simulate(self, recorded: Floats, point: Floats, rng: np.random.Generator) -> Floats:
+        """Tracks ``(frames, 2)`` of the model, from recorded starts and focus directions."""
+        damping, impulse, noise, kept = _natural(point)
+        own, path = Locomotion(damping, impulse), recorded.copy()
+        for begin, end in itertools.pairwise(self.first.tolist()):
+            velocity = (path[min(begin + 1, end - 1)] - path[begin]) / self.dt
+            action = rng.choice(NUM_ACTIONS, p=self.shares)
+            for t in range(begin, end - 1):
+                if rng.random() >= kept:
+                    action = rng.choice(NUM_ACTIONS, p=self.shares)
+                velocity = apply_actions(velocity, action, self.focus[t], own, dt=1.0)
+                path[t + 1] = path[t] + self.dt * velocity
+        return path + noise * rng.standard_normal(path.shape)
 
 
 def _gradient(function: Callable[[Floats], Floats], point: Floats, step: float = 0.01) -> Floats:
@@ -255,14 +211,6 @@ def _gradient(function: Callable[[Floats], Floats], point: Floats, step: float =
         offset = step * np.eye(len(point))[k]
         columns.append((function(point + offset) - function(point - offset)) / (2 * step))
     return np.stack(columns, axis=-1)
-
-
-def _interval(intervals: Floats | None, row: int, unit: float) -> Interval | None:
-    """In natural units, times ``unit``."""
-    if intervals is None:
-        return None
-    low, high = (_natural(intervals[:, side])[row] * unit for side in range(2))
-    return low, high
 
 
 def _logits(damping: float, impulse: float, noise: float, kept: float) -> Floats:

@@ -10,12 +10,11 @@ measured (the stored initial velocity) is no onset.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
@@ -23,12 +22,10 @@ from animarl_envs.locomotion import Locomotion
 TOP_QUANTILE = 0.99
 
 
-@dataclass(frozen=True)
-class OnsetData:
-    """Speeds of one individual, with the episode each belongs to.
+class OnsetData(NamedTuple):
+    """Speeds of one individual in ascending order, with the episode each belongs to.
 
-    ``speed`` ``(n,)`` is in ascending order [arena unit / s]; ``onset_speed`` holds the speeds just
-    after an onset, ascending as well.
+    ``speed`` are all of them [arena unit / s], ``onset_speed`` those just after an onset.
     """
 
     speed: NDArray[np.float64]
@@ -85,13 +82,7 @@ def fit_onset(demos: Demonstrations, individual: int, onset_threshold: float) ->
 
 def top_speed(demos: Demonstrations, individual: int) -> float:
     """|v|_max: median of the speeds above their 99th percentile [arena unit / s]."""
-    data = onset_data(demos, individual, onset_threshold=0.0)
-    if len(data.speed) == 0:
-        return 0.0
-    top = np.empty(1)
-    whole = np.ones((1, data.num_episodes), dtype=np.int64)
-    _weighted_top_medians(data.speed, data.episode, whole, TOP_QUANTILE, top)
-    return float(top[0])
+    return _top_median(onset_data(demos, individual, onset_threshold=0.0).speed)
 
 
 def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,68 +90,23 @@ def bootstrap_onset(data: OnsetData, weights: NDArray[np.float64]) -> NDArray[np
 
     ``weights`` ``(resamples, episodes)`` says how often each episode was drawn.
     """
-    onset, top = np.empty(len(weights)), np.empty(len(weights))
-    whole = weights.astype(np.int64)
-    _weighted_medians(data.onset_speed, data.onset_episode, whole, onset)
-    _weighted_top_medians(data.speed, data.episode, whole, TOP_QUANTILE, top)
-    return np.column_stack([onset / top, onset / data.dt])
+    found = np.full((len(weights), 2), np.nan)
+    for b, drawn in enumerate(weights.astype(np.int64)):
+        onsets = np.repeat(data.onset_speed, drawn[data.onset_episode])
+        if len(onsets):
+            onset = float(np.median(onsets))
+            top = _top_median(np.repeat(data.speed, drawn[data.episode]))
+            found[b] = onset / top, onset / data.dt
+    return found
 
 
-@jit
-def _weighted_medians(value, episode, weights, out):  # type: ignore[no-untyped-def]
-    """Median of ascending ``value`` with each entry repeated as often as its episode was drawn."""
-    for b in range(weights.shape[0]):
-        total = 0
-        for i in range(value.shape[0]):
-            total += weights[b, episode[i]]
-        out[b] = np.nan if total == 0 else _repeated_median(value, episode, weights[b], 0, total)
-
-
-@jit
-def _repeated_median(value, episode, weight, first, total):  # type: ignore[no-untyped-def]
-    """Median of ``value[first:]`` whose repeats add up to ``total``."""
-    low, high = (total - 1) // 2, total // 2
-    seen, lower = 0, np.nan
-    for i in range(first, value.shape[0]):
-        seen += weight[episode[i]]
-        if np.isnan(lower) and seen > low:
-            lower = value[i]
-        if seen > high:
-            return 0.5 * (lower + value[i])
-    return np.nan
-
-
-@jit
-def _weighted_top_medians(value, episode, weights, quantile, out):  # type: ignore[no-untyped-def]
-    """Median of the entries above the quantile (linear interpolation), per resample."""
-    count = value.shape[0]
-    for b in range(weights.shape[0]):
-        total = 0
-        for i in range(count):
-            total += weights[b, episode[i]]
-        if total == 0:
-            out[b] = np.nan
-            continue
-        position = quantile * (total - 1)
-        rank = int(position)
-        above = total - 1 - rank  # repeats beyond that rank
-        seen, upper, i = 0, value[count - 1], count - 1
-        while i > 0:  # down to the entry that holds the rank
-            weight = weights[b, episode[i]]
-            if seen + weight > above:
-                break
-            if weight > 0:
-                upper = value[i]
-            seen += weight
-            i -= 1
-        if seen < above:
-            upper = value[i]
-        threshold = value[i] + (position - rank) * (upper - value[i])
-        first, kept = count, 0
-        while first > 0 and value[first - 1] > threshold:
-            first -= 1
-            kept += weights[b, episode[first]]
-        if kept == 0:  # all of the top speeds are equal
-            out[b] = value[count - 1]
-        else:
-            out[b] = _repeated_median(value, episode, weights[b], first, kept)
+def _top_median(speed: NDArray[np.float64]) -> float:
+    """Median of the ascending speeds above their quantile; the top one where these are equal."""
+    if len(speed) == 0:
+        return 0.0
+    position = TOP_QUANTILE * (len(speed) - 1)
+    rank = int(position)
+    above = speed[min(rank + 1, len(speed) - 1)]
+    threshold = speed[rank] + (position - rank) * (above - speed[rank])
+    beyond = speed[np.searchsorted(speed, threshold, side="right") :]
+    return float(np.median(beyond) if len(beyond) else speed[-1])

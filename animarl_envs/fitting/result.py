@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -90,14 +90,10 @@ class LocomotionFit:
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> LocomotionFit:
         """The inverse of :meth:`to_dict`, also after a passage through JSON."""
-        individuals = []
-        for fit in record["individuals"]:
-            pairs = {
-                key: None if fit[key] is None else (fit[key][0], fit[key][1])
-                for key in ("damping_interval", "thrust_interval")
-            }
-            pairs["magnitudes"] = tuple(fit["magnitudes"])
-            individuals.append(IndividualFit(**{**fit, **pairs}))
+        individuals = (
+            IndividualFit(**{k: tuple(v) if isinstance(v, list) else v for k, v in fit.items()})
+            for fit in record["individuals"]
+        )
         return cls(**{**record, "individuals": tuple(individuals)})
 
     def save(self, path: str | Path) -> Path:
@@ -172,17 +168,51 @@ def fit_locomotion(
             f"thrusts is {thrusts!r} but the {method} rule fits one thrust: use method joint"
         )
     weights = resampling_weights(training.num_episodes, bootstrap, seed)
-    if method == "noise":
-        fits = _noise_fits(training, validation)
-    elif onset_threshold is None:
-        fits = _joint_fits(training, validation, thrusts, weights)
-    else:
-        fits = _onset_fits(training, validation, onset_threshold, weights)
+    joint = joint_locomotion(training, thrusts) if method == "joint" else ()
+    fits = []
+    for i, name in enumerate(demos.individuals):
+        more: dict[str, Any] = {}
+        samples: NDArray[np.float64] | None = None
+        if method == "noise":
+            noisy = fit_with_noise(training, i)
+            own = Locomotion(noisy.damping, noisy.thrust)
+            more["tracking_noise"] = noisy.noise
+        elif onset_threshold is None:
+            own = joint[i]
+            if weights is not None and thrusts == 1:
+                data = transitions(training, i)
+                samples = bootstrap_joint(data, own, weights, fast_speed(data))
+        else:
+            own = fit_onset(training, i, onset_threshold)
+            starts = onset_data(training, i, onset_threshold)
+            more["onsets"] = len(starts.onset_speed)
+            if weights is not None:
+                every = bootstrap_onset(starts, weights)
+                samples = every[np.isfinite(every).all(axis=1)]
+                more["resamples_without_onset"] = len(every) - len(samples)
+        around = percentiles(samples)
+        if method == "noise":
+            around = noisy.damping_interval, noisy.thrust_interval
+        fits.append(
+            IndividualFit(
+                name,
+                own.damping,
+                own.thrust,
+                *around,
+                velocity_rmse=velocity_rmse(validation, i, own),
+                steps=int((training.lengths - 1).sum()),
+                top_speed=top_speed(training, i),
+                terminal_speed=own.terminal_speed(training.dt),
+                braking_time=braking_time(own.damping, training.dt),
+                magnitudes=own.magnitudes,
+                **more,
+            )
+        )
     return LocomotionFit(
         method=method,
         species=demos.species,
         dt=demos.dt,
-        individuals=fits,
+        individuals=tuple(fits),
         fitted_on=split or "all",
         validated_on="all" if without_validation else "val",
         episodes=training.num_episodes,
@@ -232,75 +262,6 @@ def percentiles(
     return (d_low, d_high), (u_low, u_high)
 
 
-def _joint_fits(
-    training: Demonstrations,
-    validation: Demonstrations,
-    thrusts: int,
-    weights: NDArray[np.float64] | None,
-) -> tuple[IndividualFit, ...]:
-    fits = []
-    for i, locomotion in enumerate(joint_locomotion(training, thrusts)):
-        samples = None
-        if weights is not None and thrusts == 1:
-            data = transitions(training, i)
-            samples = bootstrap_joint(data, locomotion, weights, fast_speed(data))
-        fits.append(_summary(training, validation, i, locomotion, *percentiles(samples)))
-    return tuple(fits)
-
-
-def _onset_fits(
-    training: Demonstrations,
-    validation: Demonstrations,
-    onset_threshold: float,
-    weights: NDArray[np.float64] | None,
-) -> tuple[IndividualFit, ...]:
-    fits = []
-    for i in range(training.num_individuals):
-        starts = onset_data(training, i, onset_threshold)
-        locomotion = fit_onset(training, i, onset_threshold)
-        samples = None if weights is None else bootstrap_onset(starts, weights)
-        usable = None if samples is None else samples[np.isfinite(samples).all(axis=1)]
-        one = _summary(training, validation, i, locomotion, *percentiles(usable))
-        lost = 0 if samples is None or usable is None else len(samples) - len(usable)
-        onsets = len(starts.onset_speed)
-        fits.append(replace(one, onsets=onsets, resamples_without_onset=lost))
-    return tuple(fits)
-
-
-def _noise_fits(training: Demonstrations, validation: Demonstrations) -> tuple[IndividualFit, ...]:
-    fits = []
-    for i in range(training.num_individuals):
-        found = fit_with_noise(training, i)
-        locomotion = Locomotion(found.damping, found.thrust)
-        intervals = found.damping_interval, found.thrust_interval
-        one = _summary(training, validation, i, locomotion, *intervals)
-        fits.append(replace(one, tracking_noise=found.noise))
-    return tuple(fits)
-
-
-def _summary(
-    training: Demonstrations,
-    validation: Demonstrations,
-    individual: int,
-    locomotion: Locomotion,
-    damping_interval: Interval | None,
-    thrust_interval: Interval | None,
-) -> IndividualFit:
-    return IndividualFit(
-        name=training.individuals[individual],
-        damping=locomotion.damping,
-        thrust=locomotion.thrust,
-        damping_interval=damping_interval,
-        thrust_interval=thrust_interval,
-        velocity_rmse=velocity_rmse(validation, individual, locomotion),
-        steps=int((training.lengths - 1).sum()),
-        top_speed=top_speed(training, individual),
-        terminal_speed=locomotion.terminal_speed(training.dt),
-        braking_time=braking_time(locomotion.damping, training.dt),
-        magnitudes=locomotion.magnitudes,
-    )
-
-
 def braking_time(damping: float, dt: float) -> float:
     """Time in which coasting loses all but 1/e of the speed, ``-dt / ln(1 - d)`` [s]."""
     if damping == 0:
@@ -333,20 +294,16 @@ def doubts(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
                 f"{one.name}: the interval of d reaches 0, so the recordings do not say how it "
                 "slows down: record longer, or more of its turns and stops"
             )
-        if fit.method == "joint" and len(one.magnitudes) == 1:
-            found += _trimming(one, i, seen)
+        if fit.method != "joint" or len(one.magnitudes) > 1:
+            continue
+        data = transitions(seen, i)
+        whole = fit_joint(data, one.name, fast_speed(data), far=math.inf)
+        low, high = one.damping_interval or (one.damping, one.damping)
+        change = abs(whole.damping - one.damping)
+        if not low <= whole.damping <= high and change > MATTERS * one.damping + ALIKE:
+            found.append(
+                f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without the steps that "
+                f"are taken for tracking jumps, {whole.damping:.3g} and {whole.thrust:.3g} with "
+                "all: look at the jumps ('animarl data check')"
+            )
     return found
-
-
-def _trimming(one: IndividualFit, individual: int, seen: Demonstrations) -> list[str]:
-    data = transitions(seen, individual)
-    whole = fit_joint(data, one.name, fast_speed(data), far=math.inf)
-    low, high = one.damping_interval or (one.damping, one.damping)
-    change = abs(whole.damping - one.damping)
-    if low <= whole.damping <= high or change <= MATTERS * one.damping + ALIKE:
-        return []
-    return [
-        f"{one.name}: d is {one.damping:.3g} and u {one.thrust:.3g} without the steps that are "
-        f"taken for tracking jumps, {whole.damping:.3g} and {whole.thrust:.3g} with all: look at "
-        "the jumps ('animarl data check')"
-    ]

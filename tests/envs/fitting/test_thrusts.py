@@ -25,6 +25,7 @@ from animarl_envs.fitting import (
     one_step_misses,
     transitions,
 )
+from animarl_envs.fitting.joint import nearest_actions
 from animarl_envs.focus import focus_directions
 from animarl_envs.locomotion import (
     ACTION_VECTORS,
@@ -171,16 +172,10 @@ def test_the_scripted_target_looks_ahead_with_the_same_transition() -> None:
 
 def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:
     """The loss of the joint fit is the squared miss of the inferred actions."""
-    from animarl_envs.fitting.joint import _scratch, assign
-
     demos, _ = walk(TRUTH, 2, noise=0.01)
     own = Locomotion(0.3, 1.5, MULTIPLES)
     data = transitions(demos, 0)
-    error, action, level = _scratch(len(data))
-    impulses = own.thrust * np.array(MULTIPLES) * DT
-    assign(
-        data.velocity, data.next_velocity, data.focus, own.damping, impulses, error, action, level
-    )
+    error, _, level = nearest_actions(data, own.damping, own.thrust * np.array(MULTIPLES))
     inferred = infer_actions(data.velocity, data.next_velocity, data.focus, own, DT)
     rebuilt = apply_actions(data.velocity, inferred, data.focus, own, DT)
     missed = np.sum((rebuilt - data.next_velocity) ** 2, axis=1)
