@@ -28,7 +28,7 @@ pace, and nothing is paid beyond the recording (``benchmarks/returns.py`` prints
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,17 +157,6 @@ def _extend_rows(  # type: ignore[no-untyped-def]
                 )  # fmt: skip
 
 
-class _Followed(Protocol):
-    """What a world shows of itself to a tracker."""
-
-    num_copies: int
-    reward_components: tuple[str, ...]
-    position: NDArray[np.float64]
-    components: NDArray[np.float64]
-    demo: NDArray[np.int64]
-    step_count: NDArray[np.int64]
-
-
 class DTWTracker:
     """Follows the episodes of a world and keeps one DTW row per copy and individual.
 
@@ -234,11 +223,11 @@ class DTWTracker:
         self.final_minimum, self.final_aligned = self.row_minimum, self.aligned
         self._all = np.ones(num_copies, dtype=bool)
 
-    def started(self, world: _Followed, mask: NDArray[np.bool_]) -> None:
+    def started(self, world: Any, mask: NDArray[np.bool_]) -> None:
         """Row 0 of the copies in ``mask``: the start is compared with the recording, unpaid."""
         self._extend(world, mask, first=True)
 
-    def stepped(self, world: _Followed) -> None:
+    def stepped(self, world: Any) -> None:
         """Row t of all copies, and what it costs."""
         before, band_before = self.row_minimum.copy(), self.band_minimum.copy()
         self._extend(world, self._all, first=False)
@@ -251,9 +240,7 @@ class DTWTracker:
         else:
             self.penalty = self.final_minimum.copy()
 
-    def _closeness_penalty(
-        self, world: _Followed, before: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _closeness_penalty(self, world: Any, before: NDArray[np.float64]) -> NDArray[np.float64]:
         """Less than nothing while the recording lasts; then the pay for lasting is taken back.
 
         Or a target that stands apart would earn more by outliving its recording than by following
@@ -267,7 +254,7 @@ class DTWTracker:
             refund = world.components[:, self.individuals, elapsed]
         return np.where(over, refund, -np.exp(-increase / self.scale))
 
-    def _extend(self, world: _Followed, mask: NDArray[np.bool_], *, first: bool) -> None:
+    def _extend(self, world: Any, mask: NDArray[np.bool_], *, first: bool) -> None:
         if (world.demo[mask] < 0).any():
             raise InputError(
                 "the DTW reward needs episodes that start from a demonstration: use start='demo'"

@@ -15,16 +15,10 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.pursuers import COUNTS, first_of_role
+from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import lone_pursuer
-from animarl_envs.species import (
-    CUSTOM,
-    SPECIES,
-    ChaseSpecies,
-    Species,
-    get_species,
-)
+from animarl_envs.species import CUSTOM, SPECIES, ChaseSpecies, Species, get_species
 from animarl_envs.species.options import with_options as with_options
 
 Condition = Literal[0, 1, "demo"]
@@ -32,12 +26,7 @@ Demos = Demonstrations | str | Path | None
 PACKAGED = "packaged"
 
 ACTION, REPLAY, SCRIPTED, COASTING = 0, 1, 2, 3
-DRIVERS: dict[str, int] = {
-    "action": ACTION,
-    "replay": REPLAY,
-    "scripted": SCRIPTED,
-    "coast": COASTING,
-}
+DRIVERS = {"action": ACTION, "replay": REPLAY, "scripted": SCRIPTED, "coast": COASTING}
 """Who moves an individual: the caller's action, its demonstration, a rule, or nobody."""
 
 
@@ -76,7 +65,7 @@ class Scenario:
     split: str | None = None
 
     def __post_init__(self) -> None:
-        names = self.species.individuals
+        names, demos = self.species.individuals, self.demos
         if isinstance(self.condition, bool) or self.condition not in (0, 1, "demo"):
             raise InputError(f"condition is {self.condition!r}: choose 0, 1 or 'demo'")
         if self.condition == 1 and not self.species.conditions:
@@ -95,31 +84,30 @@ class Scenario:
         object.__setattr__(self, "condition", plainly)  # of NumPy's kinds or of Python's
         object.__setattr__(self, "observation_noise", float(noise))
         object.__setattr__(self, "observation_delay", int(late))
+        object.__setattr__(self, "start", self._checked_start())
+        if demos is not None and demos.individuals != names:
+            raise InputError(
+                f"{demos.name}: it holds {', '.join(demos.individuals)} but the scenario needs "
+                f"{', '.join(names)}: give matching demonstrations"
+            )
+        if demos is not None and not np.isclose(demos.dt, self.species.dt):
+            raise InputError(
+                f"{demos.name}: its dt is {demos.dt} s, that of {self.species.name} "
+                f"{self.species.dt} s: resample it or pass dt="
+            )
         for name, driver in zip(names, self.drivers, strict=True):
             if driver not in DRIVERS:
                 raise InputError(
                     f"{name} is driven by {driver!r}: choose one of {', '.join(DRIVERS)}"
                 )
-        object.__setattr__(self, "start", self._checked_start())
-        if self.demos is not None:
-            if self.demos.individuals != names:
+            if driver == "replay" and not self.paired:
                 raise InputError(
-                    f"{self.demos.name}: it holds {', '.join(self.demos.individuals)} but the "
-                    f"scenario needs {', '.join(names)}: give matching demonstrations"
+                    f"{name} cannot replay a demonstration, since episodes start without one: use "
+                    "others='scripted' or start='demo'"
                 )
-            if not np.isclose(self.demos.dt, self.species.dt):
-                raise InputError(
-                    f"{self.demos.name}: its dt is {self.demos.dt} s, that of "
-                    f"{self.species.name} {self.species.dt} s: resample it or pass dt="
-                )
-        replaying = [n for n, d in zip(names, self.drivers, strict=True) if d == "replay"]
-        if replaying and not self.paired:
-            raise InputError(
-                f"{replaying[0]} cannot replay a demonstration, since episodes start without one: "
-                "use others='scripted' or start='demo'"
-            )
 
     def _checked_start(self) -> str | NDArray[np.float64]:
+        species = self.species
         if isinstance(self.start, str):
             if self.start not in ("demo", "uniform"):
                 raise InputError(
@@ -127,20 +115,20 @@ class Scenario:
                 )
             if self.start == "demo" and self.demos is None:
                 raise InputError("start is 'demo' but there are no demonstrations: give demos=")
-            if self.start == "uniform" and isinstance(self.species, ChaseSpecies):
-                self.species.check_uniform_starts()
+            if self.start == "uniform" and isinstance(species, ChaseSpecies):
+                species.check_uniform_starts()
             return self.start
-        wanted = f"give x and y of {self.species.num_individuals} individuals"
+        wanted = f"give x and y of {species.num_individuals} individuals"
         try:
             start = np.array(self.start, dtype=np.float64)
         except (TypeError, ValueError):
             raise InputError(f"start is no array of numbers: {wanted}") from None
-        if start.shape != (self.species.num_individuals, 2) or not np.isfinite(start).all():
+        if start.shape != (species.num_individuals, 2) or not np.isfinite(start).all():
             raise InputError(f"start has shape {start.shape}: {wanted}")
-        if not self.species.arena.contains(start).all():
+        if not species.arena.contains(start).all():
             raise InputError(
                 "start lies out of bounds: place every individual within "
-                f"{self.species.arena.boundary:g} of the centre"
+                f"{species.arena.boundary:g} of the centre"
             )
         return start
 
@@ -196,15 +184,19 @@ def make_scenario(
     loaded = _load_demos(demos, spec)
     if loaded is not None and spec is not None:
         refuse_other_species(loaded, spec.name)
-    more = any(_more_than_recorded(loaded, key, options.get(key), start) for key in COUNTS)
-    if more and loaded is not None:
-        spec, loaded = spec or _recorded_species(loaded, options), None
-        options.setdefault("dt", spec.dt)
-    for key in COUNTS:
-        if loaded is None or options.get(key) is None:
+    follows = start is None or (isinstance(start, str) and start == "demo")
+    for key, role in COUNTS.items():
+        count = options.get(key)
+        if loaded is None or count is None:
+            continue
+        recorded = loaded.roles.count(role)
+        if not follows and recorded > 0 and is_whole(count) and count > recorded:
+            # More than recorded, where nobody follows a recording.
+            spec, loaded = spec or _recorded_species(loaded, options), None
+            options.setdefault("dt", spec.dt)
             continue
         if spec is not None:
-            with_options(spec, **{key: options[key]})  # refused as without demos
+            with_options(spec, **{key: count})  # refused as without demos
         loaded = first_of_role(loaded, key, options.pop(key))
         options.setdefault("individuals", loaded.individuals)
     if spec is None:
@@ -237,14 +229,6 @@ def make_scenario(
         observation_delay=observation_delay,
         split=None if loaded is None else split,
     )
-
-
-def _more_than_recorded(demos: Demonstrations | None, option: str, count: Any, start: Any) -> bool:
-    """Whether more of a role are asked for than recorded, where nobody follows a recording."""
-    if demos is None or start is None or (isinstance(start, str) and start == "demo"):
-        return False
-    recorded = demos.roles.count(COUNTS[option])
-    return recorded > 0 and is_whole(count) and bool(count > recorded)
 
 
 def _recorded_species(demos: Demonstrations | None, options: Mapping[str, Any]) -> Species:

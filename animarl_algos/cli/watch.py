@@ -23,7 +23,6 @@ from animarl_envs.scenario import PACKAGED, Scenario, make_scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.executed import ExecutedActions
 
 if TYPE_CHECKING:
     from animarl_algos.runs.run import Run
@@ -264,12 +263,9 @@ def trained_actor(policy: Any) -> Actor:
     from animarl_algos.evaluation.collect import remembered
 
     state: Any = None
-    executed_by: ExecutedActions | None = None
 
     def act(world: World, start: bool) -> NDArray[np.integer]:
-        nonlocal state, executed_by
-        if start or executed_by is None:
-            executed_by = ExecutedActions(world)
+        nonlocal state
         num = world.num_individuals
         observation = world.observation[0]
         if policy.observation_space.shape[-1] == observation.shape[-1] + 1:
@@ -278,7 +274,7 @@ def trained_actor(policy: Any) -> Actor:
         starts = np.full(num, start)
         actions, state = policy.predict(observation, state=state, episode_start=starts)
         asked = np.asarray(actions).reshape(1, num)
-        state = remembered(policy, state, asked, executed_by(asked))
+        state = remembered(policy, state, asked, world.executed(asked))
         return asked
 
     return act

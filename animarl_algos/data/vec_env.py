@@ -28,7 +28,6 @@ from animarl_envs.scenario import Demos, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import check_actions, observation_space
 from animarl_envs.worlds import make_world, mirror
-from animarl_envs.worlds.executed import ExecutedActions
 from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
 
 
@@ -121,7 +120,6 @@ class SlotVecEnv(VecEnv):
             with_flag(space) if condition_flag else space,
             gym.spaces.Discrete(self.world.num_actions),
         )
-        self._executed = ExecutedActions(self.world)
         self._tracker: DTWTracker | None = None
         if dtw is not None and self.scenario.paired and self.scenario.demos is not None:
             self._tracker = DTWTracker(
@@ -167,7 +165,7 @@ class SlotVecEnv(VecEnv):
             "condition": np.repeat(world.condition, K),
         }
         if world.warming.any():
-            extras["executed"] = self._executed(self._all_actions)[:, self._learners].ravel()
+            extras["executed"] = self.world.executed(self._all_actions)[:, self._learners].ravel()
         if self._tracker is not None:
             extras["aligned_action"] = self._aligned_actions().ravel()
         world.step(self._all_actions)

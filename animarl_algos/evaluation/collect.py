@@ -17,7 +17,6 @@ from animarl_envs.demos.resolution import Resolution, rounded
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.executed import ExecutedActions
 
 MAX_COPIES = 512
 Cue = Literal["actual", "flipped", 0, 1]
@@ -150,7 +149,6 @@ def _run_batch(
     running = np.ones(copies, dtype=bool)
     starts = np.ones(copies * num, dtype=bool)
     state: Any = None
-    executed_by = ExecutedActions(world)
     leave_out = getattr(policy, "leave_out", None)  # policies of other libraries have none
     while running.any():
         observation = world.observation.reshape(copies * num, -1)
@@ -161,7 +159,7 @@ def _run_batch(
             observation, state=state, episode_start=starts, deterministic=deterministic
         )
         asked = np.asarray(actions).reshape(copies, num)
-        executed = executed_by(asked)
+        executed = world.executed(asked)
         state = remembered(policy, state, asked, executed)
         if leave_out is not None and not running.all():
             state = leave_out(state, np.repeat(~running, num))

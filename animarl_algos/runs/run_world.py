@@ -14,7 +14,7 @@ from typing import Any
 
 from animarl_algos.data.options import OWN_OPTIONS, SCENARIO_OPTIONS
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.pursuers import COUNTS, first_of_role
+from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.species.options import with_options

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -114,18 +115,10 @@ class Demonstrations(Episodes):
         signals: Mapping[str, Sequence[NDArray[Any]]],
         **more: Any,
     ) -> Demonstrations:
-        """Episodes of all individuals of a species, one by one.
+        """Return episodes of all individuals of a species.
 
-        Parameters
-        ----------
-        species
-            Gives its name, the individuals and their roles, ``dt`` and the arena.
-        paths
-            Of each episode, ``(frames, individuals, 2)``, arena frame [arena unit].
-        signals
-            By name, for each episode ``(frames,)`` or ``(frames, individuals, ...)``.
-        more
-            The other fields; by default everybody starts at rest.
+        ``paths`` are ``(frames, individuals, 2)`` of each episode [arena unit], ``signals`` by name
+        ``(frames, ...)`` of each, ``more`` the other fields; by default everybody starts at rest.
         """
         at_rest = np.zeros((len(paths), species.num_individuals, 2))
         return cls(
@@ -302,15 +295,14 @@ class Demonstrations(Episodes):
         check_names(self.name, "a recording", map(str, np.unique(self.recording)))
         check_names(self.name, "a signal", self.signals)
         targets = self.roles.count("target")
-        one_target = targets == 1 and self.roles[-1] == "target"
-        if targets and not one_target and not lone_pursuer(self.roles):
+        if targets and (targets, self.roles[-1]) != (1, "target") and not lone_pursuer(self.roles):
             self._refuse(
                 f"roles are {self.roles}: there is one target at most and it comes last, or one "
                 "pursuer of several targets and it comes last",
             )
 
     def _check_tracks(self) -> None:
-        initial, num = self.initial_velocity, self.num_individuals
+        initial, num, names = self.initial_velocity, self.num_individuals, self.individuals
         if not 0 < self.dt < float("inf"):
             self._refuse(f"dt is {self.dt} s: it must be positive; give the frame rate")
         if initial.shape != (len(self), num, 2):
@@ -318,30 +310,26 @@ class Demonstrations(Episodes):
                 f"initial_velocity has shape {initial.shape}, not ({len(self)}, {num}, 2)"
                 ": give x and y of each individual and episode",
             )
-        names = self.individuals
-        if not np.isfinite(self.initial_velocity).all():
+        if not np.isfinite(initial).all():
             self._refuse("initial_velocity holds NaN or infinity: use zeros for a start at rest")
-        bad = np.argwhere(~np.isfinite(self.positions).all(axis=2))
-        if len(bad):
+        for place in np.argwhere(~np.isfinite(self.positions).all(axis=2))[:1]:
             self._refuse(
-                f"{self._place(*bad[0])}: the position is not a number: fill the gap or cut it out",
+                f"{self._place(*place)}: the position is not a number: fill the gap or cut it out",
             )
         outside = ~self.arena.contains(self.positions, margin=self.OUTSIDE_MARGIN)
-        if outside.any():
-            place = np.argwhere(outside)[0]
+        for place in np.argwhere(outside)[:1]:
             x, y = self.positions[tuple(place)]
             self._refuse(
                 f"{self._place(*place)}: position ({x:.3g}, {y:.3g}) lies outside the arena "
                 f"({self.arena.shape}, boundary {self.arena.boundary:g}): scale the tracks "
                 "or declare a larger arena",
             )
-        for first in range(num):
-            for second in range(first + 1, num):
-                if np.array_equal(self.positions[:, first], self.positions[:, second]):
-                    self._refuse(
-                        f"individuals {names[first]!r} and {names[second]!r} have the same track: "
-                        "drop the duplicate",
-                    )
+        for first, second in combinations(range(num), 2):
+            if np.array_equal(self.positions[:, first], self.positions[:, second]):
+                self._refuse(
+                    f"individuals {names[first]!r} and {names[second]!r} have the same track: "
+                    "drop the duplicate",
+                )
 
     def _check_codes(self) -> None:
         num = self.num_individuals
@@ -360,23 +348,21 @@ class Demonstrations(Episodes):
                 self._refuse(f"the provenance lacks {key!r}: say where the data comes from")
 
     def _check_signals(self) -> None:
-        num = self.num_individuals
         for key, value in self.signals.items():
             if len(value) != len(self.positions):
                 self._refuse(
                     f"signal {key!r} has {len(value)} frames, positions have "
                     f"{len(self.positions)}: give one value per frame",
                 )
-        heading = self.signals.get(HEADING)
-        if heading is not None and heading.shape == (len(self.positions), num):
+        heading, interval = self.signals.get(HEADING), self.signals.get(INTERVAL)
+        if heading is not None and heading.shape == self.positions.shape[:2]:
             numbers = heading.dtype.kind in "iuf"
             bad = np.argwhere(~np.isfinite(heading)) if numbers else np.zeros((1, 2), dtype=int)
-            if len(bad):
+            for place in bad[:1]:
                 self._refuse(
-                    f"{self._place(*bad[0])}: signal {HEADING!r} is not a number: fill the gap or "
+                    f"{self._place(*place)}: signal {HEADING!r} is not a number: fill the gap or "
                     "cut it out",
                 )
-        interval = self.signals.get(INTERVAL)
         if interval is not None and not (
             interval.shape == self.positions.shape[:1]
             and interval.dtype.kind == "f"

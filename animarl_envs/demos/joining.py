@@ -1,4 +1,4 @@
-"""Several sets of demonstrations as one: the same animals in the same arena, several recordings."""
+"""Several sets of demonstrations as one, and sets of many individuals as sets of fewer."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from animarl_envs.checks import is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 
 ALIKE = ("species", "individuals", "roles", "dt", "arena")
 BY_RECORDING = ("scales", "cleaning")  # entries of the provenance
+COUNTS = {"num_pursuers": "pursuer", "num_targets": "target"}
+"""Options that say how many take part, and of which role."""
 
 
 def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstrations:
@@ -42,7 +45,11 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
         if twin != part.name or Counter(one.name for one in parts)[part.name] > 1:
             raise InputError(f"{part.name} and {twin} hold the same episodes: give each file once")
     names = _recording_names(parts)
-    renamed = [_renamed(part.recording, new) for part, new in zip(parts, names, strict=True)]
+    recording = [
+        new.get(one, one)
+        for part, new in zip(parts, names, strict=True)
+        for one in part.recording.tolist()
+    ]
     provenance: dict[str, Any] = {
         **first.provenance, "joined": [dict(part.provenance) for part in parts]
     }  # fmt: skip
@@ -54,7 +61,7 @@ def join(parts: Sequence[Demonstrations], name: str = "joined") -> Demonstration
         ]
         if known:
             provenance[key] = dict(known)
-    changes = Demonstrations.joined_arrays(parts) | {"recording": np.concatenate(renamed)}
+    changes = Demonstrations.joined_arrays(parts) | {"recording": np.array(recording)}
     signals = {k: np.concatenate([part.signals[k] for part in parts]) for k in first.signals}
     return replace(first, signals=signals, provenance=provenance, name=name, **changes)
 
@@ -96,5 +103,51 @@ def _recording_names(parts: Sequence[Demonstrations]) -> list[Mapping[str, str]]
     ]
 
 
-def _renamed(recording: NDArray[np.str_], new: Mapping[str, str]) -> NDArray[np.str_]:
-    return np.array([new.get(name, name) for name in recording.tolist()])
+def first_of_role(demos: Demonstrations, option: str, count: int) -> Demonstrations:
+    """The recordings of the first ``count`` individuals of a role and of all others.
+
+    An episode that ended by the contact of one who is left out is unfinished.
+
+    Parameters
+    ----------
+    option
+        One of :data:`COUNTS`, which names the role.
+
+    Raises
+    ------
+    InputError
+        If fewer were recorded.
+    """
+    role = COUNTS[option]
+    recorded = demos.roles.count(role)
+    if recorded == 0:
+        nobody = "nobody pursues" if role == "pursuer" else "nobody is pursued"
+        raise InputError(f"{option} does not apply to {demos.name}, where {nobody}: drop it")
+    if not is_whole(count):
+        raise InputError(f"{option} is {count!r}: it must be a whole number, 1 or more")
+    if not 1 <= count <= recorded:
+        raise InputError(
+            f"{option} is {count} but {demos.name} holds {recorded} {role}"
+            f"{'s' * (recorded != 1)}: choose at most {recorded}, or start='uniform', where nobody "
+            f"follows a demonstration and more {role}s move like those recorded"
+        )
+    if count == recorded:
+        return demos
+    everyone = demos.num_individuals
+    kept = [*range(count), *range(recorded, everyone)]  # several of a role come first
+    # Recorded actions are left out: their directions may refer to somebody who is gone now.
+    outcome = np.where(demos.outcome > count, UNFINISHED, demos.outcome)
+    signals = {
+        key: value[:, kept] if value.ndim > 1 and value.shape[1] == everyone else value
+        for key, value in demos.signals.items()
+        if key != "actions"
+    }
+    return replace(
+        demos,
+        individuals=tuple(demos.individuals[i] for i in kept),
+        roles=tuple(demos.roles[i] for i in kept),
+        positions=demos.positions[:, kept],
+        initial_velocity=demos.initial_velocity[:, kept],
+        outcome=outcome,
+        signals=signals,
+    )

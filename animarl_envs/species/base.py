@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +20,11 @@ OBSERVATIONS = ("full", "paper")
 PLAIN_BODY = "animal"
 BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
 """Looks of an individual; :mod:`animarl_envs.drawing.bodies` draws them."""
+
+
+def or_zero(default: float) -> Any:
+    """Return a field of a species that may be zero, unlike its other numbers."""
+    return field(default=default, metadata={"least": (0.0, "zero or positive")})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +68,7 @@ class Species:
     time_limit: int  # [steps]
     warmup: int = 0  # steps replayed from the demonstration
     conditions: tuple[str, ...] = ()  # names of conditions 0 and 1, or none
-    boundary_penalty: float = -10.0
+    boundary_penalty: float = field(default=-10.0, metadata={"least": (-1e300, "a number")})
     observation: str = "full"  # or "paper": the components of the paper
     sense_scales: SenseScales | None = None  # of a policy trained elsewhere; None: of this world
     mirror_symmetric: bool = True  # left and right are alike to it
@@ -92,7 +98,7 @@ class Species:
                 f"the individuals have different numbers of thrust magnitudes ({listed}): give all "
                 "the same number"
             )
-        self._positive("contact_radius", "dt")
+        self._check_numbers()
         if not is_whole(self.time_limit) or self.time_limit < 1:
             raise InputError(
                 f"time_limit is {self.time_limit!r} steps: it must be a whole number, at least 1"
@@ -103,16 +109,16 @@ class Species:
             )
         object.__setattr__(self, "time_limit", int(self.time_limit))
         object.__setattr__(self, "warmup", int(self.warmup))
-        object.__setattr__(self, "conditions", _names(self.conditions))
-        if not is_number(self.boundary_penalty) or not abs(self.boundary_penalty) < float("inf"):
-            raise InputError(f"boundary_penalty is {self.boundary_penalty!r}: it must be a number")
-        object.__setattr__(self, "boundary_penalty", float(self.boundary_penalty))
+        names = self.conditions
+        listed = isinstance(names, Sequence) and not isinstance(names, str)
+        if not listed or len(names) not in (0, 2):
+            raise InputError(f"conditions are {names!r}: give two names, or none")
+        object.__setattr__(self, "conditions", tuple(str(name) for name in names))
         if self.observation not in OBSERVATIONS:
             raise InputError(
                 f"observation is {self.observation!r}: "
                 f"choose {' or '.join(map(repr, OBSERVATIONS))}"
             )
-        self._true_or_false("mirror_symmetric")
         scales = self.sense_scales
         if scales is not None and (
             not isinstance(scales, SenseScales) or len(scales.locomotion) != len(self.individuals)
@@ -166,30 +172,22 @@ class Species:
         """Return in words whom or what the others head for."""
         return self.individuals[-1]
 
-    def _true_or_false(self, *names: str) -> None:
-        for name in names:
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name} is {getattr(self, name)!r}: choose True or False")
-
-    def _positive(self, *names: str, or_zero: bool = False) -> None:
-        """Refuse fields that are no finite positive number (or zero, if ``or_zero``).
+    def _check_numbers(self) -> None:
+        """Check fields by their type: ``bool``, and ``float``, which is finite and positive.
 
         NumPy's numbers become Python's, of which the kernels have compiled forms.
         """
-        for name in names:
-            value = getattr(self, name)
-            low = is_number(value) and (value >= 0 if or_zero else value > 0)
-            if not (low and value < float("inf")):
-                allowed = "zero or positive" if or_zero else "a positive number"
-                raise InputError(f"{name} is {value!r}: it must be {allowed}")
-            object.__setattr__(self, name, float(value))
-
-
-def _names(conditions: Any) -> tuple[str, ...]:
-    listed = isinstance(conditions, Sequence) and not isinstance(conditions, str)
-    if not listed or len(conditions) not in (0, 2):
-        raise InputError(f"conditions are {conditions!r}: give two names, or none")
-    return tuple(str(name) for name in conditions)
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if one.type == "bool" and not isinstance(value, bool):
+                raise InputError(f"{one.name} is {value!r}: choose True or False")
+            if one.type != "float":
+                continue
+            least, allowed = one.metadata.get("least", (None, "a positive number"))
+            low = is_number(value) and (value > 0 if least is None else value >= least)
+            if not (low and value < math.inf):
+                raise InputError(f"{one.name} is {value!r}: it must be {allowed}")
+            object.__setattr__(self, one.name, float(value))
 
 
 def checked_bodies(given: Any) -> tuple[str, ...]:

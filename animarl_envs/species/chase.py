@@ -37,11 +37,6 @@ class ChaseSpecies(Species):
         super().__post_init__()
         if self.num_individuals < 2:
             raise InputError("a chase needs at least one pursuer and a target: name them both")
-        self._positive("start_half_side")
-        self._true_or_false(
-            "senses_centre", "senses_compass", "senses_course", "senses_heading", "senses_past",
-            "senses_time", "shared_reward", "lone_pursuer",
-        )  # fmt: skip
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
 
     def check_uniform_starts(self) -> None:

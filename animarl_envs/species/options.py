@@ -44,15 +44,7 @@ def with_options(species: Species, **options: Any) -> Species:
     if isinstance(species, ChaseSpecies) and lone and not species.lone_pursuer:
         species = _with_targets(species, species.num_individuals - 1)
     if "individuals" in options:
-        names = tuple(options.pop("individuals"))
-        for key, count in counts.items():
-            if count is not None and count != len(names) - 1:
-                what = key.removeprefix("num_")
-                raise InputError(
-                    f"{key} is {count!r} but individuals names {len(names) - 1} {what} and "
-                    f"{MANY[key]}: give one of the two"
-                )
-        species = _with_individuals(species, names)
+        species = _with_individuals(species, tuple(options.pop("individuals")), counts)
     else:
         species = _with_counts(species, **counts)
     if isinstance(species, ChaseSpecies) and is_number(options.get("arena")):
@@ -91,17 +83,23 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
     return changed
 
 
-def _with_individuals(species: Species, names: tuple[str, ...]) -> Species:
-    if names == species.individuals:
-        return species
-    resized = species
+def _with_individuals(
+    species: Species, names: tuple[str, ...], counts: Mapping[str, Any]
+) -> Species:
+    for key, count in counts.items():
+        if count is not None and count != len(names) - 1:
+            what = key.removeprefix("num_")
+            raise InputError(
+                f"{key} is {count!r} but individuals names {len(names) - 1} {what} and "
+                f"{MANY[key]}: give one of the two"
+            )
     if len(names) != species.num_individuals:
         if not isinstance(species, ChaseSpecies):
             raise InputError(
                 f"{species.name} has one individual but {len(names)} were given: {names}"
             )
-        resized = _with_many(species, len(names) - 1)
-    return replace(resized, individuals=names)
+        species = _with_many(species, len(names) - 1)
+    return replace(species, individuals=names)
 
 
 def _with_counts(species: Species, num_pursuers: Any, num_targets: Any) -> Species:

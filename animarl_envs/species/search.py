@@ -10,7 +10,7 @@ import numpy as np
 
 from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError
-from animarl_envs.species.base import Species
+from animarl_envs.species.base import Species, or_zero
 from animarl_envs.species.turning import Turning, as_turning
 
 
@@ -30,17 +30,15 @@ class SearchSpecies(Species):
     metres_per_unit: float = 1.0  # the plume is in metres
     start_distance: float = 0.3  # downwind of the source [arena unit]
     antenna_length: float = 0.013  # ahead of the body centre [arena unit]
-    antenna_angle: float = 19.0  # to either side [deg]
-    antenna_radius: float = 0.0025  # an antenna senses the plume within this radius [arena unit]
+    antenna_angle: float = or_zero(19.0)  # to either side [deg]
+    antenna_radius: float = or_zero(0.0025)  # within which it senses the plume [arena unit]
     odour_decay: float = 1.96  # time constant after the last hit [s]
-    odour_baseline: float = 0.07
+    odour_baseline: float = or_zero(0.07)
     trace_decay: float = 10.0  # time constant of the slow trace of hits [s]
-    flow_threshold: float = 0.1  # yaw rates below it give no visual flow [rad/s]
+    flow_threshold: float = or_zero(0.1)  # yaw rates below it give no visual flow [rad/s]
     flow_limit: float = 1.2  # visual flow is clipped here [rad/s]
     turning: Turning | None = None  # of the body; None: it points where it walks
-    rest_speed: float = (
-        1e-4  # a body without turning keeps its heading when slower [arena unit / s]
-    )
+    rest_speed: float = or_zero(1e-4)  # slower bodies keep their heading [arena unit / s]
     plume: Any = "model"  # "model", "off", "continuous" or a worlds.plume.Plume
     train_plumes: tuple[int, ...] = (0, 1, 2)  # the five fixed patterns: training ...
     test_plumes: tuple[int, ...] = (3, 4)  # ... and held out
@@ -52,21 +50,13 @@ class SearchSpecies(Species):
                 f"arena is a {self.arena.shape} but a search is in the open: give a size to draw, "
                 "or Arena('open', size)"
             )
-        self._positive(
-            "metres_per_unit", "start_distance", "antenna_length", "odour_decay", "trace_decay",
-            "flow_limit",
-        )  # fmt: skip
-        self._positive(
-            "antenna_radius", "flow_threshold", "rest_speed", "odour_baseline", "antenna_angle",
-            or_zero=True,
-        )  # fmt: skip
         if not self.odour_baseline < 1:
             raise InputError(f"odour_baseline is {self.odour_baseline}: it must lie in [0, 1)")
         if not self.antenna_angle <= 90:
             raise InputError(
                 f"antenna_angle is {self.antenna_angle}: it must lie between 0 and 90 degrees"
             )
-        object.__setattr__(self, "turning", as_turning(self.turning))
+        object.__setattr__(self, "turning", as_turning(self.turning, "turning"))
         for name in ("train_plumes", "test_plumes"):
             chosen = getattr(self, name)
             listed = isinstance(chosen, Sequence | np.ndarray) and not isinstance(chosen, str)
@@ -76,9 +66,7 @@ class SearchSpecies(Species):
                 )
             object.__setattr__(self, name, tuple(int(p) for p in chosen))
         if self.plume != "model":
-            from animarl_envs.worlds.plume.plume import (
-                as_plume,  # the model itself is made when needed
-            )
+            from animarl_envs.worlds.plume.plume import as_plume  # the model is made when needed
 
             as_plume(self.plume)
 

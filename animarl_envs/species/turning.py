@@ -50,16 +50,15 @@ class Turning:
 
     def __post_init__(self) -> None:
         ranges = {
-            "persistence": (0.0, 1.0), "gain": (0.0, math.pi), "slip": (-math.pi, math.pi),
-            "speed": (0.0, math.inf),
+            "persistence": (0.0, 1.0, ""), "gain": (0.0, math.pi, ", and not zero"),
+            "slip": (-math.pi, math.pi, ""), "speed": (0.0, math.inf, ", and not zero"),
         }  # fmt: skip
-        for name, (low, high) in ranges.items():
+        for name, (low, high, positive) in ranges.items():
             value = getattr(self, name)
-            zero_will_do = name in ("persistence", "slip")
-            if not is_number(value) or not low <= value < high or (value == 0 and not zero_will_do):
+            if not is_number(value) or not low <= value < high or (value == 0 and positive):
                 raise InputError(
                     f"{name} of turning is {value!r}: it must be a number from {low:.4g} to below "
-                    f"{high:.4g}{'' if zero_will_do else ', and not zero'}"
+                    f"{high:.4g}{positive}"
                 )
             object.__setattr__(self, name, float(value))
 
@@ -80,14 +79,8 @@ class Turning:
         return np.asarray(self.persistence * turn + self.gain * pull)
 
 
-def as_turning(given: Any, whose: str = "turning") -> Turning | None:
-    """A turning from one, from its numbers by name, or none; ``whose`` is for messages.
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
-    """
+def as_turning(given: Any, whose: str) -> Turning | None:
+    """Return a turning from one, from its numbers by name, or none; ``whose`` is for messages."""
     if isinstance(given, Mapping):
         try:
             return Turning(**given)
@@ -101,14 +94,9 @@ def as_turning(given: Any, whose: str = "turning") -> Turning | None:
 
 
 def turnings_of(given: Any, individuals: Sequence[str]) -> tuple[Turning | None, ...]:
-    """One for each individual, or none at all where every body points where it walks.
+    """Return one for each individual, or none at all where every body points where it walks.
 
     ``given`` are as many in their order, or some of them by name.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown, the number is another, or one is no turning.
     """
     each = given
     if isinstance(given, Mapping):
@@ -124,8 +112,6 @@ def turnings_of(given: Any, individuals: Sequence[str]) -> tuple[Turning | None,
             f"turning is {given!r}: give one for each of {', '.join(individuals)}, some by name, "
             "or None"
         )
-    found = tuple(
-        as_turning(one, f"turning of {name}")
-        for name, one in zip(individuals, each or (), strict=False)
-    )
-    return () if all(one is None for one in found) else found
+    pairs = zip(individuals, each or (), strict=False)
+    found = tuple(as_turning(one, f"turning of {name}") for name, one in pairs)
+    return found if any(found) else ()

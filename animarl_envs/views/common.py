@@ -24,7 +24,6 @@ from animarl_envs.scenario import DRIVERS, Scenario, make_scenario
 from animarl_envs.species import SearchSpecies, Species
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.executed import ExecutedActions
 
 PolicyFunction = Callable[[NDArray[np.float32]], NDArray[np.integer]]
 """From observations ``(B, n)`` of one individual to its actions ``(B,)``."""
@@ -59,7 +58,6 @@ class View:
         self.metadata = {**self.metadata, "render_fps": self._pictures.frame_rate}
         self._description = json.dumps(scenario_as_data(scenario))  # each reset says it anew
         self._actions = np.zeros((num_copies, self.world.num_individuals), dtype=np.int64)
-        self._executed = ExecutedActions(self.world)
         self._started = False
 
     def _follow(self, begun: Iterable[bool], stepped: bool = True) -> None:

@@ -119,7 +119,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         world, agents = self.world, self.agents
         self._take(actions)
         warming = world.warming.item()
-        executed = self._executed(self._actions)[0].tolist()
+        executed = self.world.executed(self._actions)[0].tolist()
         world.step(self._actions)
         cut_after(world, self.max_cycles)
         self._follow([False])

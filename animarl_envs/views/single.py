@@ -132,7 +132,7 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         self._actions[0, i] = action
         for j, policy in self._policies.items():
             self._actions[0, j] = np.asarray(policy(world.observation[:, j].copy()))[0]
-        done = self._executed(self._actions).item(0, i) if warming else int(action)
+        done = self.world.executed(self._actions).item(0, i) if warming else int(action)
         world.step(self._actions)
         terminated, truncated = world.terminated.item(), world.truncated.item()
         self._running = not (terminated or truncated)

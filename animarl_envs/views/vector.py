@@ -167,7 +167,7 @@ class AnimalVectorEnv(  # type: ignore[misc]
                     "reset(options={'reset_mask': ...}) before the next step"
                 )
             streams = world.random_state[due]
-        warming, executed = world.warming.copy(), self._executed(self._actions)[:, i].copy()
+        warming, executed = world.warming.copy(), self.world.executed(self._actions)[:, i].copy()
         world.step(self._actions)
         self.reset_by_step = due
         if due.any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.species import Species
-from animarl_envs.worlds.mirror import Mirror, mirror_of
 
 if TYPE_CHECKING:
     from animarl_envs.demos.demonstrations import Demonstrations
@@ -30,12 +30,12 @@ WORLDS = {
 def make_world(
     scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
 ) -> World:
-    """The world of the scenario's species, with so many copies.
+    """Return the world of the scenario's species, with so many copies.
 
     ``observers`` are the individuals whose observations are wanted, by default all.
     """
-    module, name = WORLDS[scenario.species.world]
-    world: World = getattr(import_module(module), name)(scenario, num_copies, observers)
+    name = WORLDS[scenario.species.world][1]
+    world: World = getattr(_module(scenario.species), name)(scenario, num_copies, observers)
     return world
 
 
@@ -46,15 +46,43 @@ def demonstration_observations(species: Species, demos: Demonstrations) -> NDArr
 
 
 def observation_components(species: Species) -> tuple[ObservationComponent, ...]:
-    """What each entry of the species' observation means, in order."""
+    """Return what each entry of the species' observation means, in order."""
     components: tuple[ObservationComponent, ...] = _module(species).observation_components(species)
     return components
 
 
-def mirror(species: Species) -> Mirror:
-    """How the species' world looks mirrored about the x axis of the arena frame (y to -y)."""
-    return mirror_of(observation_components(species), species.locomotion[0].action_vectors)
-
-
 def _module(species: Species) -> Any:
     return import_module(WORLDS[species.world][0])
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """Observations and actions of a world, seen in a mirror along the x axis of the arena frame.
+
+    Attributes
+    ----------
+    order
+        ``(n,)``: the mirrored observation has component ``order[c]`` in place ``c``, ...
+    sign
+        ``(n,)``: ... times ``sign[c]``, 1 or -1.
+    actions
+        ``(actions,)``: the mirrored action of each.
+    """
+
+    order: NDArray[np.int64]
+    sign: NDArray[np.float32]
+    actions: NDArray[np.int64]
+
+    def observation(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Mirrored observations ``(..., n)``."""
+        return seen[..., self.order] * self.sign
+
+
+def mirror(species: Species) -> Mirror:
+    """Return how the species' world looks mirrored about the x axis of the arena frame."""
+    components, vectors = observation_components(species), species.locomotion[0].action_vectors
+    place = {component.name: c for c, component in enumerate(components)}
+    order = [place[component.mirror or component.name] for component in components]
+    apart = np.linalg.norm(vectors[:, None] * [1.0, -1.0] - vectors[None], axis=2)
+    sign = np.array([component.sign for component in components], dtype=np.float32)
+    return Mirror(np.array(order, dtype=np.int64), sign, np.argmin(apart, axis=1))

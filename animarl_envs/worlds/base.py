@@ -7,8 +7,9 @@ stepped, and its arrays, which it owns and overwrites in place, are read.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +18,8 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import DRIVERS, Scenario
-from animarl_envs.worlds.flat_demos import flat_demonstrations
 from animarl_envs.worlds.streams import next_below, next_normal, seed_streams
 
 LARGEST = 1e30  # observations are float32
@@ -40,16 +41,13 @@ class ObservationComponent(NamedTuple):
     mirror: str = ""
 
 
-class Tracker(Protocol):
-    """Something that follows a world's episodes, such as a DTW distance."""
+class FlatDemos(NamedTuple):
+    """Demonstrations as kernels read them; empty arrays where there are none."""
 
-    def started(self, world: Any, mask: NDArray[np.bool_]) -> None: ...
-
-    def stepped(self, world: Any) -> None: ...
-
-    def get_state(self) -> dict[str, NDArray[Any]]: ...
-
-    def set_state(self, state: dict[str, NDArray[Any]]) -> None: ...
+    position: NDArray[np.float64]  # (frames, K, 2)
+    velocity: NDArray[np.float64]  # (frames, K, 2)
+    start: NDArray[np.int64]  # (episodes + 1,)
+    condition: NDArray[np.int8]  # (episodes,)
 
 
 class World(ABC):
@@ -75,11 +73,12 @@ class World(ABC):
     observers
         ``(K,)`` bool: whose observations are made. Those of others stay zero; nothing else differs.
     trackers
-        Objects that are called at every start and step.
+        Objects that follow the episodes, as :class:`animarl_envs.dtw.DTWTracker` does: they are
+        called at every start and step, and saved and restored with the world.
     """
 
     reward_components: tuple[str, ...]
-    observation_components: tuple[ObservationComponent, ...]
+    _describe: ClassVar[Callable[..., tuple[ObservationComponent, ...]]]
     _state_names: tuple[str, ...] = (
         "position", "velocity", "sensed", "components", "reward", "terminated", "truncated",
         "outcome", "step_count", "demo", "condition", "warming", "random_state",
@@ -90,10 +89,23 @@ class World(ABC):
     ) -> None:
         if num_copies < 1:
             raise InputError(f"num_copies is {num_copies}: it must be at least 1")
-        _check_ranges(self.observation_components, scenario)
-        self.scenario = scenario
-        self.num_copies = num_copies
-        B, K = num_copies, scenario.species.num_individuals
+        self.scenario, self.num_copies = scenario, num_copies
+        species, demos = scenario.species, scenario.demos
+        B, K = num_copies, species.num_individuals
+        empty = np.zeros((0, K, 2))
+        self._demos = FlatDemos(empty, empty, np.zeros(1, np.int64), np.zeros(0, np.int8))
+        fastest = farthest = 0.0  # of the recordings [arena unit / s; arena unit]
+        if demos is not None:
+            self._demos = FlatDemos(
+                np.ascontiguousarray(demos.positions),
+                demos.velocities(),
+                demos.offsets.astype(np.int64),
+                np.ascontiguousarray(demos.condition),
+            )
+            fastest = float(np.linalg.norm(self._demos.velocity, axis=-1).max())
+            farthest = float(np.abs(demos.positions).max())
+        self.observation_components = type(self)._describe(species, fastest, farthest)
+        self._check_ranges()
         C, n = len(self.reward_components), len(self.observation_components)
         self.observers = np.full(K, observers is None)
         if observers is not None:
@@ -124,13 +136,44 @@ class World(ABC):
         self._disturbed = delay > 0 or scenario.observation_noise > 0
         self.observation = np.zeros_like(self.sensed) if self._disturbed else self.sensed
 
-        self._demos = flat_demonstrations(scenario)
         self._drivers = np.array([DRIVERS[d] for d in scenario.drivers], dtype=np.int8)
-        self._warmup = scenario.species.warmup if scenario.paired else 0
-        self.trackers: list[Tracker] = []
+        self._warmup = species.warmup if scenario.paired else 0
+        self.trackers: list[Any] = []
         self._everywhere = np.ones(B, dtype=bool)
         self._any_demo = np.full(B, -1, dtype=np.int64)
         self.seed(np.arange(B))
+
+    def _check_ranges(self) -> None:
+        """Refuse worlds whose observations, or their noise, would not fit into float32."""
+        for one in self.observation_components:
+            if not max(abs(one.low), abs(one.high)) <= LARGEST:
+                raise InputError(
+                    f"{self.scenario.species.name}: observation {one.name!r} could lie anywhere "
+                    f"between {one.low:.3g} and {one.high:.3g}, which float32 cannot hold: choose "
+                    "less extreme locomotion, arena, dt or time_limit"
+                )
+        if not self.scenario.observation_noise <= LARGEST:
+            raise InputError(
+                f"observation_noise is {self.scenario.observation_noise:.3g}, which float32 cannot "
+                "hold: choose a smaller one"
+            )
+
+    def _shared_state(self) -> dict[str, Any]:
+        """What the kernels of every world are told, by the names of their states."""
+        species = self.scenario.species
+        return {
+            "demos": self._demos,
+            "demo": self.demo,
+            "contact_radius": species.contact_radius,
+            "time_limit": species.time_limit,
+            "warmup": self._warmup,
+            "random": self.random_state,
+            "terminated": self.terminated,
+            "truncated": self.truncated,
+            "outcome": self.outcome,
+            "step_count": self.step_count,
+            "warming": self.warming,
+        }
 
     @property
     def num_individuals(self) -> int:
@@ -157,23 +200,13 @@ class World(ABC):
         """
         mask = self._everywhere if mask is None else mask
         _begin(
-            mask,
-            self._any_demo if demo is None else demo,
-            len(self._demos.start) - 1 if self.scenario.paired else 0,
-            self._demos.condition,
+            mask, self._any_demo if demo is None else demo,
+            len(self._demos.start) - 1 if self.scenario.paired else 0, self._demos.condition,
             -1 if self.scenario.condition == "demo" else self.scenario.condition,
-            self._warmup > 0,
-            self.random_state,
-            self.demo,
-            self.condition,
-            self.step_count,
-            self.terminated,
-            self.truncated,
-            self.outcome,
-            self.warming,
-            self._components,
+            self._warmup > 0, self.random_state, self.demo, self.condition, self.step_count,
+            self.terminated, self.truncated, self.outcome, self.warming, self._components,
             self._reward,
-        )
+        )  # fmt: skip
         self._start(mask)
         if self._disturbed:
             self._history[:, mask] = self.sensed[mask]
@@ -201,6 +234,24 @@ class World(ABC):
     def _advance(self, actions: NDArray[np.integer]) -> None:
         """One step of all copies: move, decide the episode's end, reward, sense."""
 
+    def executed(self, actions: NDArray[np.integer]) -> NDArray[np.integer]:
+        """Return what the next step executes if told ``actions`` ``(B, K)``.
+
+        These are the demonstrated actions in copies that are warming up. A policy that sees its
+        previous action must see what was done, in a simulator as in demonstrations.
+        """
+        if not self.warming.any():
+            return actions
+        frame = self._demos.start[self.demo] + self.step_count
+        shown = self._demonstrated[np.where(self.warming, frame, 0)]
+        return np.where(self.warming[:, None], shown, actions)
+
+    @cached_property
+    def _demonstrated(self) -> NDArray[np.int64]:
+        """The actions of all recorded frames, ``(frames, K)``; computed when first needed."""
+        assert self.demos is not None
+        return demonstrated_actions(self.demos, self.scenario.species.locomotion).astype(np.int64)
+
     def _disturb(self, mask: NDArray[np.bool_]) -> None:
         """Apply observation delay and noise."""
         seen = self.sensed
@@ -214,10 +265,12 @@ class World(ABC):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy by value: made anew from the scenario, then brought to the same state."""
-        return _restored, (
-            type(self), self.scenario, self.num_copies, np.flatnonzero(self.observers),
-            self.trackers, self.get_state(),
-        )  # fmt: skip
+        made_of = self.scenario, self.num_copies, np.flatnonzero(self.observers)
+        return type(self), made_of, (self.trackers, self.get_state())
+
+    def __setstate__(self, saved: tuple[list[Any], dict[str, NDArray[Any]]]) -> None:
+        self.trackers, state = saved
+        self.set_state(state)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Copies of all arrays that decide the future; with :meth:`set_state` it goes on alike."""
@@ -242,41 +295,9 @@ class World(ABC):
         for tracker in self.trackers:
             tracker.set_state(dict(state))
 
-
-def _check_ranges(components: Iterable[ObservationComponent], scenario: Scenario) -> None:
-    """Refuse worlds whose observations would not fit into float32.
-
-    Raises
-    ------
-    InputError
-        If a component, or its noise, could be larger than ``LARGEST``.
-    """
-    for one in components:
-        if not max(abs(one.low), abs(one.high)) <= LARGEST:
-            raise InputError(
-                f"{scenario.species.name}: observation {one.name!r} could lie anywhere between "
-                f"{one.low:.3g} and {one.high:.3g}, which float32 cannot hold: choose less extreme "
-                "locomotion, arena, dt or time_limit"
-            )
-    if not scenario.observation_noise <= LARGEST:
-        raise InputError(
-            f"observation_noise is {scenario.observation_noise:.3g}, which float32 cannot hold: "
-            "choose a smaller one"
-        )
-
-
-def _restored(
-    kind: type[World],
-    scenario: Scenario,
-    num_copies: int,
-    observers: NDArray[np.integer],
-    trackers: list[Tracker],
-    state: dict[str, NDArray[Any]],
-) -> World:
-    world = kind(scenario, num_copies, observers)
-    world.trackers = trackers
-    world.set_state(state)
-    return world
+    def scene_details(self, copy: int) -> dict[str, Any]:
+        """Return what pictures of a copy show beside positions, by the names of a scene."""
+        return {}
 
 
 @jit

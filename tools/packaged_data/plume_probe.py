@@ -20,8 +20,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.files import read_npz
 from animarl_envs.species import SILKMOTH
 from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.hits import is_hit
-from animarl_envs.worlds.plume.plume import NUM_PATTERNS, ModelPlume
+from animarl_envs.worlds.plume.plume import NUM_PATTERNS, ModelPlume, is_hit
 
 ENOUGH = 50  # samples that a cell needs to be compared
 WHIFF_EDGES = np.array([1, 2, 3, 4, 5, 6, 7, 9, 12, 1000])  # [frames]
@@ -97,22 +96,20 @@ def read_along(
     for pattern in range(NUM_PATTERNS):
         table = plume.pattern_table(pattern, 1.0 / model.frame_rate, SILKMOTH.antenna_radius)
         chosen = np.flatnonzero(probe.movie == pattern)
-        _read_runs(probe.antennae, probe.frame, probe.start, chosen, shift, *table, out)
+        _read_runs(probe.antennae, probe.frame, probe.start, chosen, shift, table, out)
     return out
 
 
 @jit
 def _read_runs(  # type: ignore[no-untyped-def]
-    antennae, frame, start, chosen, shift, bits, rows, columns, source_row, source_column, cell, out
-):  # fmt: skip
+    antennae, frame, start, chosen, shift, table, out
+):
     for run in chosen:
         for n in range(start[run], start[run + 1]):
-            step = (frame[n] + shift[run]) % bits.shape[1]
+            step = (frame[n] + shift[run]) % table.bits.shape[1]
             for side in range(2):
-                out[n, side] = is_hit(
-                    bits, rows, columns, source_row, source_column, cell, 0, step,
-                    antennae[n, side, 0], antennae[n, side, 1],
-                )  # fmt: skip
+                x, y = antennae[n, side, 0], antennae[n, side, 1]
+                out[n, side] = is_hit(table, 0, step, x, y)
 
 
 # -- summaries --------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from animarl_envs.kinematics import next_turn, turn_between, wrapped
 from animarl_envs.scenario import REPLAY
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.layout import Seen
+from animarl_envs.worlds.chase.neighbours import WHO
 
 NOT_RECORDED = -1  # in the place of a frame
 
@@ -167,56 +168,15 @@ def face(bodies):  # type: ignore[no-untyped-def]
 
 
 @part
-def observe_headings(i, position, towards, first, order, bodies, observation):  # type: ignore[no-untyped-def]
-    """Where individual ``i`` and the others point, in its frame.
-
-    The others have the order of :mod:`animarl_envs.worlds.chase.neighbours`; ``order`` is that of
-    the many, which is empty where they are few.
-    """
-    last = position.shape[0] - 1
-    leading = 0 if i == last else 1
-    for b in range(position.shape[2]):
-        _write(i, i, b, first[0, Seen.HEADING], towards, bodies, observation)
-        if leading == 1:
-            _write(i, last, b, first[1, Seen.OTHER_HEADING], towards, bodies, observation)
-    if order.shape[2] > 0:
-        for rank in range(last - leading):
-            at = first[1 + leading + rank, Seen.OTHER_HEADING]
-            for b in range(position.shape[2]):
-                _write(i, order[i, b, rank], b, at, towards, bodies, observation)
-        return
-    for j in range(last):
-        for b in range(position.shape[2]):
-            if j != i:
-                rank = leading + _nearer(i, j, b, position)
-                at = first[1 + rank, Seen.OTHER_HEADING]
-                _write(i, j, b, at, towards, bodies, observation)
-
-
-@part
-def _nearer(i, j, b, position):  # type: ignore[no-untyped-def]
-    """How many of the others but the last are nearer to ``i`` than ``j`` is, ties by index."""
-    apart, count = _apart(i, j, b, position), 0
-    for k in range(position.shape[0] - 1):
-        if k != i and k != j:
-            other = _apart(i, k, b, position)
-            count += other < apart or (other == apart and k < j)
-    return count
-
-
-@part
-def _apart(i, j, b, position):  # type: ignore[no-untyped-def]
-    dx = position[j, 0, b] - position[i, 0, b]
-    dy = position[j, 1, b] - position[i, 1, b]
-    return math.sqrt(dx * dx + dy * dy)
-
-
-@part
-def _write(i, j, b, at, towards, bodies, observation):  # type: ignore[no-untyped-def]
-    """Cosine and sine of the heading of ``j`` in the frame of ``i``."""
-    ex = towards[i, 0, b]
-    ey = towards[i, 1, b]
-    x = bodies.facing[j, 0, b]
-    y = bodies.facing[j, 1, b]
-    observation[i, at, b] = min(1.0, max(-1.0, x * ex + y * ey))
-    observation[i, at + 1, b] = min(1.0, max(-1.0, y * ex - x * ey))
+def observe_headings(i, seen, towards, first, others, bodies, observation):  # type: ignore[no-untyped-def]
+    """Where individual ``i`` and the others that it sees point, in its frame."""
+    for rank in range(-1, seen):
+        at = first[0, Seen.HEADING] if rank < 0 else first[rank + 1, Seen.OTHER_HEADING]
+        for b in range(others.shape[2]):
+            j = i if rank < 0 else int(others[rank, WHO, b])
+            ex = towards[i, 0, b]
+            ey = towards[i, 1, b]
+            x = bodies.facing[j, 0, b]
+            y = bodies.facing[j, 1, b]
+            observation[i, at, b] = min(1.0, max(-1.0, x * ex + y * ey))
+            observation[i, at + 1, b] = min(1.0, max(-1.0, y * ex - x * ey))

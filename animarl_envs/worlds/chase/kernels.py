@@ -10,22 +10,18 @@ by index, not cut out as views, which would cost more than the row when there is
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import namedtuple
 
-import numpy as np
 from numba.core import types
 from numba.experimental import structref
-from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.kinematics import next_velocity, rebound, residual
 from animarl_envs.scenario import COASTING, REPLAY, SCRIPTED
-from animarl_envs.worlds.chase.headings import Bodies, turn_bodies
-from animarl_envs.worlds.chase.neighbours import Neighbours
-from animarl_envs.worlds.chase.senses import Senses, observe, remember
-from animarl_envs.worlds.flat_demos import FlatDemos
+from animarl_envs.worlds.chase.headings import turn_bodies
+from animarl_envs.worlds.chase.senses import observe, remember
 from animarl_envs.worlds.rules import decide
 from animarl_envs.worlds.streams import next_uniform
 
@@ -37,41 +33,33 @@ WHOLE_DRAWS = 100  # of the first places of all, before those who touch are move
 
 
 @jit
-def start(  # type: ignore[no-untyped-def]
-    mask, demos, demo, fixed, half_side, contact_radius, random, position, velocity, acceleration
-):
+def start(mask, state):  # type: ignore[no-untyped-def]
     """First states: recorded, given, or uniform in a square without contact; at rest but for the
     first. No step has led to them, so there is no acceleration."""
+    position, velocity, demos, demo = state.position, state.velocity, state.demos, state.demo
+    fixed, random, contact_radius = state.fixed, state.random, state.contact_radius
     K, _, B = position.shape
     last = K - 1
     for b in range(B):
         if not mask[b]:
             continue
+        frame = demos.start[demo[b]] if demo[b] >= 0 else 0
         for i in range(K):
-            acceleration[i, 0, b] = 0.0
-            acceleration[i, 1, b] = 0.0
-        if demo[b] >= 0:
-            frame = demos.start[demo[b]]
-            for i in range(K):
-                for x in range(2):
+            for x in range(2):
+                state.acceleration[i, x, b] = 0.0
+                velocity[i, x, b] = demos.velocity[frame, i, x] if demo[b] >= 0 else 0.0
+                if demo[b] >= 0:
                     position[i, x, b] = demos.position[frame, i, x]
-                    velocity[i, x, b] = demos.velocity[frame, i, x]
-            continue
-        for i in range(K):
-            velocity[i, 0, b] = 0.0
-            velocity[i, 1, b] = 0.0
-        if len(fixed):
-            for i in range(K):
-                position[i, 0, b] = fixed[i, 0]
-                position[i, 1, b] = fixed[i, 1]
-            continue
-        touching, draws = True, 0
+                elif len(fixed):
+                    position[i, x, b] = fixed[i, x]
+        touching, draws = demo[b] < 0 and len(fixed) == 0, 0
         while touching:
             for i in range(K):
                 # Many are hardly ever all apart: in the end only those who touch are moved.
                 if draws < WHOLE_DRAWS or (i < last and _touches(i, b, position, contact_radius)):
                     for x in range(2):
-                        position[i, x, b] = half_side * (2.0 * next_uniform(random, b) - 1.0)
+                        place = state.half_side * (2.0 * next_uniform(random, b) - 1.0)
+                        position[i, x, b] = place
             draws += 1
             touching = False
             for i in range(last):
@@ -90,44 +78,18 @@ def _touches(i, b, position, contact_radius):  # type: ignore[no-untyped-def]
 # -- a whole step ---------------------------------------------------------------------------------
 
 
-class ChaseState(NamedTuple):
-    """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`."""
-
-    actions: NDArray[np.uint64]  # (K, B), scratch
-    drivers: NDArray[np.int8]  # (K,)
-    driven: bool  # somebody ignores the caller
-    demos: FlatDemos
-    demo: NDArray[np.int64]
-    sharing: NDArray[np.int8]  # the condition, where condition 1 shares the reward, else zeros
-    damping: NDArray[np.float64]
-    thrust: NDArray[np.float64]
-    pushes: NDArray[np.float64]  # (K, 2, A): actions in multiples of the thrust, ahead and left
-    dt: float
-    contact_radius: float
-    penalty: float
-    time_limit: int
-    warmup: int
-    field: tuple[int, float, float]
-    walled: bool
-    lone: bool
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    past: NDArray[np.float64]
-    towards: NDArray[np.float64]
-    bodies: Bodies
-    neighbours: Neighbours  # scratch
-    nearest: NDArray[np.float64]  # (B,), scratch
-    code: NDArray[np.int64]  # (B,), scratch
-    components: NDArray[np.float64]
-    reward: NDArray[np.float64]
-    outcome: NDArray[np.int8]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
-    step_count: NDArray[np.int64]
-    warming: NDArray[np.bool_]
-    observation: NDArray[np.float32]
-    senses: Senses
+ChaseState = namedtuple(
+    "ChaseState",
+    "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
+    "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty field "
+    "walled lone position velocity acceleration past towards bodies neighbours nearest code "
+    "components reward observation senses",
+)
+"""What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
+are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
+``driven``: somebody ignores the caller; ``sharing`` is the condition where condition 1 shares the
+reward, else zeros; ``pushes`` ``(K, 2, A)`` are actions in multiples of the thrust, ahead and left.
+"""
 
 
 @structref.register
@@ -152,9 +114,10 @@ def refer(parts):  # type: ignore[no-untyped-def]
 def advance(asked, state):  # type: ignore[no-untyped-def]
     """All of a step in one call; ``asked`` is ``(B, K)``; of a :class:`ChaseState`."""
     dt, field, warmup, lone = state.dt, state.field, state.warmup, state.lone
+    damping, thrust, pushes, drivers = state.damping, state.thrust, state.pushes, state.drivers
     actions, position, velocity = state.actions, state.position, state.velocity
-    acceleration = state.acceleration
-    step_count, code, towards = state.step_count, state.code, state.towards
+    acceleration, towards, demos, demo = state.acceleration, state.towards, state.demos, state.demo
+    step_count, code, warming = state.step_count, state.code, state.warming
     outcome, terminated, truncated = state.outcome, state.terminated, state.truncated
     K, _, B = position.shape
     for i in range(K):
@@ -163,24 +126,16 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     for b in range(B):
         step_count[b] += 1
     if state.driven:
-        drive(
-            state.drivers, actions, position, velocity, towards, state.damping, state.thrust,
-            state.pushes, dt, field, lone,
-        )  # fmt: skip
+        drive(drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field,
+              lone)  # fmt: skip
     remember(velocity, state.past)
-    move(
-        actions, towards, state.damping, state.thrust, state.pushes, dt, position, velocity,
-        acceleration,
-    )  # fmt: skip
+    move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
     if state.walled:
         rebound(field, position, velocity)
     if state.driven or warmup > 0:  # recorded positions stay where they are, walls or not
-        replay(
-            state.drivers, warmup, state.demos, state.demo, step_count, position, velocity,
-            state.warming,
-        )  # fmt: skip
+        replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
     accelerate(velocity, state.senses, acceleration)
-    turn_bodies(state.drivers, warmup, state.demos, state.demo, step_count, velocity, state.bodies)
+    turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies)
     judge(
         position, state.sharing, field, state.walled, lone, state.contact_radius, dt,
         state.penalty, state.nearest, code, state.components, state.reward,
@@ -300,16 +255,28 @@ def judge(  # type: ignore[no-untyped-def]
         for b in range(B):  # shared reward: a capture is everybody's
             shared = sharing[b] == 1 and code[b] > 0
             components[i, TOUCH, b] = 1.0 if shared else components[i, TOUCH, b]
+    shape, _, boundary = field
     if not walled:
         for j in range(K):  # targets first: their leaving is named before a pursuer's
             i = j if lone else last - j
-            _leave(i, position, field, penalty, components)
             left = TARGET_OUT if (i == last) != lone else PURSUER_OUT
             for b in range(B):
-                out = components[i, BOUNDARY, b] != 0.0
+                x = position[i, 0, b]
+                y = position[i, 1, b]
+                if shape == SQUARE:
+                    out = max(abs(x), abs(y)) > boundary
+                else:
+                    out = shape == DISC and x * x + y * y > boundary * boundary
+                components[i, BOUNDARY, b] = penalty if out else 0.0
                 code[b] = left if out and code[b] == TIME_OUT else code[b]
-    if lone:
-        _pay_many(code, dt, components)
+    if lone:  # a touch is the pursuer's
+        for b in range(B):
+            components[last, TOUCH, b] = 1.0 if code[b] > 0 else 0.0
+        for i in range(last):
+            for b in range(B):
+                lost = components[i, TOUCH, b] != 0.0 or components[i, BOUNDARY, b] != 0.0
+                components[i, ELAPSED, b] = 0.0 if lost else dt
+                components[i, TOUCH, b] = 0.0
     else:
         for b in range(B):  # the target is paid for every step that it lasts
             lost = code[b] > 0 or code[b] == TARGET_OUT
@@ -319,33 +286,3 @@ def judge(  # type: ignore[no-untyped-def]
             reward[i, b] = (
                 components[i, TOUCH, b] + components[i, ELAPSED, b] + components[i, BOUNDARY, b]
             )
-
-
-@part
-def _pay_many(code, dt, components):  # type: ignore[no-untyped-def]
-    """A touch is the lone pursuer's; each target is paid for every step that it lasts."""
-    K, _, B = components.shape
-    last = K - 1
-    for b in range(B):
-        components[last, TOUCH, b] = 1.0 if code[b] > 0 else 0.0
-    for i in range(last):
-        for b in range(B):
-            lost = components[i, TOUCH, b] != 0.0 or components[i, BOUNDARY, b] != 0.0
-            components[i, ELAPSED, b] = 0.0 if lost else dt
-            components[i, TOUCH, b] = 0.0
-
-
-@part
-def _leave(i, position, field, penalty, components):  # type: ignore[no-untyped-def]
-    """The penalty for being out of bounds."""
-    shape, _, boundary = field
-    B = position.shape[2]
-    if shape == SQUARE:
-        for b in range(B):
-            farthest = max(abs(position[i, 0, b]), abs(position[i, 1, b]))
-            components[i, BOUNDARY, b] = penalty if farthest > boundary else 0.0
-    elif shape == DISC:
-        for b in range(B):
-            x = position[i, 0, b]
-            y = position[i, 1, b]
-            components[i, BOUNDARY, b] = penalty if x * x + y * y > boundary * boundary else 0.0

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.locomotion import residual
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import ObservationComponent
 
@@ -37,14 +38,15 @@ BODY, REACH = 0.03, 0.1  # distances kept by animals that follow a wall [arena s
 class Group(NamedTuple):
     """Entries that the kernel writes together, one below the other.
 
-    ``entries`` are names and their signs in a mirrored world. ``range`` names an entry of
-    :func:`ranges`. ``seen`` lists the observations that hold the group; ``of_focus`` says whether
-    the full one holds it for the focus too, which lies straight ahead by definition,
-    ``of_walls`` whether only a field with walls has it, and ``sense`` the field of a species
-    that must be true, but for the paper's observation.
+    ``names`` lists entries; ``{a|b}`` stands for two, of which a mirrored world turns the second
+    round, as it does one that begins with ``-``. ``range`` names an entry of :func:`ranges`.
+    ``seen`` lists the observations that hold the group; ``of_focus`` says whether the full one
+    holds it for the focus too, which lies straight ahead by definition, ``of_walls`` whether only a
+    field with walls has it, and ``sense`` the field of a species that must be true, but for the
+    paper's observation.
     """
 
-    entries: tuple[tuple[str, float], ...]
+    names: tuple[str, ...] | str
     frame: str
     unit: str
     range: str
@@ -53,47 +55,39 @@ class Group(NamedTuple):
     of_walls: bool = False
     sense: str = ""
 
-
-def _pair(first: str, second: str) -> tuple[tuple[str, float], ...]:
-    """Two entries of which a mirror turns the second round."""
-    return (first, 1.0), (second, -1.0)
-
-
-def _plane(name: str) -> tuple[tuple[str, float], ...]:
-    return _pair(f"{name} x", f"{name} y")
-
-
-def _ahead_left(name: str) -> tuple[tuple[str, float], ...]:
-    return _pair(f"{name} ahead", f"{name} left")
-
-
-def _out_along(name: str) -> tuple[tuple[str, float], ...]:
-    return _pair(f"{name} outwards", f"{name} along")
+    @property
+    def entries(self) -> list[tuple[str, float]]:
+        """Names and their signs in a mirrored world."""
+        found = []
+        for name in [self.names] if isinstance(self.names, str) else self.names:
+            head, two, rest = name.partition("{")
+            pair, _, tail = rest.partition("}")
+            if two:
+                first, _, second = pair.partition("|")
+                found += [(head + first + tail, 1.0), (head + second + tail, -1.0)]
+            else:
+                found.append((name.removeprefix("-"), -1.0 if name.startswith("-") else 1.0))
+        return found
 
 
-def _circle(name: str) -> tuple[tuple[str, float], ...]:
-    return _pair(f"{name} cosine", f"{name} sine")
-
-
-def _harmonics(vector: str) -> tuple[tuple[str, float], ...]:
+def _directions(vector: str) -> tuple[str, ...]:
     """A direction by its harmonics, as the kernel ``_observe_direction`` writes it."""
-    return tuple(entry for k in HARMONICS for entry in _circle(f"{vector} harmonic {k}"))
+    return tuple(f"{vector} harmonic {k} {{cosine|sine}}" for k in HARMONICS)
 
 
-def _fine(velocity: str, sense: str = "") -> Group:
-    return Group(_ahead_left(f"tanh of {velocity} / (u dt)"), EGO, "1", "fine", sense=sense)
+def _scaled(velocity: str, speed: str, sense: str = "") -> list[Group]:
+    """A velocity where small differences show: fine, coarse, and the logarithm of the speed."""
+    return [
+        Group(f"tanh of {velocity} / (u dt) {{ahead|left}}", EGO, "1", "fine", sense=sense),
+        Group(f"tanh of {velocity} / (3 u dt) {{ahead|left}}", EGO, "1", "coarse", sense=sense),
+        Group(f"log of ({speed} / (u dt) + 0.3)", "any", "1", "log speed", sense=sense),
+    ]
 
 
-def _coarse(velocity: str, sense: str = "") -> Group:
-    return Group(_ahead_left(f"tanh of {velocity} / (3 u dt)"), EGO, "1", "coarse", sense=sense)
-
-
-def _log(speed: str, sense: str = "") -> Group:
-    name = f"log of ({speed} / (u dt) + 0.3)"
-    return Group(((name, 1.0),), "any", "1", "log speed", sense=sense)
-
-
-_SHORT, _LONG = (f"mean velocity over {over} steps" for over in PAST)
+_OWN = _scaled("own velocity", "own speed")
+_SHORT, _LONG = (_scaled(*[f"mean velocity over {over} steps"] * 2, "senses_past") for over in PAST)
+_BOTH = (PAPER, FULL)
+_WALL = "tanh of distance to the wall /"
 
 
 class Seen(IntEnum):
@@ -114,56 +108,42 @@ class Seen(IntEnum):
         return member
 
     # The individual itself
-    POSITION = Group(_plane("own position"), ARENA, LENGTH, "place", (PAPER, FULL), sense=COMPASS)
-    VELOCITY = Group(_ahead_left("own velocity"), EGO, SPEED, "own speed", (PAPER, FULL))
-    PLANE_VELOCITY = Group(_plane("own velocity"), ARENA, SPEED, "own speed", sense=COMPASS)
-    FINE = _fine("own velocity")
-    COARSE = _coarse("own velocity")
-    LOG_SPEED = _log("own speed")
-    ACCELERATION = Group(_ahead_left("own acceleration / u"), EGO, "1", "acceleration")
-    FOCUS = Group(_circle("focus direction"), ARENA, "1", "unit", (PAPER, FULL), sense=COMPASS)
-    TIME = Group(
-        (("log of (1 + steps since the start)", 1.0),), "any", "1", "log steps", sense="senses_time"
-    )
-    FINE_SHORT = _fine(_SHORT, "senses_past")
-    COARSE_SHORT = _coarse(_SHORT, "senses_past")
-    LOG_SHORT = _log(_SHORT, "senses_past")
-    FINE_LONG = _fine(_LONG, "senses_past")
-    COARSE_LONG = _coarse(_LONG, "senses_past")
-    LOG_LONG = _log(_LONG, "senses_past")
-    HEADING = Group(_circle("own heading"), EGO, "1", "unit", sense="senses_heading")
-    COURSE = Group(_harmonics("own velocity"), EGO, "1", "unit", sense="senses_course")
-    PUSH = Group(_harmonics("own acceleration"), EGO, "1", "unit", sense="senses_course")
+    POSITION = Group("own position {x|y}", ARENA, LENGTH, "place", _BOTH, sense=COMPASS)
+    VELOCITY = Group("own velocity {ahead|left}", EGO, SPEED, "own speed", _BOTH)
+    PLANE_VELOCITY = Group("own velocity {x|y}", ARENA, SPEED, "own speed", sense=COMPASS)
+    FINE, COARSE, LOG_SPEED = _OWN
+    ACCELERATION = Group("own acceleration / u {ahead|left}", EGO, "1", "acceleration")
+    FOCUS = Group("focus direction {cosine|sine}", ARENA, "1", "unit", _BOTH, sense=COMPASS)
+    TIME = Group("log of (1 + steps since the start)", "any", "1", "log steps", sense="senses_time")
+    FINE_SHORT, COARSE_SHORT, LOG_SHORT = _SHORT
+    FINE_LONG, COARSE_LONG, LOG_LONG = _LONG
+    HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
+    COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
+    PUSH = Group(_directions("own acceleration"), EGO, "1", "unit", sense="senses_course")
     # Each other individual
-    PLACE = Group(
-        _ahead_left("relative position"), EGO, LENGTH, "offset", (PAPER, FULL), of_focus=False
-    )
-    DRIFT = Group(_ahead_left("relative velocity"), EGO, SPEED, "difference", (PAPER, FULL))
-    DISTANCE = Group((("distance", 1.0),), "any", LENGTH, "distance", (PAPER, FULL))
-    BEARING = Group((("bearing", -1.0),), EGO, "rad", "angle", (PAPER,))
-    NEARNESS = Group(
-        (("inverse of (distance + 0.1 size)", 1.0),), "any", "1 / arena unit", "nearness"
-    )
-    BEARING_CIRCLE = Group(_circle("bearing"), EGO, "1", "unit", of_focus=False)
-    OTHER_POSITION = Group(_plane("position"), ARENA, LENGTH, "place", sense=COMPASS)
-    OTHER_VELOCITY = Group(_plane("velocity"), ARENA, SPEED, "speed", sense=COMPASS)
-    OFFSET = Group(_plane("difference"), ARENA, LENGTH, "offset", sense=COMPASS)
-    DIRECTION = Group(_circle("direction"), ARENA, "1", "unit", of_focus=False, sense=COMPASS)
-    OTHER_HEADING = Group(_circle("heading"), EGO, "1", "unit", sense="senses_heading")
+    PLACE = Group("relative position {ahead|left}", EGO, LENGTH, "offset", _BOTH, of_focus=False)
+    DRIFT = Group("relative velocity {ahead|left}", EGO, SPEED, "difference", _BOTH)
+    DISTANCE = Group("distance", "any", LENGTH, "distance", _BOTH)
+    BEARING = Group("-bearing", EGO, "rad", "angle", (PAPER,))
+    NEARNESS = Group("inverse of (distance + 0.1 size)", "any", "1 / arena unit", "nearness")
+    BEARING_CIRCLE = Group("bearing {cosine|sine}", EGO, "1", "unit", of_focus=False)
+    OTHER_POSITION = Group("position {x|y}", ARENA, LENGTH, "place", sense=COMPASS)
+    OTHER_VELOCITY = Group("velocity {x|y}", ARENA, SPEED, "speed", sense=COMPASS)
+    OFFSET = Group("difference {x|y}", ARENA, LENGTH, "offset", sense=COMPASS)
+    DIRECTION = Group("direction {cosine|sine}", ARENA, "1", "unit", of_focus=False, sense=COMPASS)
+    OTHER_HEADING = Group("heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
     # The arena
-    CENTRE_DISTANCE = Group((("distance from the centre", 1.0),), ARENA, LENGTH, "radius", (PAPER,))
-    EDGE = Group((("distance to the edge", 1.0),), ARENA, LENGTH, "inside")
-    CENTRE = Group(_ahead_left("centre of the arena"), EGO, LENGTH, "centre")
-    AT_WALL = Group(
-        (("tanh of distance to the wall / (0.03 size)", 1.0),), WALL, "1", "at wall", of_walls=True
+    CENTRE_DISTANCE = Group("distance from the centre", ARENA, LENGTH, "radius", (PAPER,))
+    EDGE = Group("distance to the edge", ARENA, LENGTH, "inside")
+    CENTRE = Group("centre of the arena {ahead|left}", EGO, LENGTH, "centre")
+    AT_WALL = Group(f"{_WALL} (0.03 size)", WALL, "1", "at wall", of_walls=True)
+    BY_WALL = Group(f"{_WALL} (0.1 size)", WALL, "1", "by wall", of_walls=True)
+    WALL_CIRCLE = Group("direction of the wall {cosine|sine}", EGO, "1", "unit", of_walls=True)
+    FINE_WALL = Group(
+        "tanh of own velocity / (u dt) {outwards|along}", WALL, "1", "fine", of_walls=True
     )
-    BY_WALL = Group(
-        (("tanh of distance to the wall / (0.1 size)", 1.0),), WALL, "1", "by wall", of_walls=True
-    )
-    WALL_CIRCLE = Group(_circle("direction of the wall"), EGO, "1", "unit", of_walls=True)
-    FINE_WALL = Group(_out_along("tanh of own velocity / (u dt)"), WALL, "1", "fine", of_walls=True)
     COARSE_WALL = Group(
-        _out_along("tanh of own velocity / (3 u dt)"), WALL, "1", "coarse", of_walls=True
+        "tanh of own velocity / (3 u dt) {outwards|along}", WALL, "1", "coarse", of_walls=True
     )
 
 
@@ -213,7 +193,7 @@ def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
 def observation_components(
     species: ChaseSpecies, fastest: float = 0.0, farthest: float = 0.0
 ) -> tuple[ObservationComponent, ...]:
-    """What each entry of an observation means, in order.
+    """Return what each entry of an observation means, in order.
 
     Its range follows from the edge of the arena and from the top speed: the terminal speed of the
     fastest individual. Demonstrations may be faster, ``fastest`` [arena unit / s], and lie
@@ -233,7 +213,7 @@ def observation_components(
 def ranges(
     species: ChaseSpecies, fastest: float, farthest: float
 ) -> dict[str, tuple[float, float]]:
-    """Lowest and highest values, by the name that the groups have for them."""
+    """Return lowest and highest values, by the name that the groups have for them."""
     arena, limit = species.arena, species.time_limit + 1
     top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
     # A step beyond at the end, unless walls hold; in the open as far as an episode leads.
@@ -242,50 +222,34 @@ def ranges(
     reach = max(start + top * species.dt * steps, farthest)
     round_field = arena.shape == "disc" and species.observation == FULL  # saved spaces keep theirs
     radius = reach if round_field else math.sqrt(2.0) * reach
-    apart = 2.0 * radius
     scales = species.scales
-    strides = [m.smallest_thrust * scales.dt for m in scales.locomotion]
-    relative = top / min(strides)
-    fine, coarse = math.tanh(relative), math.tanh(relative / 3.0)
-    near = NEAR * scales.arena_size
-    own = top * max(1.0, *scales.own_velocity)
-    push = _hardest(species, fastest)
-    return {
-        "place": (-reach, reach),
-        "speed": (-top, top),
-        "own speed": (-own, own),
-        "fine": (-fine, fine),
-        "coarse": (-coarse, coarse),
+    relative = top / min(m.smallest_thrust * scales.dt for m in scales.locomotion)
+    near, inside = NEAR * scales.arena_size, min(0.0, arena.edge - reach)
+    at_wall, by_wall = (
+        (math.tanh(inside / scale), math.tanh(arena.edge / scale))
+        for scale in (BODY * scales.arena_size, REACH * scales.arena_size)
+    )
+    push = HARDEST  # a thrust, a stop at a wall, or any if recorded [u]
+    if fastest <= 0.0 and species.sense_scales is None:
+        hardest = 0.0
+        for own in species.locomotion:
+            speed = own.top_speed(species.dt, limit) if arena.rebound else 0.0
+            stop = -residual(0.0, speed, own.damping) / (own.thrust * species.dt)
+            hardest = max(hardest, math.hypot(own.magnitudes[0], stop))
+        push = min(HARDEST, hardest * (1.0 + 1e-6))  # rounded velocities may give a hair more
+    around = {
+        "place": reach, "speed": top, "own speed": top * max(1.0, *scales.own_velocity),
+        "fine": math.tanh(relative), "coarse": math.tanh(relative / 3.0), "acceleration": push,
+        "unit": 1.0, "offset": 2.0 * radius, "difference": 2.0 * top, "angle": math.pi,
+        "centre": radius,
+    }  # fmt: skip
+    return {name: (-most, most) for name, most in around.items()} | {
         "log speed": (math.log(REST), math.log(relative + REST)),
-        "acceleration": (-push, push),
-        "unit": (-1.0, 1.0),
         "log steps": (0.0, math.log(1.0 + scales.time_limit)),
-        "offset": (-apart, apart),
-        "difference": (-2.0 * top, 2.0 * top),
-        "distance": (0.0, apart),
-        "angle": (-math.pi, math.pi),
-        "nearness": (1.0 / (apart + near), 1.0 / near),
+        "distance": (0.0, 2.0 * radius),
+        "nearness": (1.0 / (2.0 * radius + near), 1.0 / near),
         "radius": (0.0, radius),
-        "inside": (inside := (min(0.0, arena.edge - reach), arena.edge)),
-        "at wall": _squashed(inside, BODY * scales.arena_size),
-        "by wall": _squashed(inside, REACH * scales.arena_size),
-        "centre": (-radius, radius),
+        "inside": (inside, arena.edge),
+        "at wall": at_wall,
+        "by wall": by_wall,
     }
-
-
-def _squashed(span: tuple[float, float], scale: float) -> tuple[float, float]:
-    return math.tanh(span[0] / scale), math.tanh(span[1] / scale)
-
-
-def _hardest(species: ChaseSpecies, fastest: float) -> float:
-    """How large an acceleration is seen [u]: a thrust, a stop at a wall, or any if recorded."""
-    if fastest > 0.0 or species.sense_scales is not None:
-        return HARDEST
-    pushes = []
-    for own in species.locomotion:
-        stop = 0.0
-        if species.arena.rebound:
-            top = own.top_speed(species.dt, species.time_limit + 1)
-            stop = (1.0 - own.damping) * top / (own.thrust * species.dt)
-        pushes.append(math.hypot(own.magnitudes[0], stop))
-    return min(HARDEST, max(pushes) * (1.0 + 1e-6))  # rounded velocities may give a hair more

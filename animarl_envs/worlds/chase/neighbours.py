@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.compiling import jit, part
 
-DX, DY, DVX, DVY, APART = 0, 1, 2, 3, 4
-RELATIVE = 5
+DX, DY, DVX, DVY, APART, WHO = range(6)
 FEW = 4  # up to so many are sorted in all copies at once
 LINE = 8  # copies that lie in one cache line
 
@@ -25,7 +24,7 @@ LINE = 8  # copies that lie in one cache line
 class Neighbours(NamedTuple):
     """Scratch of the senses; nothing in it decides anything."""
 
-    others: NDArray[np.float64]  # (K - 1, RELATIVE, B), of the individual that is looking
+    others: NDArray[np.float64]  # (K - 1, 6, B), of the individual that is looking
     order: NDArray[np.int16]  # (K, B, n), the many by distance at the last step; n = 0 for few
     state: NDArray[np.float64]  # (B, 4, K) for many: x, y and velocity, each copy's in one place
     distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
@@ -40,7 +39,7 @@ def neighbours_of(num_individuals: int, num_copies: int) -> Neighbours:
         others = [j for j in range(K - 1) if j != i]
         order[i, :, : len(others)] = others
     state = np.zeros((B if many else 0, 4, K))
-    return Neighbours(np.zeros((K - 1, RELATIVE, B)), order, state, np.zeros((LINE, K)))
+    return Neighbours(np.zeros((K - 1, WHO + 1, B)), order, state, np.zeros((LINE, K)))
 
 
 @part
@@ -126,6 +125,7 @@ def _relate(i, j, rank, position, velocity, others):  # type: ignore[no-untyped-
         others[rank, DVX, b] = velocity[j, 0, b] - velocity[i, 0, b]
         others[rank, DVY, b] = velocity[j, 1, b] - velocity[i, 1, b]
         others[rank, APART, b] = math.sqrt(dx * dx + dy * dy)
+        others[rank, WHO, b] = j
 
 
 @part
@@ -133,7 +133,7 @@ def _exchange(rank, others):  # type: ignore[no-untyped-def]
     """Exchange this other individual and the next where this one is the farther."""
     for b in range(others.shape[2]):
         swap = others[rank, APART, b] > others[rank + 1, APART, b]
-        for row in range(RELATIVE):
+        for row in range(WHO + 1):
             one = others[rank, row, b]
             two = others[rank + 1, row, b]
             others[rank, row, b] = two if swap else one
@@ -147,7 +147,9 @@ def _in_each_copy(i, first, count, neighbours):  # type: ignore[no-untyped-def]
     for begin in range(0, others.shape[2], LINE):
         end = min(others.shape[2], begin + LINE)
         for b in range(begin, end):
-            _measure(state[b, 0], state[b, 1], i, distance[b - begin])
+            for j in range(state.shape[2]):
+                dx, dy = state[b, 0, j] - state[b, 0, i], state[b, 1, j] - state[b, 1, i]
+                distance[b - begin, j] = math.sqrt(dx * dx + dy * dy)
             _insert(neighbours.order[i, b], count, distance[b - begin])
         for rank in range(count):
             for b in range(begin, end):
@@ -157,14 +159,7 @@ def _in_each_copy(i, first, count, neighbours):  # type: ignore[no-untyped-def]
                 others[first + rank, DVX, b] = state[b, 2, j] - state[b, 2, i]
                 others[first + rank, DVY, b] = state[b, 3, j] - state[b, 3, i]
                 others[first + rank, APART, b] = distance[b - begin, j]
-
-
-@part
-def _measure(x, y, i, distance):  # type: ignore[no-untyped-def]
-    """Distances of all from ``i`` in one copy."""
-    for j in range(len(x)):
-        dx, dy = x[j] - x[i], y[j] - y[i]
-        distance[j] = math.sqrt(dx * dx + dy * dy)
+                others[first + rank, WHO, b] = j
 
 
 @part

@@ -33,7 +33,6 @@ from animarl_envs.worlds.chase.layout import (
 from animarl_envs.worlds.chase.neighbours import (
     APART,
     DVX,
-    DVY,
     DX,
     DY,
     find_focus,
@@ -118,7 +117,7 @@ def observe(  # type: ignore[no-untyped-def]
                 i, position, velocity, towards, first, stride[i], scales, shape, edge, observation
             )
         if turning:
-            observe_headings(i, position, towards, first, neighbours.order, bodies, observation)
+            observe_headings(i, seen, towards, first, others, bodies, observation)
 
 
 @part
@@ -131,108 +130,102 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
 
 
 @part
-def _observe_others(i, seen, position, velocity, others, towards, first, near, observation):  # type: ignore[no-untyped-def]
-    """The others, seen from individual ``i``; each part is a loop over all of them."""
-    _observe_places(i, seen, others, towards, first, observation)
-    _observe_drifts(i, seen, others, towards, first, observation)
-    if seen > 1 and first[2, Seen.BEARING_CIRCLE] != ABSENT:
-        _observe_directions(i, seen, others, towards, first, observation)
-    if first[1, Seen.NEARNESS] != ABSENT:
-        _observe_in_arena(i, seen, position, velocity, others, first, near, observation)
+def egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
+    """A vector ahead and to the left of individual ``i``, float32."""
+    ex = towards[i, 0, b]
+    ey = towards[i, 1, b]
+    return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)
 
 
 @part
-def _observe_places(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
-    """How far each other is, and where; the focus lies straight ahead, by definition."""
+def _put(i, at, source, j, k, factor, towards, observation):  # type: ignore[no-untyped-def]
+    """Write ``factor`` times rows k and k + 1 of ``source[j]``, a vector, in the frame of ``i``."""
+    if at == ABSENT:
+        return
+    for b in range(source.shape[2]):
+        x, y = factor * source[j, k, b], factor * source[j, k + 1, b]
+        ahead, left = egocentric(x, y, i, b, towards)
+        observation[i, at, b] = ahead
+        observation[i, at + 1, b] = left
+
+
+@part
+def _put_plane(i, at, source, j, k, factor, observation):  # type: ignore[no-untyped-def]
+    """Write such a vector in the arena frame."""
+    if at == ABSENT:
+        return
+    for x in range(2):
+        for b in range(source.shape[2]):
+            observation[i, at + x, b] = factor * source[j, k + x, b]
+
+
+# -- the others -----------------------------------------------------------------------------------
+
+
+@part
+def _observe_others(i, seen, position, velocity, others, towards, first, near, observation):  # type: ignore[no-untyped-def]
+    """The others, seen from individual ``i``; the focus lies straight ahead, by definition."""
+    B = others.shape[2]
     for rank in range(seen):
         who = rank + 1
-        apart_at, at = first[who, Seen.DISTANCE], first[who, Seen.PLACE]
-        bearing_at = first[who, Seen.BEARING]
-        for b in range(others.shape[2]):
+        at, bearing_at = first[who, Seen.PLACE], first[who, Seen.BEARING]
+        apart_at, inverse_at = first[who, Seen.DISTANCE], first[who, Seen.NEARNESS]
+        place, going = first[who, Seen.OTHER_POSITION], first[who, Seen.OTHER_VELOCITY]
+        for b in range(B):
             observation[i, apart_at, b] = others[rank, APART, b]
-        if at != ABSENT:
-            for b in range(others.shape[2]):
-                ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
-                observation[i, at, b] = ahead
-                observation[i, at + 1, b] = np.float32(0.0) if rank == 0 else left
+        _put(i, at, others, rank, DX, 1.0, towards, observation)
+        if rank == 0 and at != ABSENT:
+            for b in range(B):
+                observation[i, at + 1, b] = 0.0
         if bearing_at != ABSENT:
-            for b in range(others.shape[2]):
+            for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
                 bearing = np.float32(0.0) if rank == 0 else angle_of(ahead, left)
                 observation[i, bearing_at, b] = bearing
+        _put(i, first[who, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
+        if rank > 0 and first[who, Seen.BEARING_CIRCLE] != ABSENT:
+            _observe_direction_of(i, rank, others, towards, first, observation)
+        if inverse_at != ABSENT:
+            for b in range(B):
+                observation[i, inverse_at, b] = 1.0 / (others[rank, APART, b] + near)
+        _put_plane(i, first[who, Seen.OFFSET], others, rank, DX, 1.0, observation)
+        if place != ABSENT:
+            for x in range(2):
+                for b in range(B):
+                    observation[i, place + x, b] = position[i, x, b] + others[rank, DX + x, b]
+                    observation[i, going + x, b] = velocity[i, x, b] + others[rank, DVX + x, b]
 
 
 @part
-def _observe_drifts(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
-    """The velocity of each other, relative to the own."""
-    for rank in range(seen):
-        at = first[rank + 1, Seen.DRIFT]
-        for b in range(others.shape[2]):
-            ahead, left = egocentric(others[rank, DVX, b], others[rank, DVY, b], i, b, towards)
-            observation[i, at, b] = ahead
-            observation[i, at + 1, b] = left
-
-
-@part
-def _observe_directions(i, seen, others, towards, first, observation):  # type: ignore[no-untyped-def]
-    """Unit vectors towards others who are not the focus; of one at the same place, the focus'."""
-    for rank in range(1, seen):
-        circle, plane = first[rank + 1, Seen.BEARING_CIRCLE], first[rank + 1, Seen.DIRECTION]
-        for b in range(others.shape[2]):
-            apart = others[rank, APART, b]
-            ex = towards[i, 0, b]
-            ey = towards[i, 1, b]
-            ux = others[rank, DX, b] / apart if apart > 0.0 else ex
-            uy = others[rank, DY, b] / apart if apart > 0.0 else ey
-            if plane != ABSENT:
-                observation[i, plane, b] = ux
-                observation[i, plane + 1, b] = uy
-            observation[i, circle, b] = ux * ex + uy * ey
-            observation[i, circle + 1, b] = uy * ex - ux * ey
-
-
-@part
-def _observe_in_arena(i, seen, position, velocity, others, first, near, observation):  # type: ignore[no-untyped-def]
-    """How near each other is, and where it is and goes in the arena frame."""
-    for rank in range(seen):
-        who = rank + 1
-        inverse = first[who, Seen.NEARNESS]
-        place, going = first[who, Seen.OTHER_POSITION], first[who, Seen.OTHER_VELOCITY]
-        offset = first[who, Seen.OFFSET]
-        for b in range(others.shape[2]):
-            observation[i, inverse, b] = 1.0 / (others[rank, APART, b] + near)
-        if place == ABSENT:
-            continue
-        for x in range(2):
-            for b in range(others.shape[2]):
-                observation[i, offset + x, b] = others[rank, DX + x, b]
-                observation[i, place + x, b] = position[i, x, b] + others[rank, DX + x, b]
-                observation[i, going + x, b] = velocity[i, x, b] + others[rank, DVX + x, b]
+def _observe_direction_of(i, rank, others, towards, first, observation):  # type: ignore[no-untyped-def]
+    """The unit vector towards another who is not the focus; at the same place, the focus'."""
+    circle, plane = first[rank + 1, Seen.BEARING_CIRCLE], first[rank + 1, Seen.DIRECTION]
+    for b in range(others.shape[2]):
+        apart = others[rank, APART, b]
+        ex = towards[i, 0, b]
+        ey = towards[i, 1, b]
+        ux = others[rank, DX, b] / apart if apart > 0.0 else ex
+        uy = others[rank, DY, b] / apart if apart > 0.0 else ey
+        if plane != ABSENT:
+            observation[i, plane, b] = ux
+            observation[i, plane + 1, b] = uy
+        observation[i, circle, b] = ux * ex + uy * ey
+        observation[i, circle + 1, b] = uy * ex - ux * ey
 
 
 @part
 def _observe_field(i, position, towards, first, shape, edge, observation):  # type: ignore[no-untyped-def]
     """The centre and the edge of the arena."""
-    B = position.shape[2]
-    at = first[0, Seen.CENTRE_DISTANCE]
-    if at != ABSENT:
-        for b in range(B):
-            x = position[i, 0, b]
-            y = position[i, 1, b]
-            observation[i, at, b] = math.sqrt(x * x + y * y)
-    at = first[0, Seen.EDGE]
-    if at == ABSENT:
-        return
-    for b in range(B):
+    centre_at, edge_at = first[0, Seen.CENTRE_DISTANCE], first[0, Seen.EDGE]
+    for b in range(position.shape[2]):
         x = position[i, 0, b]
         y = position[i, 1, b]
-        out = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
-        observation[i, at, b] = edge - out
-    at = first[0, Seen.CENTRE]
-    for b in range(B):
-        ahead, left = egocentric(-position[i, 0, b], -position[i, 1, b], i, b, towards)
-        observation[i, at, b] = ahead
-        observation[i, at + 1, b] = left
+        radius = math.sqrt(x * x + y * y)
+        if centre_at != ABSENT:
+            observation[i, centre_at, b] = radius
+        if edge_at != ABSENT:
+            observation[i, edge_at, b] = edge - (max(abs(x), abs(y)) if shape == SQUARE else radius)
+    _put(i, first[0, Seen.CENTRE], position, i, 0, -1.0, towards, observation)
 
 
 # -- oneself --------------------------------------------------------------------------------------
@@ -247,30 +240,17 @@ def observe_own(  # type: ignore[no-untyped-def]
 
     ``factor`` applies to the velocities that have no scale.
     """
-    place, focus = first[0, Seen.POSITION], first[0, Seen.FOCUS]
     B = position.shape[2]
-    if place != ABSENT:
-        for x in range(2):
-            for b in range(B):
-                observation[i, place + x, b] = position[i, x, b]
-                observation[i, focus + x, b] = towards[i, x, b]
-    at = first[0, Seen.VELOCITY]
-    for b in range(B):
-        vx, vy = factor * velocity[i, 0, b], factor * velocity[i, 1, b]
-        ahead, left = egocentric(vx, vy, i, b, towards)
-        observation[i, at, b] = ahead
-        observation[i, at + 1, b] = left
-    at = first[0, Seen.PLANE_VELOCITY]
-    if at != ABSENT:
-        for b in range(B):
-            observation[i, at, b] = factor * velocity[i, 0, b]
-            observation[i, at + 1, b] = factor * velocity[i, 1, b]
+    _put_plane(i, first[0, Seen.POSITION], position, i, 0, 1.0, observation)
+    _put_plane(i, first[0, Seen.FOCUS], towards, i, 0, 1.0, observation)
+    _put(i, first[0, Seen.VELOCITY], velocity, i, 0, factor, towards, observation)
+    _put_plane(i, first[0, Seen.PLANE_VELOCITY], velocity, i, 0, factor, observation)
     at = first[0, Seen.ACCELERATION]
+    _put(i, at, acceleration, i, 0, 1.0, towards, observation)
     if at != ABSENT:
-        for b in range(B):
-            ahead, left = egocentric(acceleration[i, 0, b], acceleration[i, 1, b], i, b, towards)
-            observation[i, at, b] = min(HARDEST, max(-HARDEST, ahead))
-            observation[i, at + 1, b] = min(HARDEST, max(-HARDEST, left))
+        for row in range(at, at + 2):
+            for b in range(B):
+                observation[i, row, b] = min(HARDEST, max(-HARDEST, observation[i, row, b]))
     if first[0, Seen.FINE] != ABSENT:
         _observe_scales(
             i, velocity, towards, first[0, Seen.FINE], first[0, Seen.COARSE],
@@ -280,8 +260,10 @@ def observe_own(  # type: ignore[no-untyped-def]
         course, push = first[0, Seen.COURSE], first[0, Seen.PUSH]
         _observe_direction(i, velocity, towards, course, FAINT * stride, observation)
         _observe_direction(i, acceleration, towards, push, FAINT, observation)
-    if first[0, Seen.TIME] != ABSENT:
-        _observe_time(i, steps, first, limit, observation)
+    at = first[0, Seen.TIME]
+    if at != ABSENT:  # recordings may go on beyond the limit
+        for b in range(B):
+            observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
     for scale in range(past.shape[0]):
         at = 3 * scale
         _observe_scales(
@@ -330,22 +312,6 @@ def _observe_direction(i, vector, towards, at, faint, observation):  # type: ign
         observation[i, at + 3, b] = clear * (x2 * y + y2 * x)
         observation[i, at + 4, b] = clear * (x2 * x2 - y2 * y2)
         observation[i, at + 5, b] = clear * (2.0 * x2 * y2)
-
-
-@part
-def _observe_time(i, steps, first, limit, observation):  # type: ignore[no-untyped-def]
-    """How long the episode has lasted; recordings may go on beyond the limit."""
-    at = first[0, Seen.TIME]
-    for b in range(len(steps)):
-        observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
-
-
-@part
-def egocentric(x, y, i, b, towards):  # type: ignore[no-untyped-def]
-    """A vector ahead and to the left of individual ``i``, float32."""
-    ex = towards[i, 0, b]
-    ey = towards[i, 1, b]
-    return np.float32(x * ex + y * ey), np.float32(y * ex - x * ey)
 
 
 # -- walls ----------------------------------------------------------------------------------------

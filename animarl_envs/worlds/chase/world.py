@@ -11,7 +11,7 @@ many others, whoever pursues.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,6 @@ from animarl_envs.worlds.chase.headings import bodies_of, first_headings, record
 from animarl_envs.worlds.chase.layout import observation_components as observation_components
 from animarl_envs.worlds.chase.layout import past_scales
 from animarl_envs.worlds.chase.neighbours import neighbours_of
-from animarl_envs.worlds.flat_demos import recorded_reach, recorded_speed
 
 
 class ChaseWorld(World):
@@ -58,16 +57,15 @@ class ChaseWorld(World):
 
     reward_components = ("touch", "elapsed", "boundary")
     _state_names = (*World._state_names, "acceleration", "past", "towards")
+    _describe = observation_components
 
     def __init__(
         self, scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
     ) -> None:
+        super().__init__(scenario, num_copies, observers)
         species = scenario.species
         assert isinstance(species, ChaseSpecies)
-        self.observation_components = observation_components(
-            species, recorded_speed(scenario), recorded_reach(scenario)
-        )
-        super().__init__(scenario, num_copies, observers)
+        self._species = species
         B, K = num_copies, species.num_individuals
         self._acceleration = np.zeros((K, 2, B))
         self.acceleration = self._acceleration.transpose(2, 0, 1)
@@ -83,33 +81,25 @@ class ChaseWorld(World):
         self.heading, self.turn = self._bodies.heading.T, self._bodies.turn.T
         if species.has_headings:  # not in what was saved of a world without
             self._state_names = (*ChaseWorld._state_names, "heading", "turn")
-        damping = np.array([m.damping for m in species.locomotion])
-        thrust = np.array([m.thrust for m in species.locomotion])
-        pushes = np.stack([np.ascontiguousarray(m.action_vectors.T) for m in species.locomotion])
-        self._fixed_start = (
-            np.zeros((0, 2)) if isinstance(scenario.start, str) else np.asarray(scenario.start)
-        )
-        # Whose capture pays all; elsewhere a condition is a label that changes no reward.
-        sharing = self.condition if species.shared_reward else np.zeros_like(self.condition)
-        driven = any(driver != "action" for driver in scenario.drivers)
-        arena = species.arena
+        arena, start = species.arena, scenario.start
         self._reference = by_reference(
             kernels.refer,
             kernels.ChaseState(
+                **self._shared_state(),
                 actions=np.zeros((K, B), dtype=np.uint64),
                 drivers=self._drivers,
-                driven=driven,
-                demos=self._demos,
-                demo=self.demo,
-                sharing=sharing,
-                damping=damping,
-                thrust=thrust,
-                pushes=pushes,
+                driven=any(driver != "action" for driver in scenario.drivers),
+                fixed=np.zeros((0, 2)) if isinstance(start, str) else np.asarray(start),
+                half_side=species.start_half_side,
+                # Elsewhere a condition is a label that changes no reward.
+                sharing=self.condition if species.shared_reward else 0 * self.condition,
+                damping=np.array([m.damping for m in species.locomotion]),
+                thrust=np.array([m.thrust for m in species.locomotion]),
+                pushes=np.stack(
+                    [np.ascontiguousarray(m.action_vectors.T) for m in species.locomotion]
+                ),
                 dt=species.dt,
-                contact_radius=species.contact_radius,
                 penalty=species.boundary_penalty,
-                time_limit=species.time_limit,
-                warmup=self._warmup,
                 field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
                 walled=arena.rebound,
                 lone=species.lone_pursuer,
@@ -124,32 +114,21 @@ class ChaseWorld(World):
                 code=np.zeros(B, dtype=np.int64),
                 components=self._components,
                 reward=self._reward,
-                outcome=self.outcome,
-                terminated=self.terminated,
-                truncated=self.truncated,
-                step_count=self.step_count,
-                warming=self.warming,
                 observation=self._sensed,
                 senses=self._senses,
             ),
         )
 
-    @property
-    def _species(self) -> ChaseSpecies:
-        return cast(ChaseSpecies, self.scenario.species)
-
     def _start(self, mask: NDArray[np.bool_]) -> None:
-        species = self._species
-        kernels.start(
-            mask, self._demos, self.demo, self._fixed_start, species.start_half_side,
-            species.contact_radius, self.random_state, self._position, self._velocity,
-            self._acceleration,
-        )  # fmt: skip
+        kernels.start(mask, self._reference)
         if len(self._past):
             self._past[..., mask] = self._velocity[..., mask]
-        if species.has_headings:
+        if self._species.has_headings:
             self._wake(mask)
-        self._observe()
+        senses.observe(
+            self._position, self._velocity, self._acceleration, self._past, self.step_count,
+            self._towards, self._bodies, self._neighbours, self._senses, self._sensed,
+        )  # fmt: skip
 
     def _wake(self, mask: NDArray[np.bool_]) -> None:
         """The first headings of new episodes."""
@@ -165,12 +144,6 @@ class ChaseWorld(World):
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
         kernels.advance(actions, self._reference)
-
-    def _observe(self) -> None:
-        senses.observe(
-            self._position, self._velocity, self._acceleration, self._past, self.step_count,
-            self._towards, self._bodies, self._neighbours, self._senses, self._sensed,
-        )  # fmt: skip
 
     def scene_details(self, copy: int) -> dict[str, Any]:
         """The headings, where they are a state of their own."""
@@ -205,30 +178,24 @@ def observe(
     )
     past = np.zeros((past_scales(species), K, 2, frames))
     senses.remembered(velocity, steps, past)
+    everybody = senses.senses_of(species, np.ones(K, dtype=bool))
     senses.observe(
-        position,
-        velocity,
-        acceleration,
-        past,
-        steps,
-        towards,
-        bodies,
-        neighbours_of(K, frames),
-        senses.senses_of(species, np.ones(K, dtype=bool)),
-        observation,
-    )
-    return (
-        np.ascontiguousarray(observation.transpose(2, 0, 1)),
-        np.ascontiguousarray(towards.transpose(2, 0, 1)),
-    )
+        position, velocity, acceleration, past, steps, towards, bodies, neighbours_of(K, frames),
+        everybody, observation,
+    )  # fmt: skip
+    seen, facing = (np.ascontiguousarray(a.transpose(2, 0, 1)) for a in (observation, towards))
+    return seen, facing
 
 
 def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:
     """Observations of all recorded frames ``(frames, K, n)``, as the world would give them."""
-    velocity = demos.velocities()
-    pushes = _accelerations(species, demos, velocity)
-    heading = demos.headings()
-    return observe(species, demos.positions, velocity, pushes, demos.steps(), heading)[0]
+    velocity, scales = demos.velocities(), species.scales
+    pushes = np.zeros_like(velocity)  # in multiples of the thrust; zero at first frames
+    for i, own in enumerate(scales.locomotion):
+        added = residual(velocity[1:, i], velocity[:-1, i], own.damping)
+        pushes[1:, i] = added / (own.thrust * scales.dt)
+    pushes[demos.offsets[:-1]] = 0.0
+    return observe(species, demos.positions, velocity, pushes, demos.steps(), demos.headings())[0]
 
 
 def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float64]:
@@ -239,15 +206,3 @@ def demonstration_headings(species: ChaseSpecies, demos: Demonstrations) -> NDAr
     return recorded_bodies(
         species, demos.positions, demos.velocities(), demos.steps(), demos.headings()
     ).heading.T
-
-
-def _accelerations(
-    species: ChaseSpecies, demos: Demonstrations, velocity: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Accelerations ``(frames, K, 2)`` in multiples of the thrust; zero at first frames."""
-    acceleration, scales = np.zeros_like(velocity), species.scales
-    for i, own in enumerate(scales.locomotion):
-        added = residual(velocity[1:, i], velocity[:-1, i], own.damping)
-        acceleration[1:, i] = added / (own.thrust * scales.dt)
-    acceleration[demos.offsets[:-1]] = 0.0
-    return acceleration

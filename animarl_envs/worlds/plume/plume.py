@@ -1,6 +1,6 @@
 """Odour plumes as a searcher reads them: where an antenna would be hit, step by step.
 
-A plume is turned once into a :class:`.hits.HitTable`, the maximum over the frames of each decision
+A plume is turned once into a :class:`HitTable`, the maximum over the frames of each decision
 step and over the antenna's radius, one bit per grid cell, so that a reading is one look-up. A table
 is made when it is first needed, in about a tenth of a second per pattern, and kept for the process:
 1 MB per pattern of 260 s at 0.5 s a step. It repeats when the pattern ends.
@@ -13,19 +13,78 @@ from __future__ import annotations
 import functools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numba as nb
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError, MissingExtraError
-from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.hits import HitTable, fill_from_model, over_steps, spread, stencil_of
+from animarl_envs.worlds.plume.filaments import FilamentModel, paint
 
 NUM_PATTERNS = 5
+
+
+class HitTable(NamedTuple):
+    """Where an antenna is hit. Row 0 lies at the lowest y, column 0 at the lowest x."""
+
+    bits: NDArray[np.uint8]  # (patterns, steps, bytes): one bit per cell, row by row
+    rows: int
+    columns: int
+    source_row: int
+    source_column: int
+    cell: float  # side of a cell [m]
+
+    def unpack(self, pattern: int, step: int) -> NDArray[np.bool_]:
+        """Hits of one step, ``(rows, columns)``."""
+        flat = np.unpackbits(self.bits[pattern, step], bitorder="little")
+        return flat[: self.rows * self.columns].reshape(self.rows, self.columns).astype(bool)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Outer edges ``(x_low, x_high, y_low, y_high)`` [m]."""
+        left = -(self.source_column + 0.5) * self.cell
+        low = -(self.source_row + 0.5) * self.cell
+        return left, left + self.columns * self.cell, low, low + self.rows * self.cell
+
+
+@nb.njit(inline="always")
+def is_hit(table, pattern, step, x, y):  # type: ignore[no-untyped-def]
+    """Whether an antenna at ``(x, y)`` is hit; the middle of two cells belongs to the outer one."""
+    column = table.source_column + int(math.copysign(math.floor(abs(x) / table.cell + 0.5), x))
+    row = table.source_row + int(math.copysign(math.floor(abs(y) / table.cell + 0.5), y))
+    if column < 0 or column >= table.columns or row < 0 or row >= table.rows:
+        return False
+    index = row * table.columns + column
+    return (table.bits[pattern, step, index >> 3] >> (index & 7)) & 1 == 1
+
+
+def stencil_of(radius: float, cell: float) -> NDArray[np.int64]:
+    """Offsets ``(n, 2)`` in cells (row, column) within ``radius`` of a cell's centre."""
+    reach = math.floor(radius / cell + 1e-9)
+    offsets = np.arange(-reach, reach + 1)
+    rows, columns = np.meshgrid(offsets, offsets, indexing="ij")
+    inside = np.hypot(rows, columns) * cell <= radius + 1e-9
+    return np.stack([rows[inside], columns[inside]], axis=-1)
+
+
+def over_steps(frames: Iterable[NDArray[np.bool_]], per_step: float) -> Iterator[NDArray[np.bool_]]:
+    """The union of the frames of each whole step; a frame longer than a step is repeated."""
+    union: NDArray[np.bool_] | None = None
+    done = 0
+    for count, frame in enumerate(frames, start=1):
+        seen = frame if union is None else union | frame
+        union = seen
+        while (done + 1) * per_step <= count + 1e-9:
+            yield seen
+            done += 1
+            seen, union = frame, None
+    if done == 0 and union is not None:  # shorter than one step
+        yield union
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -291,3 +350,44 @@ def _read_movie(path: Path | None) -> Iterator[NDArray[Any]]:
             yield frame if frame.ndim == 2 else frame[..., :3].mean(axis=-1)
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"plume movie {path}: it cannot be read ({error}): convert it") from None
+
+
+# -- kernels ----------------------------------------------------------------------------------
+
+
+@jit
+def spread(hits, bottom, top, left, right, stencil, packed):  # type: ignore[no-untyped-def]
+    """Set the bits of cells within the stencil's reach of a hit; clear the hits on the way."""
+    rows, columns = hits.shape
+    for row in range(bottom, top):
+        for column in range(left, right):
+            if hits[row, column]:
+                hits[row, column] = False
+                for k in range(stencil.shape[0]):
+                    r = row + stencil[k, 0]
+                    c = column + stencil[k, 1]
+                    if 0 <= r < rows and 0 <= c < columns:
+                        index = r * columns + c
+                        packed[index >> 3] |= np.uint8(1 << (index & 7))
+
+
+@jit
+def fill_from_model(filaments, constants, threshold, frame_time, dt, stencil, rows, columns, bits):  # type: ignore[no-untyped-def]
+    """Fill ``bits`` (steps, bytes): frames of a step united, spread over the antenna, packed."""
+    field = np.zeros((rows, columns), dtype=np.float32)
+    hits = np.zeros((rows, columns), dtype=np.bool_)
+    for step in range(bits.shape[0]):
+        first = math.floor(step * dt / frame_time + 1e-9)
+        last = math.floor((step + 1) * dt / frame_time + 1e-9)
+        lowest, highest, leftmost, rightmost = rows, 0, columns, 0
+        for frame in range(first, max(first + 1, last)):
+            bottom, top, left, right = paint(field, frame * frame_time, filaments, *constants)
+            for row in range(bottom, top):
+                for column in range(left, right):
+                    hits[row, column] |= field[row, column] > threshold
+                    field[row, column] = 0.0
+            lowest = min(lowest, bottom)
+            highest = max(highest, top)
+            leftmost = min(leftmost, left)
+            rightmost = max(rightmost, right)
+        spread(hits, lowest, highest, leftmost, rightmost, stencil, bits[step])

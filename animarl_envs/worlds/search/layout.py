@@ -25,20 +25,14 @@ class Seen(IntEnum):
     an :class:`~animarl_envs.worlds.base.ObservationComponent`.
     """
 
-    label: str
-    frame: str
-    unit: str
-    span: str
-    sign: float
-    mirror: str
+    component: tuple[str, str, str, str, float, str]
 
     def __new__(
         cls, label: str, frame: str, unit: str, span: str, sign: float = 1.0, mirror: str = ""
     ) -> Seen:
         member = int.__new__(cls, len(cls.__members__))
         member._value_ = len(cls.__members__)
-        member.label, member.frame, member.unit = label, frame, unit
-        member.span, member.sign, member.mirror = span, sign, mirror
+        member.component = label, frame, unit, span, sign, mirror
         return member
 
     VELOCITY_AHEAD = "velocity ahead", EGO, "arena unit / s", "speed"
@@ -73,11 +67,12 @@ PAPER = Seen.WIND_BACK + 1  # components of the paper
 
 
 def observation_components(
-    species: SearchSpecies, fastest: float = 0.0
+    species: SearchSpecies, fastest: float = 0.0, farthest: float = 0.0
 ) -> tuple[ObservationComponent, ...]:
     """Return what each entry of an observation means, in order.
 
-    The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are.
+    The speed is at most the terminal speed, or ``fastest`` [arena unit / s] if demonstrations are;
+    no entry depends on how far out (``farthest``) they lie.
     """
     limit = species.time_limit + 1
     top = max(fastest, *(m.top_speed(species.dt, limit, fastest) for m in species.locomotion))
@@ -100,8 +95,6 @@ def observation_components(
     }
     wanted = PAPER if species.observation == "paper" else len(Seen)
     return tuple(
-        ObservationComponent(
-            seen.label, seen.frame, seen.unit, *spans[seen.span], seen.sign, seen.mirror
-        )
-        for seen in list(Seen)[:wanted]
-    )
+        ObservationComponent(label, frame, unit, *spans[span], sign, mirror)
+        for label, frame, unit, span, sign, mirror in (seen.component for seen in Seen)
+    )[:wanted]

@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
+from animarl_envs.locomotion import next_velocity
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.worlds.search.layout import Seen
 
@@ -174,8 +175,9 @@ class ProgrammedMoth:
         self, velocity: NDArray[np.float64], wanted: NDArray[np.float64]
     ) -> NDArray[np.int64]:
         """The action whose next velocity is nearest to the wanted one; both in the upwind frame."""
-        loco = self.species.locomotion[0]
-        coasting = (1.0 - loco.damping) * velocity
-        reachable = coasting[:, None] + loco.thrust * self.species.dt * loco.action_vectors
+        own = self.species.locomotion[0]
+        reachable = next_velocity(
+            velocity[:, None], own.action_vectors, own.damping, own.thrust, self.species.dt
+        )
         error = np.linalg.norm(reachable - wanted[:, None], axis=-1)
         return np.asarray(error.argmin(axis=1), dtype=np.int64)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
-from animarl_envs.worlds.plume.hits import is_hit
+from animarl_envs.worlds.plume.plume import is_hit
 from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
 
 
@@ -150,21 +150,14 @@ def wake(b, velocity_x, velocity_y, recorded, frame, demo_heading, senses, body)
 @nb.njit(inline="always")
 def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-untyped-def]
     """Hits of the left and right antenna."""
-    bits, rows, columns, source_row, source_column, cell = table
     heading = body.heading
     front_x = position[0, b] + senses.ahead * heading[0, b]
     front_y = position[1, b] + senses.ahead * heading[1, b]
     side_x = -senses.beside * heading[1, b]
     side_y = senses.beside * heading[0, b]
-    step = step % bits.shape[1]
-    left = is_hit(
-        bits, rows, columns, source_row, source_column, cell, pattern, step,
-        front_x + side_x, front_y + side_y,
-    )  # fmt: skip
-    right = is_hit(
-        bits, rows, columns, source_row, source_column, cell, pattern, step,
-        front_x - side_x, front_y - side_y,
-    )  # fmt: skip
+    step = step % table.bits.shape[1]
+    left = is_hit(table, pattern, step, front_x + side_x, front_y + side_y)
+    right = is_hit(table, pattern, step, front_x - side_x, front_y - side_y)
     return left, right
 
 

@@ -23,7 +23,6 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.flat_demos import recorded_speed
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
 from animarl_envs.worlds.search import kernels as kernels
 from animarl_envs.worlds.search.layout import observation_components as observation_components
@@ -57,6 +56,7 @@ class SearchWorld(World):
     _state_names = (
         *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "pattern", "phase",
     )  # fmt: skip
+    _describe = observation_components
 
     def __init__(
         self, scenario: Scenario, num_copies: int = 1, observers: Iterable[int] | None = None
@@ -72,39 +72,33 @@ class SearchWorld(World):
                 f"{species.individuals[0]} has no scripted rule in the world: drive it by actions, "
                 "for instance with animarl_envs.worlds.search.programmed_moth"
             )
-        self.observation_components = observation_components(species, recorded_speed(scenario))
         super().__init__(scenario, num_copies, observers)
-        B = num_copies
-        self._body = body = Body.of(B, species.odour_baseline)
+        self._body = body = Body.of(num_copies, species.odour_baseline)
         self.heading, self.odour, self.trace = body.heading.T, body.odour.T, body.trace.T
         self.body_angle, self.turn = body.angle, body.turn
-        self.pattern = np.zeros(B, dtype=np.int64)
-        self.phase = np.zeros(B, dtype=np.int64)
-
+        self.pattern, self.phase = np.zeros((2, num_copies), dtype=np.int64)
         self.plume = as_plume(species.plume)
-        groups = _pattern_groups(species, self.plume.num_patterns, self._own_patterns)
+        # Of the model, patterns are dealt to training and test; a user's plume is for both.
+        model = isinstance(self.plume, ModelPlume)
+        every = tuple(range(self.plume.num_patterns))
+        groups = (species.train_plumes, species.test_plumes) if model else (every, every)
         self.patterns = tuple(sorted({p for group in groups for p in group}))
-        self._scale = scale = species.metres_per_unit
+        scale = species.metres_per_unit
         table = hit_table(self.plume, self.patterns, species.dt, species.antenna_radius * scale)
-        self._table = table._replace(cell=table.cell / scale)  # from here on in arena units
-        self._episodes = _recorded_senses(scenario.demos, self.patterns, groups, self._own_patterns)
-        self._senses = senses_of(species)
+        own, start = species.locomotion[0], scenario.start
+        first = [species.start_distance, 0.0] if isinstance(start, str) else start[0]
         self._reference = by_reference(
             kernels.refer,
             kernels.SearchState(
+                **self._shared_state(),
                 driver=int(self._drivers[0]),
-                demos=self._demos,
-                demo_hits=self._episodes.hits,
-                demo_heading=self._episodes.heading,
-                table=self._table,
-                senses=self._senses,
-                damping=species.locomotion[0].damping,
-                thrust=species.locomotion[0].thrust,
-                pushes=np.array(species.locomotion[0].action_vectors),
-                contact_radius=species.contact_radius,
-                time_limit=species.time_limit,
-                warmup=self._warmup,
-                demo=self.demo,
+                recorded=_recorded_senses(scenario.demos, self.patterns, groups, model),
+                first=np.array(first, dtype=np.float64),
+                table=table._replace(cell=table.cell / scale),  # from here on in arena units
+                senses=senses_of(species),
+                damping=own.damping,
+                thrust=own.thrust,
+                pushes=np.array(own.action_vectors),
                 condition=self.condition,
                 pattern=self.pattern,
                 phase=self.phase,
@@ -113,36 +107,15 @@ class SearchWorld(World):
                 body=self._body,
                 components=self._components[0, 0],
                 reward=self._reward[0],
-                terminated=self.terminated,
-                truncated=self.truncated,
-                outcome=self.outcome,
-                step_count=self.step_count,
-                warming=self.warming,
                 sensed=self._sensed[0],
             ),
         )
-        fixed = scenario.start
-        self._first = np.array(
-            [species.start_distance, 0.0] if isinstance(fixed, str) else fixed[0], dtype=np.float64
-        )
-
-    @property
-    def _own_patterns(self) -> bool:
-        """Whether the plume is the model, whose patterns are dealt to training and test."""
-        return isinstance(self.plume, ModelPlume)
 
     def _start(self, mask: NDArray[np.bool_]) -> None:
-        kernels.start(
-            mask, self._demos.position, self._demos.velocity, self._demos.start, *self._episodes,
-            self._first, self._table, self._senses, self.random_state, self.demo, self.condition,
-            self._position[0], self._velocity[0], self._body, self.pattern, self.phase,
-            self._sensed[0],
-        )  # fmt: skip
+        kernels.start(mask, self._reference)
 
     def _advance(self, actions: NDArray[np.integer]) -> None:
         kernels.step(actions, self._reference)
-
-    # -- to look at -------------------------------------------------------------------------------
 
     def antennae(self) -> NDArray[np.float64]:
         """Positions of the left and right antenna, ``(B, 2, 2)``, arena frame."""
@@ -210,15 +183,6 @@ class _RecordedSenses(NamedTuple):
     group: NDArray[np.int64]  # (episodes,), row of candidates
     pattern: NDArray[np.int64]  # (episodes,), -1: draw it
     phase: NDArray[np.int64]  # (episodes,), -1: draw it
-
-
-def _pattern_groups(
-    species: SearchSpecies, num_patterns: int, model: bool
-) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Plume patterns of training and of held-out episodes; a user's plume is the same for both."""
-    if model:
-        return species.train_plumes, species.test_plumes
-    return tuple(range(num_patterns)), tuple(range(num_patterns))
 
 
 def _recorded_senses(

@@ -28,7 +28,7 @@ from animarl_algos.runs.pretrained import model_folder
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_files import commit, machine
 from animarl_algos.runs.run_settings import RunSettings
-from animarl_envs.demos.pursuers import first_of_role
+from animarl_envs.demos.joining import first_of_role
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import fit_locomotion
 

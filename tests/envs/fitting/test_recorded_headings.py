@@ -18,8 +18,7 @@ from turned_bodies import SIDEWAYS, SLOW, recorded, species, turned, wanderers
 from animarl_algos import load_run
 from animarl_algos.evaluation.decisions import decide_along
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.joining import join
-from animarl_envs.demos.pursuers import first_of_role
+from animarl_envs.demos.joining import first_of_role, join
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.fitting.turning import along_travel, fit_turning, heading_errors

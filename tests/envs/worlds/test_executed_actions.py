@@ -21,7 +21,6 @@ from animarl_envs.views.parallel import AnimalParallelEnv
 from animarl_envs.views.single import AnimalEnv
 from animarl_envs.views.vector import AnimalVectorEnv
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.executed import ExecutedActions
 
 NEWTS = load_packaged("newt").select(episodes=np.arange(6))
 SHOWN = demonstrated_actions(NEWTS, NEWT.locomotion)
@@ -29,14 +28,13 @@ SHOWN = demonstrated_actions(NEWTS, NEWT.locomotion)
 
 def test_a_world_executes_what_was_demonstrated_then_what_is_asked() -> None:
     world = make_world(make_scenario(NEWT, demos=NEWTS, split=None), 3)
-    executed = ExecutedActions(world)
     world.reset(demo=np.array([4, 0, 2]))
     asked = np.full((3, 3), 7)
     for t in range(NEWT.warmup):
         expected = SHOWN[NEWTS.offsets[world.demo] + t]
-        np.testing.assert_array_equal(executed(asked), expected)
+        np.testing.assert_array_equal(world.executed(asked), expected)
         world.step(asked)
-    assert executed(asked) is asked
+    assert world.executed(asked) is asked
 
 
 def test_the_replay_memory_holds_executed_actions() -> None:

@@ -17,8 +17,7 @@ import animarl_envs  # noqa: F401  registers the environments
 from animarl_envs.drawing.render import write_clip
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.plume.filaments import FilamentModel
-from animarl_envs.worlds.plume.hits import is_hit
-from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table
+from animarl_envs.worlds.plume.plume import ModelPlume, Plume, as_plume, hit_table, is_hit
 from tools.packaged_data.plume_fit import compare, distance
 from tools.packaged_data.plume_probe import Probe, summarise, whiffs_and_blanks
 
@@ -98,10 +97,9 @@ def test_is_hit_looks_up_the_nearest_cell() -> None:
     frames = np.zeros((1, 21, 40), dtype=bool)
     frames[0, 4, 25] = True  # 6 rows above the source, 25 columns downwind
     table = Plume.from_array(frames, **MOVIE).pattern_table(0, 0.5, 0.0)
-    where = (table.bits, table.rows, table.columns, table.source_row, table.source_column)
 
     def hit(x: float, y: float) -> bool:
-        return bool(is_hit(*where, table.cell, 0, 0, x, y))
+        return bool(is_hit(table, 0, 0, x, y))
 
     assert hit(0.025, 0.006) and hit(0.0254, 0.0056)
     assert not hit(0.025, -0.006) and not hit(0.026, 0.006) and not hit(5.0, 0.006)
