@@ -68,7 +68,7 @@ def _draw_episodes(figure: Any, demos: Demonstrations, unit: Unit) -> None:
     shown = np.unique(np.linspace(0, demos.num_episodes - 1, ROWS * COLUMNS).round().astype(int))
     panels = figure.subplots(ROWS, COLUMNS, sharex=True, sharey=True).ravel()
     size, angle = unit.per_arena_unit * demos.arena.size, np.linspace(0, 2 * math.pi, 100)
-    edge = {
+    edge: Any = {
         "disc": (size * np.cos(angle), size * np.sin(angle)),
         "square": size * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]]),
         "open": ([], []),

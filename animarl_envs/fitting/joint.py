@@ -213,11 +213,11 @@ def _alternate(
     """Assign actions, trim, solve; until nothing changes. Returns d, thrusts and the mean loss."""
     for _ in range(ITERATIONS):
         error, action, level = nearest_actions(data, damping, thrusts)
-        inner = sums(
+        vv, vn, va, aa, an = sums(
             data.velocity, data.next_velocity, action, level, error, _limit(error, far), data.dt,
             len(thrusts),
         )  # fmt: skip
-        new_damping, new_thrusts = _solve(*inner, thrusts, data.dt, least_speed)
+        new_damping, new_thrusts = _solve(vv, vn, va, aa, an, thrusts, data.dt, least_speed)
         if not (new_thrusts > 0).all():
             return damping, thrusts, math.inf
         change = max(abs(new_damping - damping), np.max(np.abs(new_thrusts - thrusts) / thrusts))

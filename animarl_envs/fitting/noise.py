@@ -92,7 +92,7 @@ def fit_with_noise(
         If there are fewer than three steps, or the individual never moves.
     """
     name = f"{demos.name}: {demos.individuals[individual]}"
-    enough = np.searchsorted(np.cumsum(demos.lengths - 1), most_steps, side="right")
+    enough = int(np.searchsorted(np.cumsum(demos.lengths - 1), most_steps, side="right"))
     few = demos.select(episodes=np.arange(max(1, enough)))
     joint = fit_joint(transitions(few, individual), name)
     model = _Model(few, individual)
@@ -199,7 +199,7 @@ class _Model:
             for t in range(begin, end - 1):
                 if rng.random() >= kept:
                     action = rng.choice(NUM_ACTIONS, p=self.shares)
-                velocity = apply_actions(velocity, action, self.focus[t], own, dt=1.0)
+                velocity = apply_actions(velocity, np.array(action), self.focus[t], own, dt=1.0)
                 path[t + 1] = path[t] + self.dt * velocity
         return path + noise * rng.standard_normal(path.shape)
 

@@ -90,8 +90,12 @@ class LocomotionFit:
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> LocomotionFit:
         """The inverse of :meth:`to_dict`, also after a passage through JSON."""
+
+        def plain(value: Any) -> Any:
+            return tuple(value) if isinstance(value, list) else value
+
         individuals = (
-            IndividualFit(**{k: tuple(v) if isinstance(v, list) else v for k, v in fit.items()})
+            IndividualFit(**{key: plain(value) for key, value in fit.items()})
             for fit in record["individuals"]
         )
         return cls(**{**record, "individuals": tuple(individuals)})

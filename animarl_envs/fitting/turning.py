@@ -71,6 +71,11 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
     except ModuleNotFoundError as error:
         raise MissingExtraError("fitting how bodies turn", "data") from error
     speed, numbers = float(np.median(speeds[speeds > 0])), np.array(START)
+
+    def turning(tried: Floats) -> Turning:
+        persistence, gain, slip = tried.tolist()
+        return Turning(persistence, gain, slip, speed)
+
     longest = max(1, min(round(HORIZON / demos.dt), (int(np.median(demos.lengths)) - 1) // 2))
     horizons = [longest]
     while horizons[0] > FIRST_STEPS:
@@ -85,11 +90,11 @@ def fit_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
         ahead = at + np.arange(1, horizon + 1)[:, None]
         data = heading[at], _between(heading[at], heading[at - 1]), velocity[ahead], heading[ahead]
         fitted = least_squares(
-            lambda tried, data=data: _chords(Turning(*tried, speed=speed), *data),
+            lambda tried, data=data: _chords(turning(tried), *data),
             numbers, bounds=(LOWEST, HIGHEST), x_scale=(0.1, 0.1, 0.1), ftol=1e-9, xtol=1e-9,
         )  # fmt: skip
         numbers = np.clip(fitted.x, LOWEST, HIGHEST)
-    found = Turning(*numbers, speed=speed)
+    found = turning(numbers)
     own, travel = (
         float(np.median(heading_misses(demos, rule, individual)[0]))
         for rule in (found, along_travel(demos, individual))

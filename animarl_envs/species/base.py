@@ -109,11 +109,11 @@ class Species:
             )
         object.__setattr__(self, "time_limit", int(self.time_limit))
         object.__setattr__(self, "warmup", int(self.warmup))
-        names = self.conditions
-        listed = isinstance(names, Sequence) and not isinstance(names, str)
-        if not listed or len(names) not in (0, 2):
-            raise InputError(f"conditions are {names!r}: give two names, or none")
-        object.__setattr__(self, "conditions", tuple(str(name) for name in names))
+        given: Any = self.conditions
+        named = isinstance(given, Sequence) and not isinstance(given, str)
+        if not named or len(given) not in (0, 2):
+            raise InputError(f"conditions are {given!r}: give two names, or none")
+        object.__setattr__(self, "conditions", tuple(str(name) for name in given))
         if self.observation not in OBSERVATIONS:
             raise InputError(
                 f"observation is {self.observation!r}: "

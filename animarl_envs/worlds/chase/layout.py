@@ -85,7 +85,8 @@ def _scaled(velocity: str, speed: str, sense: str = "") -> list[Group]:
 
 
 _OWN = _scaled("own velocity", "own speed")
-_SHORT, _LONG = (_scaled(*[f"mean velocity over {over} steps"] * 2, "senses_past") for over in PAST)
+_MEANS = [f"mean velocity over {over} steps" for over in PAST]
+_SHORT, _LONG = (_scaled(mean, mean, "senses_past") for mean in _MEANS)
 _BOTH = (PAPER, FULL)
 _WALL = "tanh of distance to the wall /"
 

@@ -183,8 +183,10 @@ def observe(
         position, velocity, acceleration, past, steps, towards, bodies, neighbours_of(K, frames),
         everybody, observation,
     )  # fmt: skip
-    seen, facing = (np.ascontiguousarray(a.transpose(2, 0, 1)) for a in (observation, towards))
-    return seen, facing
+    return (
+        np.ascontiguousarray(observation.transpose(2, 0, 1)),
+        np.ascontiguousarray(towards.transpose(2, 0, 1)),
+    )
 
 
 def demonstration_observations(species: ChaseSpecies, demos: Demonstrations) -> NDArray[np.float32]:

@@ -94,7 +94,7 @@ def test_the_focus_at_distance_zero_is_the_same_in_worlds_and_in_recordings() ->
     np.testing.assert_allclose(towards, focus_directions(position, species.roles))
     world = world_of(2, 1)
     world._position[...] = np.array([[0.0, 0.3], [0.5, 0.0], [0.2, 0.1]])[:, :, None]
-    world._observe()
+    world.reset(np.zeros(1, dtype=bool))  # observes again
     world._position[0] = world._position[2]
-    world._observe()
+    world.reset(np.zeros(1, dtype=bool))  # observes again
     np.testing.assert_allclose(world.towards, focus_directions(world.position, species.roles))
