@@ -23,7 +23,6 @@ from animarl_algos.whatif.live_page import page_model, write_page
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.executed import ExecutedActions
 
 COPIES, STEPS = 4, 250  # 1,000 steps of every individual
 COMPARE = """
@@ -79,7 +78,7 @@ def recorded_steps(run: Run) -> dict[str, Any]:
     world.seed(np.arange(COPIES))
     world.reset(demo=np.arange(COPIES))
     policy, K = run.policy.policy, world.num_individuals
-    rng, executed_by = np.random.default_rng(0), ExecutedActions(world)
+    rng = np.random.default_rng(0)
     names = ("draws", "actions", "values", "observation", "position", "outcome")
     log: dict[str, Any] = {name: [] for name in names}
     for name in ("pattern", "phase"):
@@ -94,7 +93,7 @@ def recorded_steps(run: Run) -> dict[str, Any]:
         values, hidden, _ = policy.advance(seen, state, starts)
         draws = rng.random(COPIES * K)
         asked = policy.acting.choose(values, draws, K).reshape(COPIES, K)
-        done = executed_by(asked)
+        done = world.executed(asked)
         state = remembered(policy, (hidden, asked.ravel()), asked, done)
         log["draws"].append(draws.tolist())
         log["actions"].append(done.ravel().tolist())
