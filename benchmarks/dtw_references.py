@@ -20,7 +20,7 @@ from rich.table import Table
 
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, interval
-from animarl_algos.evaluation.metrics import dtw_distances, measure, measure_recordings
+from animarl_algos.evaluation.metrics import dtw_alignments, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.report.words import number, with_interval
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -69,7 +69,7 @@ def other_recordings(demos: Demonstrations, rng: np.random.Generator) -> pd.Data
         other[rng.permutation(among)] = np.roll(among, 1)
     table = measure(rollouts, demos).assign(method="other recordings")
     order = demos.select(episodes=other)
-    table["dtw"] = dtw_distances(rollouts, order)[:, rollouts.movers].mean(axis=1)
+    table["dtw"] = dtw_alignments(rollouts, order)[0][:, rollouts.movers].mean(axis=1)
     table["dtw_per_step"] = table["dtw"] / np.maximum(demos.lengths, order.lengths)
     return table
 

@@ -29,7 +29,7 @@ from animarl_envs.species import SPECIES
 def split_rows(demos: Demonstrations) -> list[tuple[str, float, float, float]]:
     """Measure, mean over the test episodes, over the others, and difference [standard errors]."""
     test = demos.select(split="test")
-    prepared = Prepared.of(test, comparison_smoothing(test))
+    prepared = Prepared(test, comparison_smoothing(test))
     own = prepared.measures(prepared.recorded)
     beside = prepared.measures(prepared.filtered(Rollouts.from_demonstrations(learnable(demos))))
     rows = []

@@ -18,14 +18,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.anova import permutation_anova
 from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
-from animarl_algos.evaluation.comparison import comparison_table, pair_table
-from animarl_algos.evaluation.energy_score import energy_cells
-from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.comparison import comparison_table, pair_table, permutation_anova
+from animarl_algos.evaluation.distances import energy_cells
+from animarl_algos.evaluation.exchange_test import Exchanges
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.studentised import Draws, Part, margins
+from animarl_algos.evaluation.statistics import Draws, margins
 from animarl_algos.evaluation.windows import Windows, window_features
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.scenario import make_scenario
@@ -91,7 +90,7 @@ def centred(table: Floats) -> Floats:
 def mean_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
     network = world.network()
     found = world.values(network + world.demo + world.cell())
-    below, above = margins([Part(centred(found))], draws)
+    below, above = margins([centred(found)], draws)
     miss = world.truth(network) - found.mean(axis=(1, 2))
     return np.asarray((-below <= miss) & (miss <= above))
 
@@ -104,8 +103,7 @@ def pair_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
         exponent = network + world.demo + own * world.noise(1, 0, 1, 0) + world.cell() + effect
         tables.append(world.values(exponent))
         truths.append(world.truth(network, own, effect=effect))
-    parts = [Part(centred(tables[0]), seeds=0), Part(-centred(tables[1]), seeds=1)]
-    below, above = margins(parts, draws)
+    below, above = margins([centred(tables[0]), -centred(tables[1])], draws)
     miss = truths[0] - truths[1] - (tables[0] - tables[1]).mean(axis=(1, 2))
     return np.asarray((-below <= miss) & (miss <= above))
 
@@ -117,7 +115,7 @@ def shift_inside(world: World, draws: Draws) -> NDArray[np.bool_]:
     of_network = 0.5 * world.network()
     shift = EFFECT + of_network + own * world.noise(1, 0, 1, 0)
     gap = world.values(base + shift) - world.values(base)
-    below, above = margins([Part(centred(gap))], draws)
+    below, above = margins([centred(gap)], draws)
     if world.shape[1] == 1:
         told = world.truth(network + of_network, own, effect=EFFECT)
     else:
@@ -198,8 +196,8 @@ def null(experiments: int) -> None:
                 both = np.concatenate([recorded, perfect])
                 both = np.exp(0.7 * both) if kind == "lognormal" else both
                 exchanges = Exchanges.draw(demo, starts, rng, 400)
-                found = exchanges.distances(both)
-                alarms += [found.wasserstein_p <= 0.05, found.kde_p <= 0.05,
+                (_, kde_p), (_, wasserstein_p) = exchanges.distances(both)
+                alarms += [wasserstein_p <= 0.05, kde_p <= 0.05,
                            not exchanges.difference(both).inside]  # fmt: skip
             rows.append([kind, str(starts), *(percent(n, experiments) for n in alarms)])
     heading = ["values", "starts", "Wasserstein", "kernel density", "difference of means"]
@@ -235,8 +233,8 @@ def gate(experiments: int) -> None:
         passed, decided = 0, False
         for _ in range(experiments):
             found = permutation_anova([rng.normal(size=n) for n in sizes], rng, 499)
-            decided = found.can_decide(0.05)
-            passed += decided and found.p <= 0.05
+            decided = not found.decision.startswith("cannot")
+            passed += found.decision == "passed"
         words = percent(passed, experiments) if decided else "cannot be decided"
         rows.append([" + ".join(map(str, sizes)), f"{found.least:.4f}", words])
     heading = ["seeds of the methods", "smallest p there is", "passed though nothing differs"]

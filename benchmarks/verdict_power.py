@@ -17,12 +17,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from animarl_algos.evaluation.exchange_test import exchange_test
-from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.verdict import verdict
-from animarl_algos.evaluation.verdict_rows import LEVEL, SAME, Columns
+from animarl_algos.evaluation.verdict_rows import LEVEL, SAME, measure_columns
 from animarl_envs.demos.demonstrations import Demonstrations
 from benchmarks.known_worlds import FAULTS, KnownWorld, with_fault
 
@@ -39,8 +38,8 @@ def whole_verdict(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> bo
 
 def joint_test(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> bool:
     """Return whether no measure differs."""
-    prepared, rng = Prepared.of(recorded, 1), np.random.default_rng(seed)
-    columns, _ = Columns.of(prepared, rollouts)
+    prepared, rng = Prepared(recorded), np.random.default_rng(seed)
+    columns = measure_columns(prepared, rollouts)
     exchanges = Exchanges.draw(rollouts.demo, len(recorded), rng, EXCHANGES)
     return not exchange_test(columns.values, exchanges, level=LEVEL).p <= LEVEL
 

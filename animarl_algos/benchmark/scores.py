@@ -20,22 +20,25 @@ from animarl_algos.benchmark.measured import (
 )
 from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
-from animarl_algos.evaluation.distances import bootstrap_distances
-from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_score, pooled_score
+from animarl_algos.evaluation.distances import (
+    FEW_ROLLOUTS,
+    bootstrap_distances,
+    energy_score,
+    pooled_score,
+)
+from animarl_algos.evaluation.exchange_test import Exchanges
 from animarl_algos.evaluation.metrics import ARENA_UNITS, dtw_alignments
-from animarl_algos.evaluation.null import Exchanges
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
-    UNDEFINED,
-    Cells,
     Draws,
     Interval,
     bootstrap_difference,
     bootstrap_mean,
     cells,
     covers,
+    single_cells,
 )
 from animarl_algos.evaluation.verdict import SUMMARY, Verdict, verdict
 from animarl_algos.evaluation.windows import comparison_smoothing
@@ -102,7 +105,7 @@ def _score(
     """Against the recordings ``test``; ``beside``: others, each as if it began at a test start."""
     rng_verdict, rng_draws, rng_null, rng_kde = np.random.default_rng(SEED).spawn(4)
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
-    prepared = Prepared.of(test, comparison_smoothing(test))
+    prepared = Prepared(test, comparison_smoothing(test))
     counted = censored(factual(rollouts, test), test)
     seen = prepared.filtered(counted)
     simulated, recorded = prepared.measures(seen), prepared.measures(prepared.recorded)
@@ -130,11 +133,11 @@ def _score(
         unit = metric.unit.replace(ARENA_UNITS, prepared.unit.name)
         measures.append(_of(key, unit, gap, null=tested.null, p=tested.p))
     for key in DISTRIBUTIONS:
-        kde = bootstrap_distances(
+        kde, _ = bootstrap_distances(
             simulated[key], recorded[key], counted.seed, counted.demo, rng_kde, resamples
-        ).kde
-        null = exchanges.distances(np.concatenate([recorded[key], simulated[key]]))
-        measures.append(_of(f"kde_{key}", "", kde, null=null.kde.high, p=null.kde_p))
+        )
+        (null, p), _ = exchanges.distances(np.concatenate([recorded[key], simulated[key]]))
+        measures.append(_of(f"kde_{key}", "", kde, null=null.high, p=p))
     ordered = {one.measure: one for one in measures}
     return Score(
         method=rollouts.method,
@@ -251,7 +254,6 @@ def _of(measure: str, unit: str, value: Interval, *, null: float, p: float = mat
 
 
 def _mean(energies: Floats, draws: Draws) -> Interval:
-    present = np.isfinite(energies)
-    if not present.any():
-        return Interval.without_ends(UNDEFINED.estimate, FEW_ROLLOUTS)
-    return bootstrap_mean(Cells(np.where(present, energies, 0.0), present.astype(float)), draws)
+    if not np.isfinite(energies).any():
+        return Interval(math.nan, reason=FEW_ROLLOUTS)
+    return bootstrap_mean(single_cells(energies), draws)

@@ -96,7 +96,7 @@ def run_command(**given: Any) -> None:
       animarl run demos.npz --species fly --set learning_rate=0.0003 --set alpha=0.5
     """
     from animarl_algos.cli.fit import format_fit_table
-    from animarl_algos.evaluation.plausibility import implausible
+    from animarl_algos.evaluation.verdict import implausible
     from animarl_algos.report.terminal import evaluation_table, verdict_table
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.metrics import path_lengths
-from animarl_algos.evaluation.order_in_time import lags_for, median_steps, rest_and_turns
+from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.windows import resting_step
@@ -177,15 +177,19 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     speeds = [np.quantile(r.speeds(), levels, axis=0) for r in (simulated, recorded)]
     still = resting_step(recorded)
     lags = lags_for(median_steps(recorded), recorded.dt)
-    rest, turns = zip(*(rest_and_turns(r, still, lags) for r in (simulated, recorded)))
+    order = [order_measures(r, lags, still) for r in (simulated, recorded)]
+    rest, turns = (
+        np.subtract(*(one.mean(name) for one in order))
+        for name in ("share at rest", "turn autocorrelation")
+    )
     return Candidate(
         acting=name,
         outcome=float(0.5 * np.abs(shares[0] - shares[1]).sum()),
         duration=relative_distance(duration[0], duration[1]),
         path_length=relative_distance(path[0], path[1]),
         speed=float(np.mean([relative_distance(a, b) for a, b in zip(speeds[0].T, speeds[1].T)])),
-        rest=WEIGHT * float(np.abs(rest[0] - rest[1]).mean()),
-        order=WEIGHT * float(np.nan_to_num(np.abs(turns[0] - turns[1])).mean()),
+        rest=WEIGHT * float(np.abs(rest).mean()),
+        order=WEIGHT * float(np.nan_to_num(np.abs(turns)).mean()),
     )
 
 

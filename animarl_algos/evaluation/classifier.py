@@ -15,20 +15,16 @@ recordings among themselves may come out a little below 0.5 in small sets.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import wraps
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import Interval, percentile_interval
-from animarl_algos.evaluation.windows import Windows
+from animarl_algos.evaluation.statistics import Floats, Interval, percentile_interval
+from animarl_algos.evaluation.windows import Ints, Windows
 from animarl_envs.errors import MissingExtraError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FOLDS = 5
 DEALS = 2  # the folds are dealt anew so many times, at least, and the answers joined
@@ -40,7 +36,7 @@ BOOTSTRAP = 1000
 LEVELS = 63  # of a feature, as many as the trees tell apart
 TREES: dict[str, Any] = {
     "max_iter": 50, "learning_rate": 0.1, "max_leaf_nodes": 8, "min_samples_leaf": 10,
-    "l2_regularization": 1.0, "max_bins": LEVELS + 1, "early_stopping": False,
+    "l2_regularization": 1.0, "max_bins": LEVELS + 1, "early_stopping": False, "random_state": 0,
 }  # fmt: skip
 
 
@@ -50,31 +46,14 @@ class Telling:
 
     ``auc`` has a 95 % interval over demonstrations and training sets. It is undefined (NaN) where
     there are not two demonstrations of each side, or too few windows for a tree to split; its
-    ``reason`` says which. ``windows`` counts both sides; ``importance`` is by how much the area
-    falls when the features of one kind are shuffled.
+    ``reason`` says which. ``importance`` is by how much the area falls when the features of one
+    kind are shuffled.
     """
 
     auc: Interval
-    windows: tuple[int, int] = (0, 0)
     importance: Mapping[str, float] = field(default_factory=dict)
 
 
-def on_one_thread(function: Callable[..., Telling]) -> Callable[..., Telling]:
-    """Looking for the thread pools takes longer than to score windows: it is done once."""
-
-    @wraps(function)
-    def limited(*arguments: Any, **keywords: Any) -> Telling:
-        try:
-            from threadpoolctl import threadpool_limits
-        except ImportError as error:
-            raise MissingExtraError("telling simulation from recording", "algos") from error
-        with threadpool_limits(1):
-            return function(*arguments, **keywords)
-
-    return limited
-
-
-@on_one_thread
 def tell_apart(
     first: Windows,
     second: Windows,
@@ -98,15 +77,19 @@ def tell_apart(
     importance
         Whether to shuffle features too, one kind after the other.
     """
+    try:
+        from sklearn.ensemble import HistGradientBoostingClassifier
+        from threadpoolctl import threadpool_limits
+    except ImportError as error:
+        raise MissingExtraError("telling simulation from recording", "algos") from error
     first, second = _thinned(first, rng), _thinned(second, rng)
     values = _levels(np.concatenate([first.values, second.values]))
     simulated = np.repeat([False, True], [len(first), len(second)])
     names, group = np.unique(np.concatenate([first.group, second.group]), return_inverse=True)
     sides = [np.isin(names, side.group) for side in (first, second)]
     folds = min([FOLDS, *(int(side.sum()) for side in sides)])
-    sizes = (len(first), len(second))
     if folds < 2:
-        return Telling(Interval.without_ends(math.nan, "too few recordings to split"), sizes)
+        return Telling(Interval(math.nan, reason="too few recordings to split"))
     if deals is None:
         few = len(names) < FEWEST_DEALT
         deals = DEALS if few else max(DEALS, math.ceil(DEALT / len(names)))
@@ -114,35 +97,36 @@ def tell_apart(
     wins, pairs = np.zeros((2, len(names), len(names)))
     fallen: dict[str, list[float]] = {}
     splits = False
-    for deal in range(deals):
-        fold = _deal(kind, folds, rng)[group]
-        for number in range(folds):
-            test = fold == number
-            if len(np.unique(simulated[test])) < 2:
-                continue
-            model = _fitted(values[~test], simulated[~test])
-            sides_here, group_here = simulated[test], group[test]
-            scores = model(values[test])
-            splits |= int((~test).sum()) >= 2 * TREES["min_samples_leaf"]
-            won, met = _compare(scores, sides_here, group_here, len(names))
-            wins += won
-            pairs += met
-            if importance and deal == 0:
-                for what in dict.fromkeys(first.kinds.tolist()):
+    with threadpool_limits(1):  # looking for the thread pools takes longer than to score windows
+        for deal in range(deals):
+            fold = _deal(kind, folds, rng)[group]
+            for number in range(folds):
+                test = fold == number
+                here, there, left = simulated[test], group[test], simulated[~test]
+                if len(np.unique(here)) < 2:
+                    continue
+                weights = np.where(left, 0.5 / left.mean(), 0.5 / (1.0 - left.mean()))
+                model = HistGradientBoostingClassifier(**TREES)
+                score = model.fit(values[~test], left, sample_weight=weights).decision_function
+                splits |= len(left) >= 2 * TREES["min_samples_leaf"]
+                won, met = _compare(score(values[test]), here, there, len(names))
+                wins += won
+                pairs += met
+                for what in dict.fromkeys(first.kinds.tolist()) if importance and not deal else ():
                     shuffled, columns = values[test], first.kinds == what
                     shuffled[:, columns] = rng.permutation(shuffled[:, columns])
-                    without, _ = _compare(model(shuffled), sides_here, group_here, len(names))
+                    without, _ = _compare(score(shuffled), here, there, len(names))
                     fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
     if not splits:
         reason = "too few windows for a tree to split: all scores are tied"
-        return Telling(Interval.without_ends(math.nan, reason), sizes)
+        return Telling(Interval(math.nan, reason=reason))
     drawn = _resampled(kind, rng)
     with np.errstate(invalid="ignore", divide="ignore"):
         areas = np.einsum("rg,rg->r", drawn @ wins, drawn) / np.einsum(
             "rg,rg->r", drawn @ pairs, drawn
         )
     auc = widen_for_folds(percentile_interval(float(wins.sum() / pairs.sum()), areas), folds)
-    return Telling(auc, sizes, {what: float(np.mean(by)) for what, by in fallen.items()})
+    return Telling(auc, {what: float(np.mean(by)) for what, by in fallen.items()})
 
 
 def among_themselves(
@@ -217,19 +201,6 @@ def _resampled(kind: Ints, rng: np.random.Generator) -> Floats:
         even = np.full(len(members), 1.0 / len(members))
         drawn[:, members] = rng.multinomial(len(members), even, size=BOOTSTRAP)
     return drawn
-
-
-def _fitted(values: Floats, simulated: NDArray[np.bool_]) -> Any:
-    """A function that scores windows, fitted with both classes of equal weight."""
-    try:
-        from sklearn.ensemble import HistGradientBoostingClassifier
-    except ImportError as error:
-        raise MissingExtraError("telling simulation from recording", "algos") from error
-    share = simulated.mean()
-    weights = np.where(simulated, 0.5 / share, 0.5 / (1.0 - share))
-    model = HistGradientBoostingClassifier(random_state=0, **TREES)
-    model.fit(values, simulated, sample_weight=weights)
-    return model.decision_function
 
 
 def _compare(

@@ -1,7 +1,7 @@
 """The rows of two judges that are asked which of two is recorded, and what they are read beside.
 
-Boosted trees look at two seconds of motion (:mod:`animarl_algos.evaluation.classifier`), and at
-order in time over up to a quarter of an episode (:mod:`animarl_algos.evaluation.sequence_judge`).
+Boosted trees (:mod:`animarl_algos.evaluation.classifier`) look at two seconds of motion, and at
+order in time over up to a quarter of an episode (:mod:`animarl_algos.evaluation.windows`).
 Their areas are printed beside those of recordings among themselves, of the locomotion model's
 closed-loop tracking (perfect control in this locomotion) and of random actions. None of these
 excuses a row: it is judged by its own interval.
@@ -15,27 +15,29 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.classifier import Telling, among_themselves, tell_apart
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.sequence_judge import sequence_windows, window_steps
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, UNKNOWN, Row
-from animarl_algos.evaluation.windows import WINDOW, Windows, resting_step, window_features
+from animarl_algos.evaluation.windows import (
+    WINDOW,
+    Ints,
+    Windows,
+    sequence_windows,
+    window_features,
+    window_steps,
+)
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.resolution import rounded
 from animarl_envs.errors import InputError
-
-Floats = NDArray[np.float64]
 
 LITTLE_AUC = 0.60  # up to here it differs by little: two normal curves 0.36 sd apart
 STRICTER = 2.33 / 1.96  # a row that differs by chance alone does so in 1 % of cases
 FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
 PART = 15  # windows of such a part
 AUC, SEQUENCE = "auc", "auc_sequence"
-AREAS = ("among", "floor", "perturbed", "ceiling")
 
 
 class Tracked(Protocol):
@@ -75,8 +77,9 @@ class Judge:
     simulated
         Of the rollouts against their recordings.
     areas
-        By name (``AREAS``), areas under the curve of recordings among themselves, of closed-loop
-        tracking, of such tracking with some actions at random, and of random actions.
+        By name, areas under the curve of recordings ``among`` themselves, of closed-loop tracking
+        (``floor``), of such tracking with some actions at random (``perturbed``), and of random
+        actions (``ceiling``).
     """
 
     key: str
@@ -123,16 +126,15 @@ def judge_windows(
     Parameters
     ----------
     sides
-        What the rollouts are read beside, see ``AREAS``; smoothed as the recordings.
+        What the rollouts are read beside, smoothed as the recordings.
     references
         Other recordings; by default halves of the evaluated ones are compared.
     """
     demos = prepared.demos
     block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
-    still = resting_step(prepared.recorded)
 
     def windows(rollouts: Rollouts, of: Demonstrations = demos) -> Windows:
-        made = window_features(rollouts, demos.arena, block=block, still=still)
+        made = window_features(rollouts, demos.arena, block=block, still=prepared.rest)
         return made.by_recording(of) if block is None else made
 
     label = f"Distinguished by a classifier on {WINDOW:g} s (AUC)"
@@ -146,21 +148,20 @@ def judge_windows(
     return replace(judge, areas={"among": among, **judge.areas}), block is not None
 
 
-def judge_sequences_of(
+def judge_sequences(
     prepared: Prepared,
     counted: Rollouts,
     sides: Mapping[str, Rollouts],
-    group: NDArray[np.int64],
+    group: Ints,
     rng: np.random.Generator,
 ) -> Judge:
-    """Ask about order in time, by windows up to a quarter of an episode."""
-    steps, rest = window_steps(prepared.recorded), resting_step(prepared.recorded)
-    seconds = steps * prepared.recorded.dt
+    """Ask about order in time; ``group`` ``(starts,)`` is the recording of each start."""
+    steps = window_steps(prepared.recorded)
 
     def windows(rollouts: Rollouts) -> Windows:
-        return sequence_windows(rollouts, prepared.demos.arena, rest, steps, group)
+        return sequence_windows(rollouts, prepared.demos.arena, prepared.rest, steps, group)
 
-    label = f"Distinguished by order in time over {seconds:.3g} s (AUC)"
+    label = f"Distinguished by order in time over {steps * prepared.recorded.dt:.3g} s (AUC)"
     sides = {name: one for name, one in sides.items() if name != "perturbed"}  # it takes time
     judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng)
     return replace(judge, areas={"among": among_themselves(own, rng, halves=1), **judge.areas})

@@ -48,7 +48,6 @@ class RandomPolicy:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int64], Any]:
-        """One action per slot."""
         return self._rng.integers(self._num_actions, size=len(observation)), state
 
 
@@ -112,17 +111,15 @@ def collect_rollouts(
     learned = getattr(policy, "action_space", None)
     if isinstance(learned, Discrete):
         refuse_other_actions(int(learned.n), probe.num_actions)
-    tasks = np.stack(
-        np.meshgrid(np.arange(demos.num_episodes), np.arange(repetitions), indexing="ij"), axis=-1
-    ).reshape(-1, 2)
+    tasks = np.indices((demos.num_episodes, repetitions)).reshape(2, -1).T
     grid = demos.resolution() if resolution == "recorded" else resolution
     parts = []
     for first in range(0, len(tasks), MAX_COPIES):
         batch = tasks[first : first + MAX_COPIES]
         world = make_world(len(batch))
-        world.seed([_stream_seed(seed, *task) for task in batch.tolist()])
+        world.seed([_stream_seed(np.uint64, seed, *task) for task in batch.tolist()])
         if reseed is not None:
-            reseed(int(np.random.SeedSequence([seed % 2**63, first]).generate_state(1)[0]))
+            reseed(_stream_seed(np.uint32, seed, first))
         parts.append(_run_batch(world, policy, demos, batch, method, seed, cue, deterministic))
     made = Rollouts.concatenate(parts)
     return replace(made, positions=rounded(made.positions, grid))
@@ -203,16 +200,13 @@ def remembered(
 
 
 def _flag(cue: Cue, condition: NDArray[np.int8]) -> NDArray[np.int8]:
-    if cue == "actual":
-        return condition.copy()
-    if cue == "flipped":
-        return np.asarray(1 - condition, dtype=np.int8)
-    if cue not in (0, 1):
+    if cue not in ("actual", "flipped", 0, 1):
         raise InputError(f"cue is {cue!r}: choose 'actual', 'flipped', 0 or 1")
-    return np.full(condition.shape, cue, dtype=np.int8)
+    told = {"actual": condition.copy(), "flipped": 1 - condition}.get(str(cue), cue)
+    return np.broadcast_to(np.asarray(told, dtype=np.int8), condition.shape)
 
 
-def _stream_seed(seed: int, demo: int, repetition: int) -> int:
+def _stream_seed(kind: type, seed: int, *place: int) -> int:
     """One stream per rollout, whatever the number of copies."""
-    sequence = np.random.SeedSequence([seed % 2**63, demo, repetition])
-    return int(sequence.generate_state(1, np.uint64)[0])
+    sequence = np.random.SeedSequence([seed % 2**63, *place])
+    return int(sequence.generate_state(1, kind)[0])

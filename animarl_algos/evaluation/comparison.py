@@ -1,4 +1,4 @@
-"""Every method against the recordings and against every other one.
+"""Every method against the recordings and against every other one, and the planned contrasts.
 
 Which episodes count is part of every row: ``"all"``, or ``"captures"`` (rollouts and recordings in
 which the target was reached). The two can point in opposite directions, so both are always there.
@@ -7,31 +7,38 @@ which the target was reached). The two can point in opposite directions, so both
 from __future__ import annotations
 
 import math
-from itertools import combinations, permutations
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import permutations as ordered_pairs
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from animarl_algos.evaluation.distances import (
     DISTANCE_RESAMPLES,
-    Distances,
+    FEW_ROLLOUTS,
     bootstrap_distances,
+    energy_cells,
     kde_floor,
+    pooled_score,
 )
-from animarl_algos.evaluation.energy_score import FEW_ROLLOUTS, energy_cells, pooled_score
-from animarl_algos.evaluation.metrics import DURATION, RETURN, Metric, compared_metrics
-from animarl_algos.evaluation.null import Exchanges, NullDistances
+from animarl_algos.evaluation.exchange_test import Exchanges
+from animarl_algos.evaluation.metrics import DURATION, METRICS, RETURN, Metric, compared_metrics
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, copies
 from animarl_algos.evaluation.statistics import (
+    NOTHING_SHARED,
     RESAMPLES,
     UNDEFINED,
     Cells,
     Draws,
+    Floats,
     Interval,
     bootstrap_difference,
     bootstrap_mean,
     cells,
     covers,
+    shared_starts,
+    single_cells,
     within_intervals,
 )
 
@@ -39,14 +46,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BASELINE = "BC"
+COUNTING = {"all": "all episodes", "captures": "captures only"}
+PLANNED_CONTRASTS = (("DQDIL", "DQAAS"), ("DQDIL-PT", "DQAAS"), ("DQDIL-PT", "DQDIL"))
+GATE_LEVEL = 0.05
 PAIR_COLUMNS = [
     "metric", "counting", "first", "second", "demos", "pairing", "covers",
     "difference", "difference_low", "difference_high",
     "energy", "energy_low", "energy_high", "reason",
 ]  # fmt: skip
-COUNTING = {"all": "all episodes", "captures": "captures only"}
-OF_RECORDINGS = "demonstrations like these"
-SAME_STARTS, SHARED_STARTS = "paired, same starts", "paired, shared starts only"
+CONTRAST_COLUMNS = [
+    "metric", "measure", "first", "second", "demos", "covers",
+    "difference", "difference_low", "difference_high",
+    "gate", "gate_f", "gate_p", "gate_unit", "gate_passed", "reason",
+]  # fmt: skip
 
 
 def factual(metrics: pd.DataFrame) -> pd.DataFrame:
@@ -62,30 +74,44 @@ def factual(metrics: pd.DataFrame) -> pd.DataFrame:
     return kept
 
 
-def counted_metrics() -> list[tuple[Metric, str]]:
+class _Methods:
+    """Rows that may be compared, by method, gathered into cells of seed and demonstration."""
+
+    def __init__(self, metrics: pd.DataFrame, num_demos: int) -> None:
+        by_method = factual(metrics).groupby("method", sort=False)
+        self.rows = {str(name): rows for name, rows in by_method}
+        self.simulated = [name for name in self.rows if name != RECORDED]
+        self.num_demos = num_demos
+
+    def values(self, name: str, metric: Metric, counting: str) -> pd.Series[float]:
+        """Of every rollout, NaN where it does not count."""
+        rows = self.rows[name]
+        return rows[metric.key].where(rows["captured"] | (counting == "all"))
+
+    def cells(self, name: str, metric: Metric, counting: str = "all") -> Cells:
+        rows = self.rows[name]
+        return cells(
+            self.values(name, metric, counting), rows["seed"], rows["demo"], self.num_demos
+        )
+
+    def energy(self, name: str, metric: Metric, counting: str = "all") -> Cells:
+        """Energy score at every start."""
+        rows, truth = self.rows[name], self.cells(RECORDED, metric, counting).cell_means[0]
+        return energy_cells(self.values(name, metric, counting), rows["seed"], rows["demo"], truth)
+
+    def exchanges(self, name: str, rng: np.random.Generator, resamples: int) -> Exchanges:
+        rows = self.rows[name]
+        measured = rows.drop(columns=["method", "seed", "demo", "repetition"])
+        done = [row.tobytes() for row in measured.to_numpy(dtype=np.float64)]
+        same = copies(rows["demo"].tolist(), rows["seed"].tolist(), done)
+        return Exchanges.draw(rows["demo"], self.num_demos, rng, resamples, copies=same)
+
+
+def _counted_metrics() -> list[tuple[Metric, str]]:
     """Every metric with every rule of what counts; a share among captures would say nothing."""
     return [
         (m, rule) for m in compared_metrics() for rule in COUNTING if rule == "all" or not m.share
     ]
-
-
-def _done(rows: pd.DataFrame) -> list[bytes]:
-    """What each rollout did, as far as its metrics say."""
-    measured = rows.drop(columns=["method", "seed", "demo", "repetition"])
-    return [row.tobytes() for row in measured.to_numpy(dtype=np.float64)]
-
-
-def method_cells(rows: pd.DataFrame, metric: str, num_demos: int, counting: str = "all") -> Cells:
-    """One method's metric as cells of seed and demonstration."""
-    counts = rows["captured"].to_numpy() if counting == "captures" else True
-    return cells(rows[metric], rows["seed"], rows["demo"], num_demos, counts)
-
-
-def energy_of(rows: pd.DataFrame, metric: str, truth: Cells, counting: str = "all") -> Cells:
-    """One method's energy score at every start, as cells of seed and demonstration."""
-    counts = rows["captured"].to_numpy() | (counting == "all")
-    values = rows[metric].where(counts)
-    return energy_cells(values, rows["seed"], rows["demo"], truth.cell_means[0])
 
 
 def comparison_table(
@@ -117,45 +143,52 @@ def comparison_table(
     - ``to_recorded``: less the recorded mean, on the ``to_recorded_demos`` starts that both have;
     - ``energy``: mean energy score per start, the primary measure of a distribution; beside it
       ``energy_pooled``, what the recordings of all other starts score;
-    - ``kde`` and ``wasserstein``: distances of the pooled values; ``..._null``
-      are mean and central 95 % of what a perfect simulator gives
-      (:mod:`animarl_algos.evaluation.null`), ``kde_p`` and ``wasserstein_p`` how often it gives as
-      much; ``kde_floor`` is the smallest bandwidth where it acts [unit of the metric].
+    - ``kde`` and ``wasserstein``: distances of the pooled values; ``..._null`` are mean and
+      central 95 % of what a perfect simulator gives, ``kde_p`` and ``wasserstein_p`` how often it
+      gives as much; ``kde_floor`` is the smallest bandwidth where it acts [unit of the metric].
 
     Beside a distance to the recordings (DTW) stand ``duration`` and ``reached`` of the same
     episodes, without which a short episode passes for a close one.
     """
     import pandas as pd
 
-    metrics = factual(metrics)
-    draws = Draws.by(rng, resamples)
-    by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
+    methods, draws = _Methods(metrics, num_demos), Draws.by(rng, resamples)
     exchanges = {
-        name: Exchanges.draw(
-            rows["demo"],
-            num_demos,
-            rng,
-            distance_resamples,
-            copies=copies(rows["demo"].tolist(), rows["seed"].tolist(), _done(rows)),
-        )
-        for name, rows in by_method.items()
-        if name != RECORDED
+        name: methods.exchanges(name, rng, distance_resamples) for name in methods.simulated
     }
     table = []
-    for metric, counting in counted_metrics():
-        gathered = {
-            name: method_cells(rows, metric.key, num_demos, counting)
-            for name, rows in by_method.items()
-        }
-        simulated = {name: data for name, data in gathered.items() if name != RECORDED}
-        within = dict(zip(simulated, within_intervals(list(simulated.values()), draws)))
+    for metric, counting in _counted_metrics():
+        gathered = {name: methods.cells(name, metric, counting) for name in methods.rows}
+        among = within_intervals([gathered[name] for name in methods.simulated], draws)
+        within = dict(zip(methods.simulated, among))
         reference = gathered[RECORDED]
-        for name, rows in by_method.items():
-            if name == RECORDED and not metric.of_recordings:
+        truth = reference.cell_means[0]
+        for name, data in gathered.items():
+            simulation = name != RECORDED
+            if not (simulation or metric.of_recordings):
                 continue
-            data, simulation = gathered[name], name != RECORDED
-            shared = data.starts & reference.starts
             compared = simulation and metric.of_recordings
+            shared = data.starts & reference.starts
+            found = dict.fromkeys(
+                ("to_recorded", "energy", "kde", "kde_null", "wasserstein", "wasserstein_null"),
+                UNDEFINED,
+            )
+            more = dict.fromkeys(("kde_p", "wasserstein_p", "kde_floor"), math.nan)
+            if compared:
+                found["to_recorded"] = bootstrap_difference(
+                    data, reference, draws, share=metric.share
+                )
+            if compared and metric.has_distribution:
+                energy = methods.energy(name, metric, counting)
+                found["energy"] = _energy_interval(bootstrap_mean(energy, draws), energy)
+                values, rows = methods.values(name, metric, counting), methods.rows[name]
+                found["kde"], found["wasserstein"] = bootstrap_distances(
+                    values, truth, rows["seed"], rows["demo"], rng, distance_resamples
+                )
+                null = exchanges[name].distances(np.concatenate([truth, values]))
+                (found["kde_null"], more["kde_p"]), (other, more["wasserstein_p"]) = null
+                found["wasserstein_null"] = other
+                more["kde_floor"] = kde_floor(values, truth)
             row: dict[str, Any] = {
                 "method": name,
                 "metric": metric.key,
@@ -163,38 +196,22 @@ def comparison_table(
                 "rollouts": int(data.counts.sum()),
                 "demos": int(data.starts.sum()),
                 "seeds": len(data.counts),
-                "covers": covers(data) if simulation else OF_RECORDINGS,
+                "covers": covers(data) if simulation else "demonstrations like these",
                 "to_recorded_demos": int(shared.sum()) if compared else 0,
-                "energy_pooled": math.nan,
-                "duration": _mean_of(rows, DURATION, num_demos, counting),
-                "reached": _mean_of(rows, RETURN, num_demos, counting),
+                "energy_pooled": pooled_score(truth[shared])
+                if compared and metric.has_distribution
+                else math.nan,
+                "duration": methods.cells(name, DURATION, counting).mean,
+                "reached": methods.cells(name, RETURN, counting).mean,
                 "reason": "",
             }
-            put_interval(row, "mean", bootstrap_mean(data, draws, share=metric.share))
-            put_interval(row, "within", within.get(name, UNDEFINED))
-            gap = UNDEFINED
-            if compared:
-                gap = bootstrap_difference(data, reference, draws, share=metric.share)
-            put_interval(row, "to_recorded", gap)
-            energy, distances, null = UNDEFINED, Distances(UNDEFINED, UNDEFINED), NullDistances()
-            floor = math.nan
-            if simulation and metric.has_distribution:
-                energy = energy_interval(energy_of(rows, metric.key, reference, counting), draws)
-                truth = reference.cell_means[0]
-                row["energy_pooled"] = pooled_score(truth[shared])
-                values = rows[metric.key].where(rows["captured"] | (counting == "all"))
-                distances = bootstrap_distances(
-                    values, truth, rows["seed"], rows["demo"], rng, distance_resamples
-                )
-                null = exchanges[name].distances(np.concatenate([truth, values]))
-                floor = kde_floor(values, truth)
-            put_interval(row, "energy", energy)
-            put_interval(row, "kde", distances.kde)
-            put_interval(row, "kde_null", null.kde)
-            put_interval(row, "wasserstein", distances.wasserstein)
-            put_interval(row, "wasserstein_null", null.wasserstein)
-            row |= {"kde_p": null.kde_p, "wasserstein_p": null.wasserstein_p, "kde_floor": floor}
-            table.append(row)
+            put_intervals(
+                row,
+                mean=bootstrap_mean(data, draws, share=metric.share),
+                within=within.get(name, UNDEFINED),
+                **found,
+            )
+            table.append(row | more)
     return pd.DataFrame(table)
 
 
@@ -213,65 +230,111 @@ def pair_table(
     """
     import pandas as pd
 
-    metrics = factual(metrics)
-    draws = Draws.by(rng, resamples)
-    by_method = {str(name): rows for name, rows in metrics.groupby("method", sort=False)}
-    recorded = by_method.pop(RECORDED, None)
+    methods, draws = _Methods(metrics, num_demos), Draws.by(rng, resamples)
     table = []
-    for metric, counting in counted_metrics():
-        data = {n: method_cells(r, metric.key, num_demos, counting) for n, r in by_method.items()}
-        energies: dict[str, Cells] = {}
-        if metric.has_distribution and recorded is not None:
-            truth = method_cells(recorded, metric.key, num_demos, counting)
-            energies = {n: energy_of(r, metric.key, truth, counting) for n, r in by_method.items()}
-        both_ways: dict[tuple[str, str], dict[str, Any]] = {}
-        for first, second in combinations(data, 2):
-            row = _pair_row(data[first], data[second], draws, metric.share)
+    for metric, counting in _counted_metrics():
+        data = {name: methods.cells(name, metric, counting) for name in methods.simulated}
+        energies = {}
+        if metric.has_distribution and RECORDED in methods.rows:
+            energies = {name: methods.energy(name, metric, counting) for name in data}
+        for first, second in ordered_pairs(data, 2):
+            one, other = data[first], data[second]
+            same = (one.starts == other.starts).all()
+            row: dict[str, Any] = {
+                "metric": metric.key,
+                "counting": counting,
+                "first": first,
+                "second": second,
+                "demos": int((one.starts & other.starts).sum()),
+                "pairing": "paired, same starts" if same else "paired, shared starts only",
+                "covers": covers(one, other),
+                "reason": "",
+            }
             energy = UNDEFINED
             if energies:
-                energy = energy_interval(energies[first], draws, less=energies[second])
-            put_interval(row, "energy", energy)
-            both_ways[first, second] = row
-            both_ways[second, first] = _turned(row)
-        for first, second in permutations(data, 2):
-            names = {"metric": metric.key, "counting": counting, "first": first, "second": second}
-            table.append(names | both_ways[first, second])
+                sides = energies[first], energies[second]
+                energy = _energy_interval(bootstrap_difference(*sides, draws), *sides)
+            gap = bootstrap_difference(one, other, draws, share=metric.share)
+            put_intervals(row, difference=gap, energy=energy)
+            table.append(row)
     return pd.DataFrame(table, columns=PAIR_COLUMNS)
 
 
-def energy_interval(scores: Cells, draws: Draws, *, less: Cells | None = None) -> Interval:
-    """Mean energy score, or its difference to that of another method."""
-    if scores.counts.sum() == 0 or (less is not None and less.counts.sum() == 0):
-        return Interval.without_ends(math.nan, FEW_ROLLOUTS)
-    return (
-        bootstrap_mean(scores, draws) if less is None else bootstrap_difference(scores, less, draws)
-    )
+def contrast_table(
+    metrics: pd.DataFrame,
+    num_demos: int,
+    rng: np.random.Generator,
+    *,
+    planned: Sequence[tuple[str, str]] = PLANNED_CONTRASTS,
+    resamples: int = RESAMPLES,
+) -> pd.DataFrame:
+    """The planned contrasts, behind their gate; empty if fewer than two methods take part.
 
+    Compared is, by ``measure``, how far a method is from the recordings. A negative difference
+    means that the first method is closer. All episodes count, from the ``demos`` starts that all
+    methods have.
 
-def _pair_row(first: Cells, second: Cells, draws: Draws, share: bool) -> dict[str, Any]:
-    starts = [data.starts for data in (first, second)]
-    row: dict[str, Any] = {
-        "demos": int((starts[0] & starts[1]).sum()),
-        "pairing": SAME_STARTS if (starts[0] == starts[1]).all() else SHARED_STARTS,
-        "covers": covers(first, second),
-        "reason": "",
-    }
-    put_interval(row, "difference", bootstrap_difference(first, second, draws, share=share))
-    return row
+    - ``energy score``: per seed and start, the primary measure;
+    - ``absolute gap``: between the mean over repetitions and the recorded value, as in the paper;
+      it is smallest for a simulator that always does the same, so it stands beside the first;
+    - ``distance``: for DTW the distance itself.
 
+    The gate is a one-way ANOVA over all methods that take part, with the null of exchanged training
+    seeds (``gate_unit``); it is ``"passed"``, ``"not passed"`` or cannot be decided, where no
+    arrangement of so few seeds would reach the level. Only behind a passed gate does a contrast
+    have an interval; elsewhere ``reason`` says why not.
+    """
+    import pandas as pd
 
-def _turned(row: dict[str, Any]) -> dict[str, Any]:
-    """The same pair the other way round."""
-    turned = dict(row)
-    for key in ("difference", "energy"):
-        value = interval(row, key)
-        ends = Interval(-value.estimate, -value.high, -value.low)
-        turned |= {key: ends.estimate, f"{key}_low": ends.low, f"{key}_high": ends.high}
-    return turned
-
-
-def _mean_of(rows: pd.DataFrame, metric: Metric, num_demos: int, counting: str) -> float:
-    return method_cells(rows, metric.key, num_demos, counting).mean
+    methods = _Methods(metrics, num_demos)
+    named = [tuple(find_method(methods.rows, name) for name in pair) for pair in planned]
+    pairs = [(one, other) for one, other in named if one is not None and other is not None]
+    taking_part = list(dict.fromkeys(name for pair in pairs for name in pair))
+    table: list[dict[str, Any]] = []
+    if len(taking_part) < 2 or num_demos < 2:
+        return pd.DataFrame(table, columns=CONTRAST_COLUMNS)
+    draws = Draws.by(rng, resamples)
+    for metric in (metric for metric in METRICS if metric.planned):
+        for measure in ("energy score", "absolute gap") if metric.of_recordings else ("distance",):
+            found = {}
+            for name in taking_part:
+                if measure == "energy score":
+                    found[name] = methods.energy(name, metric)
+                else:
+                    means = methods.cells(name, metric).cell_means
+                    if measure == "absolute gap":
+                        means = np.abs(means - methods.cells(RECORDED, metric).cell_means)
+                    found[name] = single_cells(means)
+            shared = dict(zip(found, shared_starts(list(found.values()))))
+            demos = shared[taking_part[0]].sums.shape[1]
+            gate, words = None, NOTHING_SHARED
+            if demos > 0:
+                gate = permutation_anova([data.seed_means for data in shared.values()], rng,
+                                         resamples)  # fmt: skip
+                words = gate.decision
+            elif measure == "energy score" and not all(d.counts.any() for d in found.values()):
+                words = FEW_ROLLOUTS
+            for first, second in pairs:
+                row: dict[str, Any] = {
+                    "metric": metric.key,
+                    "measure": measure,
+                    "first": first,
+                    "second": second,
+                    "demos": demos,
+                    "covers": covers(found[first], found[second]),
+                    "gate": words,
+                    "gate_f": np.nan if gate is None else gate.f,
+                    "gate_p": np.nan if gate is None else gate.p,
+                    "gate_unit": "" if gate is None else gate.permutes,
+                    "gate_passed": words == "passed",
+                    "reason": "",
+                }
+                value = bootstrap_difference(shared[first], shared[second], draws)
+                if words != "passed":
+                    value = Interval(value.estimate, reason=f"the gate: {words}")
+                put_intervals(row, difference=value)
+                table.append(row)
+    return pd.DataFrame(table, columns=CONTRAST_COLUMNS)
 
 
 def find_method(names: Any, wanted: str) -> str | None:
@@ -284,9 +347,105 @@ def interval(row: Any, key: str) -> Interval:
     return Interval(float(row[key]), float(row[f"{key}_low"]), float(row[f"{key}_high"]))
 
 
-def put_interval(row: dict[str, Any], key: str, value: Interval) -> None:
+def put_intervals(row: dict[str, Any], **values: Interval) -> None:
     """Put what :func:`interval` reads into a row, and why it is undefined into its ``reason``."""
-    row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}
-    if value.reason:
-        told = [row["reason"]] if row.get("reason") else []
-        row["reason"] = "; ".join([*told, f"{key}: {value.reason}"])
+    for key, value in values.items():
+        row |= {key: value.estimate, f"{key}_low": value.low, f"{key}_high": value.high}
+        if value.reason:
+            told = [row["reason"]] if row.get("reason") else []
+            row["reason"] = "; ".join([*told, f"{key}: {value.reason}"])
+
+
+def _energy_interval(found: Interval, *sides: Cells) -> Interval:
+    enough = all(data.counts.any() for data in sides)
+    return found if enough else Interval(math.nan, reason=FEW_ROLLOUTS)
+
+
+# -- the gate -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Anova:
+    """One-way F of the methods' training seeds with its permutation p.
+
+    If methods do not differ, which seeds belong to which method means nothing, so the null is what
+    all ways to deal the seeds to the methods give: ``arrangements`` of them. With 2 methods of 3
+    seeds there are 20, of which the observed one and its mirror image are equally good, so that p
+    is never below 0.1. ``least`` is the smallest p that any of them could have had.
+    """
+
+    f: float
+    p: float
+    seeds: tuple[int, ...]
+    arrangements: int
+    exact: bool
+    least: float
+
+    @property
+    def decision(self) -> str:
+        """Whether the gate is passed, where the most extreme arrangement would have done."""
+        if self.least > GATE_LEVEL:
+            return "cannot be decided with so few seeds"
+        return "passed" if self.p <= GATE_LEVEL else "not passed"
+
+    @property
+    def permutes(self) -> str:
+        """In words, over what the null goes."""
+        dealt = " + ".join(str(number) for number in self.seeds)
+        ways = "all" if self.exact else "a sample of the"
+        return (
+            f"which method a training seed belongs to ({dealt} seeds, {ways} "
+            f"{self.arrangements:,} ways)"
+        )
+
+
+def permutation_anova(
+    methods: Sequence[Floats], rng: np.random.Generator, permutations: int = RESAMPLES
+) -> Anova:
+    """Whether the methods differ more than their training seeds do.
+
+    Parameters
+    ----------
+    methods
+        One array ``(seeds,)`` per method, of any lengths.
+    permutations
+        All arrangements are gone through if there are no more than this, else so many drawn.
+
+    Returns
+    -------
+    The observed arrangement counts among those as extreme, so p is never zero and is valid for any
+    number of permutations.
+    """
+    from scipy.stats import f_oneway
+
+    sizes, values = tuple(map(len, methods)), np.concatenate(methods)
+    ways = math.factorial(len(values)) // math.prod(math.factorial(size) for size in sizes)
+    alike = math.prod(math.factorial(sizes.count(size)) for size in set(sizes))
+    exact = ways <= permutations
+    least = alike / ways if exact else max(alike / ways, 1 / (1 + permutations))
+    if len(values) == len(sizes):  # one seed each: nothing varies within a method
+        return Anova(math.nan, math.nan, sizes, ways, exact, 1.0)
+    if np.ptp(values) == 0:
+        return Anova(0.0, 1.0, sizes, ways, exact, least)
+    labels = np.repeat(np.arange(len(sizes)), sizes)
+    if exact:
+        dealt = np.array(list(_arrangements(sizes)))
+    else:
+        dealt = rng.permuted(np.broadcast_to(labels, (permutations, len(labels))), axis=1)
+    # Squares between methods: the total stays, so they order arrangements as F does.
+    belongs = np.stack([labels, *dealt])[:, None] == np.arange(len(sizes))[:, None]
+    means = (belongs * (values - values.mean())).sum(axis=-1) / sizes
+    between = (means**2 * sizes).sum(axis=-1)
+    at_least = int(np.count_nonzero(between[1:] >= between[0] * (1 - 1e-9)))
+    p = at_least / ways if exact else (1 + at_least) / (1 + permutations)
+    return Anova(float(f_oneway(*methods).statistic), p, sizes, ways, exact, least)
+
+
+def _arrangements(sizes: tuple[int, ...]) -> Iterator[list[int]]:
+    """All ways to deal ``sum(sizes)`` seeds, as the method of each seed."""
+    if not any(sizes):
+        yield []
+    for method in np.flatnonzero(sizes).tolist():
+        left = tuple(size - (one == method) for one, size in enumerate(sizes))
+        for others in _arrangements(left):
+            yield [method, *others]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import write_then_rename
+from animarl_envs.files import read_npz, write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import first_pursuer
 from animarl_envs.species import ChaseSpecies, Species
@@ -83,13 +82,11 @@ class Decisions:
         InputError
             If the file is damaged.
         """
+        values: dict[str, Any] = read_npz(file)
         try:
-            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-                values: dict[str, Any] = {name: stored[name] for name in stored.files}
-            values["individual"] = str(values["individual"])
-            values["demo"], values["moment"] = int(values["demo"]), int(values["moment"])
-            return cls(**values)
-        except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            plain = {"individual": str, "demo": int, "moment": int}
+            return cls(**values | {name: kind(values[name]) for name, kind in plain.items()})
+        except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"{file}: it is damaged ({error}): evaluate the run again") from error
 
 
@@ -121,42 +118,36 @@ def decide_along(
         Which demonstration; by default the one of median length.
     """
     if demo is None:
-        order = np.argsort(demos.lengths, kind="stable")
-        demo = int(order[len(order) // 2])
+        demo = int(np.argsort(demos.lengths, kind="stable")[len(demos) // 2])
     one = demos.select(episodes=[demo])
     steps = int(one.lengths[0]) - 1
-    if focal is None:
-        slots = np.arange(len(one.roles))
-        who = first_pursuer(one.roles)
-    else:
-        who = one.individuals.index(focal)
-        slots = np.array([who])
-    observations = _flagged(demonstration_observations(species, one), one, condition_flag)
-    actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
+    who = first_pursuer(one.roles) if focal is None else one.individuals.index(focal)
+    slots = np.arange(len(one.roles)) if focal is None else np.array([who])
     own = slots.tolist().index(who)
+    flag = one.condition[0] if condition_flag else None
+    observations = _flagged(demonstration_observations(species, one)[:, slots], flag)
+    actions = demonstrated_actions(one, species.locomotion).astype(np.int64)
     values = np.empty((steps, species.num_actions))
     state: Any = None
     moment, memory = steps // 2, None
     for t in range(steps):
-        if t == moment:
-            memory = state
-        going = np.zeros(len(slots), dtype=bool)
-        q_values, hidden, _ = policy.advance(observations[t, slots], state, going)
+        memory = state if t == moment else memory
+        q_values, hidden, _ = policy.advance(observations[t], state, np.zeros(len(slots), bool))
         values[t] = q_values[own]
         state = (hidden, np.maximum(actions[t, slots], 0))
     empty = np.empty(0)
-    decisions: dict[str, Any] = {
+    shown: dict[str, Any] = {
         "x": empty, "y": empty, "map_q": empty, "focus": empty, "others": np.empty((0, 2))
     }  # fmt: skip
     if isinstance(species, ChaseSpecies):
-        decisions = _map(policy, species, one, who, slots, moment, memory, condition_flag)
+        shown = _map(policy, species, one, slots, own, moment, memory, flag)
     return Decisions(
         individual=one.individuals[who],
         demo=demo,
         q=values,
         actions=actions[:steps, who],
         moment=moment,
-        **decisions,
+        **shown,
     )
 
 
@@ -164,30 +155,28 @@ def _map(
     policy: QPolicy,
     species: ChaseSpecies,
     one: Demonstrations,
-    who: int,
     slots: NDArray[np.int64],
+    own: int,
     moment: int,
     memory: Any,
-    condition_flag: bool,
+    flag: Any,
 ) -> dict[str, Any]:
     """Values of one individual put at every place of the arena, the others where they were.
 
-    ``slots`` are the individuals that the policy acts for, ``who`` one of them.
+    ``slots`` are the individuals that the policy acts for, ``own`` the place of one among them.
     """
     x, y = map_sides(species.arena, one.positions)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    position = np.repeat(one.positions[moment][None], len(places), axis=0)
-    velocity = np.repeat(one.velocities()[moment][None], len(places), axis=0)
+    count, who, shape = len(places), slots[own], (len(y), len(x))
+    position = np.repeat(one.positions[moment][None], count, axis=0)
+    velocity = np.repeat(one.velocities()[moment][None], count, axis=0)
     position[:, who], velocity[:, who] = places, 0.0
-    heading = demonstration_headings(species, one)[[moment]].repeat(len(places), axis=0)
+    heading = demonstration_headings(species, one)[[moment]].repeat(count, axis=0)
     observations, focus = observe(species, position, velocity, heading=heading)
-    rows = len(places) * len(slots)
-    flat = _flagged(observations[:, slots], one, condition_flag).reshape(rows, -1)
-    state = None if memory is None else tuple(np.tile(m.T, len(places)).T for m in memory)
-    q_values = policy.advance(flat, state, np.zeros(rows, dtype=bool))[0]
-    shape = (len(y), len(x))
-    own = slots.tolist().index(who)
-    map_q = q_values.reshape(len(places), len(slots), -1)[:, own].astype(np.float64)
+    flat = _flagged(observations[:, slots], flag).reshape(count * len(slots), -1)
+    state = None if memory is None else tuple(np.tile(m.T, count).T for m in memory)
+    q_values = policy.advance(flat, state, np.zeros(len(flat), dtype=bool))[0]
+    map_q = q_values.reshape(count, len(slots), -1)[:, own].astype(np.float64)
     if species.arena.shape == "disc":
         map_q[np.hypot(places[:, 0], places[:, 1]) > species.arena.size] = np.nan
     return {
@@ -199,9 +188,7 @@ def _map(
     }
 
 
-def map_sides(
-    arena: Arena, positions: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def map_sides(arena: Arena, positions: Floats) -> tuple[Floats, Floats]:
     """Coordinates of a map ``(MAP_POINTS,)`` along x and y: the arena, or where animals went.
 
     An open field has no size; its map is a square around all ``positions`` ``(..., 2)``.
@@ -216,11 +203,9 @@ def map_sides(
     return x, y
 
 
-def _flagged(
-    observations: NDArray[np.float32], one: Demonstrations, flagged: bool
-) -> NDArray[np.float32]:
-    """Observations ``(N, K, n)``, with the condition of the episode behind them if asked for."""
-    if not flagged:
+def _flagged(observations: NDArray[np.float32], flag: Any) -> NDArray[np.float32]:
+    """Observations ``(N, K, n)``, with the condition of the episode behind them if there is one."""
+    if flag is None:
         return observations
-    column = np.full((*observations.shape[:2], 1), one.condition[0], dtype=np.float32)
+    column = np.full((*observations.shape[:2], 1), flag, dtype=np.float32)
     return np.concatenate([observations, column], axis=2)

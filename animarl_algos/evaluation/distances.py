@@ -1,9 +1,15 @@
-"""Distances between two distributions of a metric, their null references and their intervals.
+"""How far distributions of a metric are apart: kernel density, Wasserstein, energy score.
 
 The kernel-density distance is the paper's measure of similarity (Statistical analysis). It is
-biased upwards, the more so the smaller the samples, so every value comes with what recordings
-compared with recordings give at the same sample sizes, and with the Wasserstein distance, which is
-less biased and has the metric's unit.
+biased upwards, the more so the smaller the samples, so every value comes with what a perfect
+simulator gives (:mod:`animarl_algos.evaluation.exchange_test`), and with the Wasserstein distance,
+which is less biased and has the metric's unit.
+
+The energy score (Gneiting and Raftery 2007, J. Am. Stat. Assoc. 102, 359) compares the rollouts of
+a start with the recording from there: for forecasts X, X' drawn independently and what came true,
+y, it is E|X - y| - E|X - X'| / 2, smallest on average for the distribution that y is drawn from.
+The first term alone, the mean error, is smallest for a simulator that always returns the median;
+the second one gives back what an honest spread costs.
 """
 
 from __future__ import annotations
@@ -17,18 +23,19 @@ from numpy.typing import ArrayLike, NDArray
 from animarl_algos.evaluation.statistics import (
     NO_VALUE,
     ONE_DEMO,
-    UNDEFINED,
+    Cells,
+    Floats,
     Interval,
     draw_weights,
     percentile_interval,
+    single_cells,
 )
-
-Floats = NDArray[np.float64]
 
 KDE_GRID = 512
 KDE_MARGIN = 4.0  # the grid reaches this many bandwidths beyond the values
 KDE_FLOOR = 0.01  # no bandwidth is smaller than this share of the pooled range
 DISTANCE_RESAMPLES = 1000
+FEW_ROLLOUTS = "fewer than two rollouts a start"
 
 
 @dataclass(frozen=True)
@@ -51,12 +58,13 @@ class KdeRule:
 
 def kde_rule(*samples: ArrayLike) -> KdeRule | None:
     """The rule for these samples together; ``None`` if all their values are equal."""
-    pooled = np.concatenate([np.asarray(sample, dtype=np.float64) for sample in samples])
+    arrays = [np.asarray(sample, dtype=np.float64) for sample in samples]
+    pooled = np.concatenate(arrays)
     spread = float(np.ptp(pooled))
     if spread <= 1e-9 * max(1.0, float(np.abs(pooled).max())):
         return None
     floor = KDE_FLOOR * spread
-    widest = max(_scott(np.asarray(sample, dtype=np.float64), floor) for sample in samples)
+    widest = max(_scott(sample, floor) for sample in arrays)
     low, high = pooled.min() - KDE_MARGIN * widest, pooled.max() + KDE_MARGIN * widest
     return KdeRule(float(low), float((high - low) / (KDE_GRID - 1)), floor)
 
@@ -65,23 +73,19 @@ def kde_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:
     """L1 distance between two Gaussian kernel density estimates, from 0 (equal) to 2 (disjoint).
 
     It is biased upwards: two samples of 10 and 50 values from one normal distribution differ by
-    about 0.39. Read it beside :func:`null_distances`.
+    about 0.39.
     """
-    from scipy.stats import gaussian_kde
-
-    first, second = _sample(simulated), _sample(recorded)
-    if min(len(first), len(second)) == 0:
+    samples = _finite(simulated), _finite(recorded)
+    if min(map(len, samples)) == 0:
         return math.nan
-    rule = kde_rule(first, second)
+    rule = kde_rule(*samples)
     if rule is None:
         return 0.0
     densities = []
-    for sample in (first, second):
-        if _scott(sample, rule.floor) > rule.floor:
-            densities.append(gaussian_kde(sample)(rule.grid))
-        else:  # hardly any variance: the same sum of Gaussians, of the smallest width
-            z = (rule.grid[:, None] - sample) / rule.floor
-            densities.append(np.exp(-0.5 * z**2).mean(axis=1) / (rule.floor * math.sqrt(math.tau)))
+    for sample in samples:
+        width = _scott(sample, rule.floor)
+        z = (rule.grid[:, None] - sample) / width
+        densities.append(np.exp(-0.5 * z**2).mean(axis=1) / (width * math.sqrt(math.tau)))
     return float(np.abs(densities[0] - densities[1]).sum() * rule.step)
 
 
@@ -91,20 +95,19 @@ def kde_floor(simulated: ArrayLike, recorded: ArrayLike) -> float:
     It acts where values hardly vary, as when nearly all episodes time out, and the kernel-density
     distance then depends on it.
     """
-    first, second = _sample(simulated), _sample(recorded)
-    rule = kde_rule(first, second) if min(len(first), len(second)) else None
-    if rule is None or min(_scott(sample, rule.floor) for sample in (first, second)) > rule.floor:
+    samples = _finite(simulated), _finite(recorded)
+    rule = kde_rule(*samples) if min(map(len, samples)) else None
+    if rule is None or min(_scott(sample, rule.floor) for sample in samples) > rule.floor:
         return math.nan
     return rule.floor
 
 
 def wasserstein(simulated: ArrayLike, recorded: ArrayLike) -> float:
     """Wasserstein-1 distance in the metric's own unit: mean shift needed to make them equal."""
-    first, second = _sample(simulated), _sample(recorded)
-    if min(len(first), len(second)) == 0:
-        return math.nan
-    one = np.ones((1, len(first))), np.ones((1, len(second)))
-    return float(wasserstein_weighted(first, one[0], second, one[1])[0])
+    from scipy.stats import wasserstein_distance
+
+    samples = _finite(simulated), _finite(recorded)
+    return float(wasserstein_distance(*samples)) if min(map(len, samples)) else math.nan
 
 
 def wasserstein_weighted(a: Floats, first: Floats, b: Floats, second: Floats) -> Floats:
@@ -144,14 +147,10 @@ def _spectra(rule: KdeRule, support: Floats, weights: Floats) -> NDArray[np.comp
     width = np.where(np.isfinite(width), np.maximum(width, rule.floor), rule.floor)
     place = (support - rule.start) / rule.step
     left = np.clip(np.floor(place).astype(int), 0, KDE_GRID - 2)
-    share = place - left
-    rows = np.arange(len(support))
+    share, rows = place - left, np.tile(np.arange(len(support)), 2)
+    parts = np.concatenate([1.0 - share, share])
     binning = csr_array(
-        (
-            np.concatenate([1.0 - share, share]),
-            (np.concatenate([left, left + 1]), np.concatenate([rows, rows])),
-        ),
-        shape=(KDE_GRID, len(support)),
+        (parts, (np.concatenate([left, left + 1]), rows)), shape=(KDE_GRID, len(support))
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         mass = (binning @ weights.T).T / number[:, None]
@@ -166,39 +165,16 @@ def _on_grid(rule: KdeRule, spectra: NDArray[np.complex128]) -> Floats:
     return np.asarray(irfft(spectra, n=2 * KDE_GRID, axis=1)[:, :KDE_GRID] / rule.step)
 
 
-@dataclass(frozen=True)
-class Distances:
-    """Kernel-density and Wasserstein distance, each with an interval or a null range."""
-
-    kde: Interval
-    wasserstein: Interval
-
-
-def null_distances(
-    recorded: ArrayLike,
-    num_simulated: int,
-    rng: np.random.Generator,
-    resamples: int = DISTANCE_RESAMPLES,
-    num_recorded: int | None = None,
-) -> Distances:
-    """What the distances come to when nothing differs: recordings against recordings.
-
-    Two samples, of ``num_simulated`` and ``num_recorded`` values (by default as many as there
-    are), are drawn with replacement from the recorded values. ``estimate`` is the mean of the null
-    distribution, ``low`` and ``high`` hold its central 95 %.
-    """
-    support = _sample(recorded)
-    if len(support) == 0 or num_simulated < 1:
-        return Distances(UNDEFINED, UNDEFINED)
-    num_recorded = len(support) if num_recorded is None else num_recorded
-    even = np.full(len(support), 1.0 / len(support))
-    first = rng.multinomial(num_simulated, even, size=resamples).astype(np.float64)
-    second = rng.multinomial(num_recorded, even, size=resamples).astype(np.float64)
-    kde, distance = weighted_distances(support, first, support, second)
-    return Distances(
-        percentile_interval(float(np.mean(kde)), kde),
-        percentile_interval(float(np.mean(distance)), distance),
-    )
+def weighted_distances(
+    a: Floats, first: Floats, b: Floats, second: Floats
+) -> tuple[Floats, Floats]:
+    """Both distances ``(resamples,)`` of values ``a`` and ``b``, each with its weightings."""
+    distance = wasserstein_weighted(a, first, b, second)
+    rule = kde_rule(a[first.any(axis=0)], b[second.any(axis=0)])
+    if rule is None:
+        return np.zeros(len(first)), distance
+    difference = _on_grid(rule, _spectra(rule, a, first) - _spectra(rule, b, second))
+    return np.abs(difference).sum(axis=1) * rule.step, distance
 
 
 def bootstrap_distances(
@@ -208,8 +184,8 @@ def bootstrap_distances(
     demo: ArrayLike,
     rng: np.random.Generator,
     resamples: int = DISTANCE_RESAMPLES,
-) -> Distances:
-    """Distances of rollouts to recordings with hierarchical bootstrap intervals.
+) -> tuple[Interval, Interval]:
+    """Kernel-density and Wasserstein distance with hierarchical bootstrap intervals.
 
     Parameters
     ----------
@@ -229,32 +205,31 @@ def bootstrap_distances(
     estimates = kde_distance(simulated, recorded), wasserstein(simulated, recorded)
     if not counts.any() or not present.any() or len(recorded) < 2:
         reason = ONE_DEMO if counts.any() and present.any() else NO_VALUE
-        return Distances(*(Interval.without_ends(one, reason) for one in estimates))
+        return Interval(estimates[0], reason=reason), Interval(estimates[1], reason=reason)
     seeds, row = np.unique(np.asarray(seed), return_inverse=True)
     demo_weights = draw_weights(rng, len(recorded), resamples)
     seed_weights = draw_weights(rng, len(seeds), resamples)
     first = seed_weights[:, row.ravel()[counts]] * demo_weights[:, np.asarray(demo)[counts]]
-    kde, distance = weighted_distances(
+    drawn = weighted_distances(
         simulated[counts], first, recorded[present], demo_weights[:, present]
     )
-    return Distances(
-        percentile_interval(estimates[0], kde), percentile_interval(estimates[1], distance)
-    )
+    return percentile_interval(estimates[0], drawn[0]), percentile_interval(estimates[1], drawn[1])
 
 
-def weighted_distances(
-    a: Floats, first: Floats, b: Floats, second: Floats
-) -> tuple[Floats, Floats]:
-    """Both distances ``(resamples,)`` of values ``a`` and ``b``, each with its weightings."""
-    distance = wasserstein_weighted(a, first, b, second)
-    rule = kde_rule(a[first.any(axis=0)], b[second.any(axis=0)])
-    if rule is None:
-        return np.zeros(len(first)), distance
-    difference = _on_grid(rule, _spectra(rule, a, first) - _spectra(rule, b, second))
-    return np.abs(difference).sum(axis=1) * rule.step, distance
+def recorded_null(
+    recorded: Floats, number: int, rng: np.random.Generator, resamples: int = DISTANCE_RESAMPLES
+) -> float:
+    """Wasserstein distance that recordings drawn from recordings stay below in 97.5 % of cases.
+
+    ``number`` values on one side and as many as there are on the other, without regard to starts.
+    """
+    even = np.full(len(recorded), 1.0 / len(recorded))
+    sides = [rng.multinomial(count, even, size=resamples) for count in (number, len(recorded))]
+    drawn = wasserstein_weighted(recorded, 1.0 * sides[0], recorded, 1.0 * sides[1])
+    return percentile_interval(0.0, drawn).high
 
 
-def _sample(values: ArrayLike) -> Floats:
+def _finite(values: ArrayLike) -> Floats:
     array = np.asarray(values, dtype=np.float64).ravel()
     return array[np.isfinite(array)]
 
@@ -264,3 +239,73 @@ def _scott(sample: Floats, floor: float) -> float:
     if len(sample) < 2:
         return floor
     return max(float(np.std(sample, ddof=1)) * math.pow(len(sample), -0.2), floor)
+
+
+# -- energy score ---------------------------------------------------------------------------------
+
+
+def energy_score(simulated: ArrayLike, recorded: ArrayLike) -> float:
+    """The unbiased estimate for one start, in the values' unit.
+
+    Parameters
+    ----------
+    simulated
+        ``(rollouts,)`` or ``(rollouts, d)``; ``d`` numbers are compared by Euclidean distance.
+    recorded
+        One number, or ``(d,)``.
+
+    Returns
+    -------
+    A single one may be negative; NaN for fewer than two rollouts, which do not show a spread.
+    """
+    drawn = np.asarray(simulated, np.float64)
+    number = len(drawn)
+    if number < 2:
+        return math.nan
+    drawn, true = drawn.reshape(number, -1), np.asarray(recorded, np.float64).reshape(-1)
+    error = np.linalg.norm(drawn - true, axis=1).mean()
+    apart = np.linalg.norm(drawn[:, None] - drawn[None], axis=2).sum()
+    return float(error - apart / (2 * number * (number - 1)))
+
+
+def energy_scores(simulated: ArrayLike, demo: ArrayLike, recorded: ArrayLike) -> Floats:
+    """The score at every start, ``(starts,)``.
+
+    Parameters
+    ----------
+    simulated, demo
+        ``(rollouts,)`` or ``(rollouts, d)``, and the start of each, counted in ``recorded``.
+    recorded
+        ``(starts,)`` or ``(starts, d)``.
+    """
+    drawn, start = np.asarray(simulated, np.float64), np.asarray(demo)
+    return np.array([energy_score(drawn[start == i], one) for i, one in enumerate(recorded)])
+
+
+def energy_cells(
+    simulated: ArrayLike, seed: ArrayLike, demo: ArrayLike, recorded: ArrayLike
+) -> Cells:
+    """The score of every training seed at every start, where it has two rollouts at least.
+
+    Parameters
+    ----------
+    simulated, seed, demo
+        ``(rollouts,)``: the value, the training seed and the start of each; NaN does not count.
+    recorded
+        ``(starts,)``, NaN where there is none.
+    """
+    drawn, of, start = np.asarray(simulated, np.float64), np.asarray(seed), np.asarray(demo)
+    seeds, known = np.unique(of), np.isfinite(drawn)
+    rows = [(drawn[chosen], start[chosen]) for chosen in ((of == one) & known for one in seeds)]
+    return single_cells(np.array([energy_scores(*row, recorded) for row in rows]))
+
+
+def pooled_score(recorded: ArrayLike) -> float:
+    """What the recordings of the *other* starts would score, drawn as if they were rollouts.
+
+    A simulator of the right distribution that does not know its start scores this on average; one
+    that knows it scores less.
+    """
+    true = np.asarray(recorded, np.float64)
+    scores = [energy_score(np.delete(true, i, 0), one) for i, one in enumerate(true)]
+    return float(np.mean(scores)) if len(true) > 2 else math.nan

@@ -24,9 +24,8 @@ from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from animarl_algos.evaluation.comparison import put_interval
+from animarl_algos.evaluation.comparison import put_intervals
 from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes, Metric
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import (
@@ -38,6 +37,7 @@ from animarl_algos.evaluation.statistics import (
     bootstrap_difference,
     bootstrap_mean,
     cells,
+    single_cells,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
 
@@ -50,9 +50,7 @@ MISSED, UNTRAINED_SHIFT, BLIND = "predicted - true", "untrained shift", "flag ze
 ACCURACY, ERROR_DIFFERENCE = "treatment accuracy", "difference of signed errors"
 COUNTINGS = ("all", "captures")
 NO_TRUTH = "no truth is known for these demonstrations: give --truth"
-NO_HEAD = "it has no treatment head"
-SAME_TWICE = "it acts without chance: asked twice, it does the same"
-NOT_SHARED = "no start in which both answers count"
+FEWEST_SEEDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +67,8 @@ class Asked:
 
     Parameters
     ----------
-    trained
-        The answers of the trained networks.
-    untrained
-        Those of the networks that training began with.
+    trained, untrained
+        The answers of the trained networks, and of the networks that training began with.
     blind
         Those of the trained networks with the flag zeroed, with random numbers of their own.
     world
@@ -109,11 +105,8 @@ def answers_of(rollouts: Rollouts, demos: Demonstrations) -> Asked | None:
     """Return what a method was asked, of all its rollouts; None if no cue was flipped."""
     own = demos.condition[rollouts.demo]
     told = np.where(rollouts.cue == NO_CUE, rollouts.condition, rollouts.cue)
-    factual, flipped, world = (
-        (rollouts.condition == own) & (told == own),
-        (rollouts.condition == own) & (told != own),
-        (rollouts.condition != own) & (told == rollouts.condition),
-    )
+    here = rollouts.condition == own
+    factual, flipped, world = here & (told == own), here & (told != own), ~here & (told != own)
     if not (factual.any() and flipped.any()):
         return None
     trained = Answers(rollouts.select(factual), rollouts.select(flipped))
@@ -148,7 +141,10 @@ def cue_effects(
     import pandas as pd
 
     worked = _Effects(demos, metric, teams, planned, np.random.default_rng(seed), resamples)
-    rows = list(worked.recorded_rows())
+    rows = [
+        worked.row(RECORDED, MEAN, c, c, counting, worked.recorded(counting, c))
+        for counting, c in worked.everything()
+    ]
     claims: list[dict[str, Any]] = []
     for name, one in asked.items():
         rows += worked.method_rows(name, one)
@@ -168,121 +164,102 @@ class _Effects:
     rng: np.random.Generator
     resamples: int
 
-    def recorded_rows(self) -> Iterator[dict[str, Any]]:
-        recorded = Rollouts.from_demonstrations(self.demos)
-        for counting, c in self._everything():
-            yield self._row(RECORDED, MEAN, c, c, counting, self._of(recorded, counting, c))
-
     def method_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
-        recorded = Rollouts.from_demonstrations(self.demos)
-        for counting, c in self._everything():
-            factual = self._of(one.trained.factual, counting, c)
-            flipped = self._of(one.trained.flipped, counting, c)
-            predicted = minus(flipped, factual)
-            true = self.true_shift(one, counting, c)
-            truth = self._of(recorded, counting, c)
-            found: list[tuple[str, int, Cells | None, str]] = [
-                (MEAN, c, factual, ""),
-                (FLIPPED, 1 - c, flipped, ""),
-                (ERROR, c, minus(factual, truth), ""),
-                (PREDICTED, 1 - c, predicted, ""),
-                (TRUE, 1 - c, true, NO_TRUTH),
-                (MISSED, 1 - c, None if true is None else minus(predicted, true), NO_TRUTH),
-                (UNTRAINED_SHIFT, 1 - c, self._shift(one.untrained, counting, c), "not asked"),
-                (BLIND, 1 - c, *self._chance(one.blind, counting, c)),
-            ]
-            for quantity, told, data, absent in found:
-                yield self._row(name, quantity, c, told, counting, data, one.main, absent)
-        yield self._accuracy(name, one)
+        for counting, c in self.everything():
+            factual, flipped = (
+                self.of(side, counting, c) for side in (one.trained.factual, one.trained.flipped)
+            )
+            predicted, true = minus(flipped, factual), self.true_shift(one, counting, c)
+            found: dict[str, tuple[int, Cells | str]] = {
+                MEAN: (c, factual),
+                FLIPPED: (1 - c, flipped),
+                ERROR: (c, minus(factual, self.recorded(counting, c))),
+                PREDICTED: (1 - c, predicted),
+                TRUE: (1 - c, true),
+                MISSED: (1 - c, true if isinstance(true, str) else minus(predicted, true)),
+                UNTRAINED_SHIFT: (1 - c, self.shift(one.untrained, counting, c)),
+                BLIND: (1 - c, self.shift(one.blind, counting, c)),
+            }
+            blind = one.blind
+            if blind and np.array_equal(blind.factual.positions, blind.flipped.positions):
+                found[BLIND] = 1 - c, "it acts without chance: asked twice, it does the same"
+            for quantity, (told, data) in found.items():
+                yield self.row(name, quantity, c, told, counting, data, one.main)
+        accuracy = np.array(list(one.accuracy.values()))[:, None]
+        data = single_cells(accuracy) if len(accuracy) else "it has no treatment head"
+        mean = UNDEFINED if isinstance(data, str) else Interval(data.mean)
+        row = self.row(name, ACCURACY, -1, -1, "all", data, one.main, mean)
+        yield row | {"starts": 0, "reason": row["reason"] or "no interval is worked out"}
 
     def claim_rows(self, name: str, one: Asked) -> Iterator[dict[str, Any]]:
         """Only over all episodes: what counts among captures depends on what is asked."""
-        for c in self._conditions():
-            shift = minus(
-                self._of(one.trained.flipped, "all", c), self._of(one.trained.factual, "all", c)
-            )
-            found = Claim(False, "this flip was not planned in advance")
+        for c in self.conditions:
+            against = "this flip was not planned in advance"
             if (c, 1 - c) == self.planned:
-                untrained = self._shift(one.untrained, "all", c)
-                found = claim(shift, untrained, self.rng, self.resamples)
-            yield {
-                "method": name, "condition": c, "told": 1 - c, "worded": found.worded,
-                "reason": found.reason,
-            }  # fmt: skip
+                shift, untrained = (self.shift(a, "all", c) for a in (one.trained, one.untrained))
+                assert isinstance(shift, Cells)
+                null = None if isinstance(untrained, str) else untrained
+                against = objection_to_claim(shift, null, self.rng, self.resamples)
+            yield {"method": name, "condition": c, "told": 1 - c, "worded": not against,
+                   "reason": against}  # fmt: skip
 
     def difference_rows(
         self, first: str, a: Asked, second: str, b: Asked
     ) -> Iterator[dict[str, Any]]:
         """Signed error of one method minus that of another, on the same starts."""
-        recorded = Rollouts.from_demonstrations(self.demos)
-        for counting, c in self._everything():
-            truth = self._of(recorded, counting, c)
-            mine = minus(self._of(a.trained.factual, counting, c), truth)
-            other = minus(self._of(b.trained.factual, counting, c), truth)
+        for counting, c in self.everything():
+            truth = self.recorded(counting, c)
+            mine, other = (
+                minus(self.of(one.trained.factual, counting, c), truth) for one in (a, b)
+            )
             value = bootstrap_difference(mine, other, self.rng, self.resamples)
-            yield self._row(
-                f"{first} - {second}", ERROR_DIFFERENCE, c, c, counting, mine, a.main,
-                value=value,
-            )  # fmt: skip
+            name = f"{first} - {second}"
+            yield self.row(name, ERROR_DIFFERENCE, c, c, counting, mine, a.main, value)
 
-    def true_shift(self, one: Asked, counting: str, c: int) -> Cells | None:
+    def true_shift(self, one: Asked, counting: str, c: int) -> Cells | str:
         """What the other condition does from the starts of condition ``c``."""
         if one.world is not None:
-            own = self._of(one.trained.factual, counting, c)
-            return minus(self._of(one.world, counting, c), own)
-        if self.teams is None:
-            return None
-        return minus(self._of(self.teams[1 - c], counting, c), self._of(self.teams[c], counting, c))
+            sides = one.world, one.trained.factual
+        elif self.teams is not None:
+            sides = self.teams[1 - c], self.teams[c]
+        else:
+            return NO_TRUTH
+        return minus(*(self.of(side, counting, c) for side in sides))
 
-    def _shift(self, answers: Answers | None, counting: str, c: int) -> Cells | None:
+    def shift(self, answers: Answers | None, counting: str, c: int) -> Cells | str:
         if answers is None:
-            return None
-        return minus(self._of(answers.flipped, counting, c), self._of(answers.factual, counting, c))
+            return "not asked"
+        return minus(self.of(answers.flipped, counting, c), self.of(answers.factual, counting, c))
 
-    def _chance(self, blind: Answers | None, counting: str, c: int) -> tuple[Cells | None, str]:
-        """The shift of networks whose flag was zeroed; none of those that act without chance."""
-        if blind is None:
-            return None, "not asked"
-        if np.array_equal(blind.factual.positions, blind.flipped.positions):
-            return None, SAME_TWICE
-        return self._shift(blind, counting, c), ""
+    def recorded(self, counting: str, c: int) -> Cells:
+        return self.of(Rollouts.from_demonstrations(self.demos), counting, c)
 
-    def _accuracy(self, name: str, one: Asked) -> dict[str, Any]:
-        values = np.array(list(one.accuracy.values()))[:, None]
-        data = Cells(values, np.ones_like(values)) if len(values) else None
-        mean = UNDEFINED if data is None else Interval(data.mean, np.nan, np.nan)
-        row = self._row(name, ACCURACY, -1, -1, "all", data, one.main, NO_HEAD, value=mean)
-        return row if data is None else row | {"starts": 0, "reason": "no interval is worked out"}
-
-    def _of(self, rollouts: Rollouts, counting: str, c: int) -> Cells:
+    def of(self, rollouts: Rollouts, counting: str, c: int) -> Cells:
         """The metric by seed and start, of starts of condition ``c``."""
-        chosen = self.demos.condition[rollouts.demo] == c
-        counts = chosen & (rollouts.captured | (counting == "all"))
+        starts = self.demos.condition == c
+        counts = starts[rollouts.demo] & (rollouts.captured | (counting == "all"))
         values = self.metric.measure(Episodes(rollouts, self.demos))
         whole = cells(values, rollouts.seed, rollouts.demo, self.demos.num_episodes, counts)
-        starts = self.demos.condition == c
         return Cells(whole.sums[:, starts], whole.counts[:, starts])
 
-    def _conditions(self) -> list[int]:
+    @property
+    def conditions(self) -> list[int]:
         return [c for c in (0, 1) if (self.demos.condition == c).any()]
 
-    def _everything(self) -> Iterator[tuple[str, int]]:
-        for counting in COUNTINGS:
-            for c in self._conditions():
-                yield counting, c
+    def everything(self) -> list[tuple[str, int]]:
+        return [(counting, c) for counting in COUNTINGS for c in self.conditions]
 
-    def _row(
-        self, method: str, quantity: str, of: int, told: int, counting: str, data: Cells | None,
-        main: bool = True, absent: str = "", value: Interval | None = None,
+    def row(
+        self, method: str, quantity: str, of: int, told: int, counting: str, data: Cells | str,
+        main: bool = True, value: Interval | None = None,
     ) -> dict[str, Any]:  # fmt: skip
-        seeds = 0 if data is None else len(data.sums)
-        starts = 0 if data is None else int((data.counts.sum(axis=0) > 0).sum())
-        reason = "" if data is not None else absent
-        if value is None:
-            value = UNDEFINED
-            if data is not None and starts == 0:
-                reason = NOT_SHARED
-            elif data is not None:
+        """A row of the table; ``data`` is why there is nothing where there is nothing."""
+        seeds, starts, reason = 0, 0, data if isinstance(data, str) else ""
+        if isinstance(data, Cells):
+            seeds, starts = len(data.sums), int(data.starts.sum())
+            if value is None and starts == 0:
+                reason = "no start in which both answers count"
+            elif value is None:
                 value = bootstrap_mean(data, self.rng, self.resamples)
                 reason = "" if np.isfinite(value.low) else "too few starts for an interval"
         row: dict[str, Any] = {
@@ -294,7 +271,7 @@ class _Effects:
             "planned": (of, told) == self.planned,
             "counting": counting,
         }
-        put_interval(row, "value", value)
+        put_intervals(row, value=value or UNDEFINED)
         speaks_of = "this network only" if seeds == 1 else "networks trained in this way"
         if method == RECORDED or (quantity == TRUE and self.teams is not None):
             seeds, speaks_of = 0, RECORDED if method == RECORDED else "the teams"
@@ -306,56 +283,36 @@ def minus(first: Cells, second: Cells) -> Cells:
 
     ``second`` may have a single row, for all seeds.
     """
-    means: NDArray[np.float64] = first.cell_means - second.cell_means
-    present = np.isfinite(means)
-    return Cells(np.where(present, means, 0.0), present.astype(np.float64))
+    return single_cells(first.cell_means - second.cell_means)
 
 
-# -- claims ----------------------------------------------------------------------------------------
-
-FEWEST_SEEDS = 3
-
-
-@dataclass(frozen=True)
-class Claim:
-    """Whether a shift is worded as an effect, and if not, why not."""
-
-    worded: bool
-    reason: str = ""
-
-
-def claim(
+def objection_to_claim(
     shift: Cells,
     untrained: Cells | None,
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
-) -> Claim:
-    """Judge the shift of a method by seed and start beside that of untrained networks."""
+) -> str:
+    """Why a shift by seed and start is not worded as an effect; empty where it may be."""
     seeds = len(shift.sums)
     if seeds < FEWEST_SEEDS:
-        return Claim(
-            False, f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
-        )
+        return f"{seeds} training seed{'s' * (seeds != 1)}: give at least {FEWEST_SEEDS}"
     if untrained is None or len(untrained.sums) < FEWEST_SEEDS:
-        return Claim(False, "there are too few untrained networks to tell it apart from")
+        return "there are too few untrained networks to tell it apart from"
     if not over_seeds(shift).excludes_zero:
-        return Claim(False, "the training seeds do not agree")
+        return "the training seeds do not agree"
     if not bootstrap_mean(shift, rng, resamples).excludes_zero:
-        return Claim(False, "the interval includes zero")
+        return "the interval includes zero"
     if not bootstrap_difference(shift, untrained, rng, resamples).excludes_zero:
-        return Claim(False, "it is not told apart from that of untrained networks")
-    return Claim(True)
+        return "it is not told apart from that of untrained networks"
+    return ""
 
 
-def over_seeds(data: Cells, confidence: float = CONFIDENCE) -> Interval:
+def over_seeds(data: Cells) -> Interval:
     """Mean of the seeds' means with Student's interval; undefined for fewer than two."""
-    from scipy.stats import t
+    from scipy import stats
 
-    with np.errstate(invalid="ignore", divide="ignore"):
-        means = data.sums.sum(axis=1) / data.counts.sum(axis=1)
-    means = means[np.isfinite(means)]
+    means = data.seed_means[np.isfinite(data.seed_means)]
     if len(means) < 2:
-        return Interval(float(means.mean()) if len(means) else np.nan, np.nan, np.nan)
-    half = t.ppf(0.5 + confidence / 2, len(means) - 1) * means.std(ddof=1) / np.sqrt(len(means))
-    centre = float(means.mean())
-    return Interval(centre, centre - float(half), centre + float(half))
+        return Interval(float(means.mean()) if len(means) else np.nan)
+    centre, error = float(means.mean()), float(stats.sem(means))
+    return Interval(centre, *stats.t.interval(CONFIDENCE, len(means) - 1, centre, error))

@@ -1,47 +1,177 @@
-"""One test for all measures of a verdict: does anything differ, and what?
+"""What chance alone gives: exchanges of recordings with rollouts, and one test for all measures.
 
-If a simulator is perfect, the recording of a start is one more rollout of it
-(:mod:`animarl_algos.evaluation.null`). Exchanging them gives the joint null of all measures at
-once. The test statistic is the largest standardised difference over measures (maxT; Westfall and
-Young 1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). A measure's adjusted p
-is the share of exchanges whose *largest* statistic reaches the one found for this measure. So a
-perfect simulator has no measure below .05 in 95 % of experiments, however many measures there are
-and however they depend on each other.
+If a simulator is perfect, the recording of a start is one more rollout of it: any of the R + 1
+episodes from that start might as well have been the recorded one. So the null of any statistic is
+found by exchanging, start by start, the recording with one of the episodes from there. That is an
+exact permutation test: a perfect simulator falls inside 95 % of its null in 95 % of experiments,
+whatever starts have in common and however values are distributed (checked in
+``tests/algos/evaluation/test_verdict.py``). Who acts by a fixed rule in a world without chance does
+the same from a start however often it is let go: such copies are one rollout, and counting them
+would make the null too narrow.
+
+Of several measures the joint null is found in the same way. The test statistic is the largest
+standardised difference over measures (maxT; Westfall and Young 1993, *Resampling-Based Multiple
+Testing*, algorithm 2.5, single step). A measure's adjusted p is the share of exchanges whose
+*largest* statistic reaches the one found for this measure. So a perfect simulator has no measure
+below .05 in 95 % of experiments, however many measures there are and however they depend on each
+other.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from animarl_algos.evaluation.null import Exchanges
+from animarl_algos.evaluation.distances import wasserstein_weighted, weighted_distances
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, percentile_interval
+from animarl_envs.errors import InputError
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+EXCHANGES = 1000
 LEVEL = 0.05
 
 
 @dataclass(frozen=True)
+class Tested:
+    """A statistic that is zero where nothing differs, beside its null.
+
+    ``null`` is the null's 95 % quantile and ``p`` the share of the null, the value included, that
+    is at least as large.
+    """
+
+    value: float
+    null: float
+    p: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether chance alone gives as much in more than one case of twenty."""
+        return not self.p <= LEVEL
+
+    @classmethod
+    def of(cls, drawn: Floats) -> Tested:
+        """The first is the value, all others its null; differences of rounding do not count."""
+        value, null = float(drawn[0]), drawn[1:]
+        at_least = int(np.count_nonzero(null >= value * (1 - 1e-9) - 1e-12))
+        quantile = float(np.quantile(null, 1 - LEVEL)) if len(null) else math.nan
+        return cls(value, quantile, (1 + at_least) / (1 + len(null)))
+
+
+@dataclass(frozen=True, eq=False)
+class Exchanges:
+    """Which episode of every start is called the recorded one.
+
+    Both are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth. Episodes
+    are the recordings in their order, then the rollouts in theirs. Recordings that no rollout
+    started from are in neither, nor are copies of a rollout.
+    """
+
+    recorded: Floats
+    simulated: Floats
+
+    @classmethod
+    def draw(
+        cls,
+        demo: ArrayLike,
+        starts: int,
+        rng: np.random.Generator,
+        exchanges: int = EXCHANGES,
+        *,
+        copies: ArrayLike | None = None,
+    ) -> Exchanges:
+        """Exchanges for rollouts from the starts ``demo`` ``(rollouts,)``.
+
+        ``copies`` ``(rollouts,)`` marks those that repeat an earlier one, see
+        :attr:`~animarl_algos.evaluation.rollouts.Rollouts.copies`; by default none does.
+
+        Raises
+        ------
+        InputError
+            If there is no rollout, or a start is none of the recordings.
+        """
+        demo = np.asarray(demo)
+        if len(demo) == 0 or demo.min() < 0 or demo.max() >= starts:
+            raise InputError(f"rollouts must start from recordings 0 to {starts - 1}")
+        start = np.concatenate([np.arange(starts), demo])
+        recorded, simulated = np.zeros((2, 1 + exchanges, len(start)))
+        rows = np.arange(1 + exchanges)
+        counts = np.ones(len(start), dtype=bool)
+        if copies is not None:
+            counts[starts:] = ~np.asarray(copies)
+        for one in np.unique(demo):
+            members = np.flatnonzero((start == one) & counts)  # the recording is the first
+            chosen = rng.integers(len(members), size=1 + exchanges)
+            chosen[0] = 0
+            simulated[:, members] = 1.0
+            recorded[rows, members[chosen]] = 1.0
+            simulated[rows, members[chosen]] = 0.0
+        return cls(recorded, simulated)
+
+    def difference(self, values: ArrayLike) -> Tested:
+        """Absolute difference of the means of rollouts and recordings; ``(episodes,)`` values."""
+        means = [side @ np.asarray(values) / side.sum(axis=1) for side in self._sides]
+        return Tested.of(np.abs(means[0] - means[1]))
+
+    def wasserstein(self, values: ArrayLike) -> Tested:
+        """Wasserstein-1 distance of rollouts and recordings, in the values' unit."""
+        values = np.asarray(values, dtype=np.float64)
+        return Tested.of(wasserstein_weighted(values, self.simulated, values, self.recorded))
+
+    def distances(self, values: ArrayLike) -> tuple[tuple[Interval, float], ...]:
+        """Null of the kernel-density and of the Wasserstein distance.
+
+        ``values`` ``(episodes,)`` may be NaN where an episode does not count. Of each distance the
+        mean and central 95 % of what exchanges give, and p.
+        """
+        values = np.asarray(values, dtype=np.float64)
+        counts = np.isfinite(values)
+        known, sides = values[counts], [side[:, counts] for side in self._sides]
+        if not counts.any() or min(side[0].sum() for side in sides) == 0:
+            return ((UNDEFINED, math.nan),) * 2
+        found = []
+        for drawn in weighted_distances(known, sides[0], known, sides[1]):
+            null = drawn[1:][np.isfinite(drawn[1:])]
+            mean = float(null.mean()) if len(null) else math.nan
+            p = Tested.of(np.concatenate([drawn[:1], null])).p
+            found.append((percentile_interval(mean, drawn[1:]), p))
+        return tuple(found)
+
+    def chi_squared(self, category: ArrayLike) -> Tested:
+        """Pearson's statistic of categories by recorded and simulated, however small the counts."""
+        category = np.asarray(category)
+        sizes = [side.sum(axis=1) for side in self._sides]
+        total = np.zeros(len(self.recorded))
+        for one in np.unique(category):
+            counts = [side @ (category == one) for side in self._sides]
+            share = sum(counts) / sum(sizes)
+            for count, size in zip(counts, sizes):
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    total += np.where(share > 0, (count - size * share) ** 2 / (size * share), 0.0)
+        return Tested.of(total)
+
+    @property
+    def _sides(self) -> tuple[Floats, Floats]:
+        return self.simulated, self.recorded
+
+
+@dataclass(frozen=True)
 class ExchangeTest:
-    """What the joint test found.
+    """What the joint test found, all ``(measures,)`` but the ``level`` at which measures differ.
 
     Parameters
     ----------
     recorded, simulated
-        ``(measures,)`` means of recordings and of rollouts; every start counts alike.
+        Means of recordings and of rollouts; every start counts alike.
     statistic
-        ``(measures,)`` difference of both means, in standard deviations of the null.
+        Difference of both means, in standard deviations of the null.
     adjusted_p
-        ``(measures,)``, corrected for the number of measures; NaN where a measure is undefined.
+        Corrected for the number of measures; NaN where a measure is undefined.
     null
-        ``(measures,)`` how far apart both means may be by chance, over all measures together.
-    p
-        Of the global test: the least adjusted p.
-    level
-        At which measures differ.
+        How far apart both means may be by chance, over all measures together.
     """
 
     recorded: Floats
@@ -49,13 +179,22 @@ class ExchangeTest:
     statistic: Floats
     adjusted_p: Floats
     null: Floats
-    p: float
     level: float = LEVEL
+
+    @property
+    def p(self) -> float:
+        """Of the global test: the least adjusted p."""
+        return least_p(self.adjusted_p)
 
     @property
     def differs(self) -> NDArray[np.bool_]:
         """Which measures differ at the level of all measures together."""
         return np.asarray(self.adjusted_p <= self.level)
+
+
+def least_p(p: Floats) -> float:
+    """The least of some p, NaN where none is defined."""
+    return float(np.nanmin(p)) if np.isfinite(p).any() else math.nan
 
 
 def exchange_test(
@@ -84,7 +223,6 @@ def exchange_test(
         evidence beyond one animal, so the null then turns the sign of all differences of an animal
         together (a sign-flip test), by draws from ``rng``.
     """
-    values = np.asarray(values, dtype=np.float64)
     known = np.isfinite(values)
     filled = np.where(known, values, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -106,8 +244,7 @@ def exchange_test(
         reached = largest[:, None] >= size[0, defined] * (1 - 1e-9)
         adjusted[defined] = (1 + reached.sum(axis=0)) / (1 + len(largest))
         null = np.where(defined, spread * np.quantile(largest, 1 - level), np.nan)
-    p = float(np.nanmin(adjusted)) if defined.any() else float("nan")
-    return ExchangeTest(means[0][0], means[1][0], scaled[0], adjusted, null, p, level)
+    return ExchangeTest(means[0][0], means[1][0], scaled[0], adjusted, null, level)
 
 
 def _flipped_gaps(
@@ -115,8 +252,7 @@ def _flipped_gaps(
 ) -> Floats:
     """Return the mean difference, then those with the signs of whole animals turned."""
     starts = len(group)
-    counted = exchanges.simulated[0] > 0
-    known = np.isfinite(values) & counted[:, None]
+    known = np.isfinite(values) & (exchanges.simulated[0] > 0)[:, None]
     owner = np.zeros((starts, len(values)))
     owner[start, np.arange(len(values))] = 1.0
     rollouts = owner @ np.where(known, values, 0.0) / (owner @ known)

@@ -56,14 +56,13 @@ class Episodes:
 
     @cached_property
     def dtw(self) -> Floats:
-        """``(rollouts,)``: mean DTW distance of those who move by themselves [arena unit]."""
-        return self._mean_over_movers(self._alignments[0])
+        """``(2, rollouts)``: DTW distance of those who move by themselves, and the same per step.
 
-    @cached_property
-    def dtw_per_step(self) -> Floats:
-        """``(rollouts,)``: mean of those who move, of the distance of aligned positions."""
-        distance, pairs = self._alignments
-        return self._mean_over_movers(distance / pairs)
+        Means over individuals, of whole paths and of the distance of aligned positions [arena
+        unit].
+        """
+        distance, pairs = dtw_alignments(self.rollouts, self.demos)
+        return np.stack([self._mean_over_movers(each) for each in (distance, distance / pairs)])
 
     @property
     def path_length(self) -> Floats:
@@ -94,8 +93,7 @@ class Episodes:
         Mean and median speed of single steps [arena unit / s], share of slow steps, and the angle
         between successive steps summed over an episode, divided by its duration [rad/s].
         """
-        rollouts = self.rollouts
-        slow = self.slow
+        rollouts, slow = self.rollouts, self.slow
         if slow is None:
             slow = slow_speeds(Rollouts.from_demonstrations(self.demos))
         found = np.zeros((4, len(rollouts)))
@@ -110,10 +108,6 @@ class Episodes:
             median = np.median(speed, axis=0).mean()
             found[:, i] = speed.mean(), median, (speed < slow).mean(), turned
         return found
-
-    @cached_property
-    def _alignments(self) -> tuple[Floats, Floats]:
-        return dtw_alignments(self.rollouts, self.demos)
 
     def _mean_over_movers(self, values: Floats) -> Floats:
         return np.asarray(values[:, self.rollouts.movers].mean(axis=1))
@@ -135,22 +129,16 @@ class Metric:
         It is a share, 0 or 1 for most: shown in percent, without distribution, and over all
         episodes alone.
     of_recordings
-        Recordings have it too, so that it can be compared with theirs. False: it is itself a
-        comparison with them.
+        Recordings have it too. False: it is itself a comparison with them.
     planned
         The planned contrasts are worked out for it.
-    caption
-        Of its figure in the report; without one it has no part of its own there.
+    caption, heading
+        Of its figure in the report, and of its column in the terminal; not shown there without.
     per_step
         The same per step, a column in its table.
-    heading
-        Of its column in the terminal; without one it is not shown there.
-    compared
-        It has a column in the table of episodes, and rows in the comparison.
-    judged
-        It has a row in the verdict, where recordings have it.
-    on_board
-        The leaderboard shows its difference to the recordings.
+    compared, judged, on_board
+        Where it is shown: in the table of episodes and the comparison, in the verdict, and on the
+        leaderboard.
     is_ending
         Of how an episode ended: no row in the verdict where neither side knows it.
     too_much, too_little
@@ -241,14 +229,14 @@ DTW_PER_STEP = Metric(
     key="dtw_per_step",
     label="DTW distance per step",
     unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.dtw_per_step,
+    measure=lambda episodes: episodes.dtw[1],
     of_recordings=False,
 )
 DTW = Metric(
     key="dtw",
     label="DTW distance",
     unit=ARENA_UNITS,
-    measure=lambda episodes: episodes.dtw,
+    measure=lambda episodes: episodes.dtw[0],
     of_recordings=False,
     planned=True,
     caption="DTW distance of each rollout to the demonstration that it started from, mean over the "
@@ -356,25 +344,19 @@ def path_lengths(rollouts: Rollouts) -> Floats:
     return np.asarray(np.add.reduceat(step, rollouts.offsets[:-1], axis=0))
 
 
-def dtw_distances(rollouts: Rollouts, demos: Demonstrations) -> Floats:
-    """DTW distance of each individual's whole path to its demonstration's.
+def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, Floats]:
+    """DTW distance of each individual's whole path to its demonstration's, and pairs of frames.
 
-    Closed at both ends, Euclidean local cost, summed along the best warping path.
+    Closed at both ends, Euclidean local cost, summed along the best warping path, which aligns so
+    many pairs.
 
     Returns
     -------
-    ``(rollouts, individuals)`` [arena unit].
+    ``(rollouts, individuals)`` [arena unit], twice.
     """
-    return dtw_alignments(rollouts, demos)[0]
-
-
-def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, Floats]:
-    """:func:`dtw_distances`, and the number of pairs of frames that each warping path aligns."""
-    offsets = demos.offsets
     distance, pairs = np.empty((2, len(rollouts), len(rollouts.individuals)))
     for i, demo in enumerate(rollouts.demo.tolist()):
-        path = rollouts.path(i)
-        recorded = demos.positions[offsets[demo] : offsets[demo + 1]]
+        path, recorded = rollouts.path(i), demos.path(demo)
         for k in range(distance.shape[1]):
             distance[i, k], pairs[i, k] = dtw_alignment(path[:, k], recorded[:, k])
     return distance, pairs

@@ -13,15 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Floats
 from animarl_envs.arena import Arena
 from animarl_envs.focus import focus_directions
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 LAGS = (0.5, 2.0, 5.0, 20.0)  # [s] at which order in time is looked at
@@ -37,6 +38,8 @@ class Series:
 
     Parameters
     ----------
+    chosen
+        ``(episodes,)``, which of all.
     speed
         ``(episodes, steps, individuals)`` [arena unit / s].
     turn
@@ -52,6 +55,7 @@ class Series:
         ``(episodes, steps + 1, individuals, 2)``, unit vectors towards the focus.
     """
 
+    chosen: Ints
     speed: Floats
     turn: Floats
     moving: NDArray[np.bool_]
@@ -60,41 +64,61 @@ class Series:
     focus: Floats
 
     @classmethod
-    def of(cls, rollouts: Rollouts, chosen: Ints, rest: Floats) -> Series:
-        """Series of the ``chosen`` episodes; steps up to ``rest`` [arena unit] are at rest."""
-        lengths = rollouts.lengths[chosen]
-        frames = np.arange(lengths.max())
-        inside = frames < lengths[:, None]
-        index = rollouts.offsets[:-1][chosen][:, None] + np.minimum(frames, lengths[:, None] - 1)
-        position = rollouts.positions[index]
-        focus = focus_directions(position, rollouts.roles)
-        position = np.where(inside[..., None, None], position, np.nan)
-        step = np.diff(position, axis=1)
-        length = np.linalg.norm(step, axis=-1)
-        moving = length > rest
-        cross = step[:, :-1, :, 0] * step[:, 1:, :, 1] - step[:, :-1, :, 1] * step[:, 1:, :, 0]
-        turn = np.arctan2(cross, (step[:, :-1] * step[:, 1:]).sum(axis=-1))
-        turn[~(moving[:, :-1] & moving[:, 1:])] = np.nan
-        return cls(length / rollouts.dt, turn, moving, step, position, focus)
+    def of(cls, rollouts: Rollouts, rest: Floats) -> Iterator[Series]:
+        """Some episodes after the others; steps up to ``rest`` [arena unit] are at rest."""
+        size = max(1, CHUNK // max(1, int(rollouts.lengths.max()) * len(rollouts.individuals)))
+        for first in range(0, len(rollouts), size):
+            chosen = np.arange(first, min(first + size, len(rollouts)))
+            lengths = rollouts.lengths[chosen]
+            frames = np.arange(lengths.max())
+            last = np.minimum(frames, lengths[:, None] - 1)
+            position = rollouts.positions[rollouts.offsets[:-1][chosen][:, None] + last]
+            focus = focus_directions(position, rollouts.roles)
+            inside = frames < lengths[:, None]
+            position = np.where(inside[..., None, None], position, np.nan)
+            step = np.diff(position, axis=1)
+            length = np.linalg.norm(step, axis=-1)
+            moving = length > rest
+            turn = angle(step[:, :-1], step[:, 1:])
+            turn[~(moving[:, :-1] & moving[:, 1:])] = np.nan
+            yield cls(chosen, length / rollouts.dt, turn, moving, step, position, focus)
+
+    @cached_property
+    def nearest(self) -> Floats:
+        """``(episodes, steps + 1, individuals)``, distance to the nearest other [arena unit]."""
+        num = self.position.shape[2]
+        apart = self.position[:, :, :, None] - self.position[:, :, None]
+        between = np.linalg.norm(apart, axis=-1)
+        between[:, :, np.arange(num), np.arange(num)] = np.inf
+        return np.where(np.isfinite(self.position[..., 0]), between.min(axis=-1), np.nan)
+
+
+def cross(first: Floats, second: Floats) -> Floats:
+    """Of vectors in the plane."""
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+def angle(first: Floats, second: Floats) -> Floats:
+    """Signed angle between vectors [rad], positive to the left."""
+    return np.asarray(np.arctan2(cross(first, second), (first * second).sum(axis=-1)))
 
 
 @dataclass(frozen=True)
 class EpisodeMeasures:
-    """Measures of episodes.
+    """Measures of episodes, ``values`` ``(episodes, measures)``.
 
-    Parameters
-    ----------
-    names
-        Of each measure, with its individual where there are several.
-    kinds
-        Of each measure: one of the constants of this module.
-    values
-        ``(episodes, measures)``.
+    ``names`` are theirs, with the individual where there are several, and ``kinds`` what each is
+    about: one of the constants of this module.
     """
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
     values: Floats
+
+    def mean(self, name: str) -> Floats:
+        """Means over episodes of those measures whose name begins so."""
+        chosen = [one.startswith(name) for one in self.names]
+        return _mean(self.values[:, chosen], axis=0)
 
 
 def lags_for(steps: float, dt: float) -> tuple[int, ...]:
@@ -112,7 +136,7 @@ def median_steps(rollouts: Rollouts) -> float:
 
 
 def order_measures(
-    rollouts: Rollouts, arena: Arena, lags: tuple[int, ...], rest: Floats
+    rollouts: Rollouts, lags: tuple[int, ...], rest: Floats, arena: Arena | None = None
 ) -> EpisodeMeasures:
     """Measure every episode.
 
@@ -120,21 +144,20 @@ def order_measures(
     ----------
     rollouts
         Of one method, or the recordings as rollouts, both smoothed alike.
-    arena
-        The field, for distances to its wall; in an open field to the origin, the source.
     lags
         Of :func:`lags_for` of the recordings, so that both sides are measured alike [steps].
     rest
         ``(individuals,)`` steps up to this length are at rest [arena unit].
+    arena
+        The field, for distances to its wall; in an open field to the origin, the source. Without
+        one, places are not measured.
     """
-    per_chunk = max(1, CHUNK // max(1, int(rollouts.lengths.max()) * len(rollouts.individuals)))
     parts = []
     found: list[tuple[str, str, Floats]] = []
     with np.errstate(invalid="ignore", divide="ignore"):
-        for first in range(0, len(rollouts), per_chunk):
-            chosen = np.arange(first, min(first + per_chunk, len(rollouts)))
-            series = Series.of(rollouts, chosen, rest)
-            found = list(_measures(series, rollouts, arena, lags))
+        for series in Series.of(rollouts, rest):
+            found = [*_motion(series, rollouts.dt, lags), *_interactions(series, lags[0])]
+            found += _places(series, arena) if arena is not None else ()
             parts.append(np.concatenate([values for _, _, values in found], axis=1))
     names, kinds = [], []
     for name, kind, values in found:
@@ -144,40 +167,20 @@ def order_measures(
     return EpisodeMeasures(tuple(names), tuple(kinds), np.concatenate(parts))
 
 
-def rest_and_turns(
-    rollouts: Rollouts, rest: Floats, lags: tuple[int, ...]
-) -> tuple[Floats, Floats]:
-    """Return the share of steps at rest and the autocorrelation of turns, over all episodes.
-
-    ``(individuals,)`` and ``(lags, individuals)``.
-    """
-    longest = int(rollouts.lengths.max()) * len(rollouts.individuals)
-    per_chunk = max(1, CHUNK // max(1, longest))
-    still, turns = [], []
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for first in range(0, len(rollouts), per_chunk):
-            chosen = np.arange(first, min(first + per_chunk, len(rollouts)))
-            series = Series.of(rollouts, chosen, rest)
-            still.append(_share(~series.moving, np.isfinite(series.speed)))
-            turns.append(np.stack([_turn_autocorrelation(series.turn, lag) for lag in lags]))
-        return _mean(np.concatenate(still), axis=0), _mean(np.concatenate(turns, axis=1), axis=1)
-
-
-def _measures(
-    series: Series, rollouts: Rollouts, arena: Arena, lags: tuple[int, ...]
-) -> Iterator[tuple[str, str, Floats]]:
+def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[str, str, Floats]]:
     """Name, kind and values ``(episodes, individuals)`` or ``(episodes, 1)`` of each measure."""
-    dt, speed, turn = rollouts.dt, series.speed, series.turn
+    speed, turn = series.speed, series.turn
     acceleration = np.diff(speed, axis=1) / dt
     yield "speed", KINEMATIC, _mean(speed)
-    yield "spread of speed", KINEMATIC, np.sqrt(_mean((speed - _mean(speed)[:, None]) ** 2))
+    yield "spread of speed", KINEMATIC, _spread(speed)
     yield "share at rest", KINEMATIC, _share(~series.moving, np.isfinite(speed))
     yield "turning", KINEMATIC, _mean(np.abs(turn)) / dt
     yield "turning to the left", KINEMATIC, _mean(turn) / dt
     yield "skewness of acceleration", ORDER, _skewness(acceleration)
     yield "length of bouts of motion", ORDER, _bouts(series.moving, np.isfinite(speed)) * dt
     yield "longest rest", ORDER, _longest(~series.moving & np.isfinite(speed)) * dt
-    yield "windings", ORDER, np.abs(np.nansum(turn, axis=1)) / _count(turn) / (2 * np.pi * dt)
+    wound = np.abs(np.nansum(turn, axis=1)) / np.isfinite(turn).sum(axis=1)
+    yield "windings", ORDER, wound / (2 * np.pi * dt)
     for lag in lags:
         seconds = f"{lag * dt:.3g} s"
         gone = np.linalg.norm(series.position[:, lag:] - series.position[:, :-lag], axis=-1)
@@ -187,34 +190,22 @@ def _measures(
     lag = lags[0]
     ahead = _correlation(speed[:, :-1], np.abs(turn), lag)
     yield "speed before turn", ORDER, ahead - _correlation(np.abs(turn), speed[:, :-1], lag)
-    yield from _interactions(series, rollouts, lag)
-    yield from _places(series, arena)
 
 
-def _interactions(
-    series: Series, rollouts: Rollouts, lag: int
-) -> Iterator[tuple[str, str, Floats]]:
+def _interactions(series: Series, lag: int) -> Iterator[tuple[str, str, Floats]]:
     """Measures of how individuals react to their focus and to each other."""
     step, focus = series.step, series.focus[:, :-1]
     length = np.linalg.norm(step, axis=-1)
     length[~series.moving] = np.nan
     along = (step * focus).sum(axis=-1) / length
-    left = (focus[..., 0] * step[..., 1] - focus[..., 1] * step[..., 0]) / length
+    left = cross(focus, step) / length
     yield "course towards the focus", INTERACTIVE, _mean(along)
     yield "course to the left of the focus", INTERACTIVE, _mean(left)
-    num = len(rollouts.individuals)
+    num = series.speed.shape[2]
     if num == 1:
         return
-    between = np.linalg.norm(series.position[:, :, :, None] - series.position[:, :, None], axis=-1)
-    between[:, :, np.arange(num), np.arange(num)] = np.inf
-    nearest = between.min(axis=-1)
-    nearest[~np.isfinite(series.position[..., 0])] = np.nan
-    yield "nearest neighbour", INTERACTIVE, _mean(nearest)
-    yield (
-        "spread of the nearest neighbour",
-        INTERACTIVE,
-        np.sqrt(_mean((nearest - _mean(nearest)[:, None]) ** 2)),
-    )
+    yield "nearest neighbour", INTERACTIVE, _mean(series.nearest)
+    yield "spread of the nearest neighbour", INTERACTIVE, _spread(series.nearest)
     unit = step / length[..., None]
     yield "polarisation", INTERACTIVE, _mean(np.linalg.norm(_mean(unit, axis=2), axis=-1))[:, None]
     others = (np.nansum(series.speed, axis=2, keepdims=True) - series.speed) / (num - 1)
@@ -238,14 +229,14 @@ def _places(series: Series, arena: Arena) -> Iterator[tuple[str, str, Floats]]:
         yield "share at the wall", PLACE, _share(at_wall, np.isfinite(wall))
 
 
-def _count(series: Floats) -> Ints:
-    return np.asarray(np.isfinite(series).sum(axis=1))
-
-
 def _mean(series: Floats, axis: int = 1) -> Floats:
     """Mean of what is defined; NaN where nothing is."""
     count = np.isfinite(series).sum(axis=axis)
     return np.asarray(np.nansum(series, axis=axis) / np.where(count, count, np.nan))
+
+
+def _spread(series: Floats) -> Floats:
+    return np.sqrt(_mean((series - _mean(series)[:, None]) ** 2))
 
 
 def _share(true: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:

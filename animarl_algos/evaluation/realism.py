@@ -24,21 +24,17 @@ from animarl_algos.evaluation.order_in_time import (
     KINEMATIC,
     ORDER,
     PLACE,
+    Ints,
     Series,
-    lags_for,
-    median_steps,
-    order_measures,
+    angle,
 )
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Interval, percentile_interval
-from animarl_envs.arena import Arena
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, percentile_interval
 from animarl_envs.demos.episode import UNFINISHED
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 ENDING = "ending"
 WEIGHTS: Mapping[str, float] = {
@@ -55,7 +51,7 @@ BINS = 10
 PSEUDO_COUNT = 0.1  # added to every bin, as the challenge does
 LIMITS = (0.005, 0.995)  # quantiles of the recordings between which bins lie
 RESAMPLES = 1000
-CEILING, OTHERS, RANDOM = "ceiling", "other recordings", "random actions"
+CEILING, OTHERS, RANDOM = REFERENCES = "ceiling", "other recordings", "random actions"
 
 
 @dataclass(frozen=True)
@@ -66,10 +62,8 @@ class Component:
     ----------
     name, kind
         What it measures; one of the keys of :data:`WEIGHTS`.
-    values
-        ``(n,)``, undefined ones left out.
-    episode, individual
-        ``(n,)`` of each value.
+    values, episode, individual
+        ``(n,)``, undefined values left out, and of whom each is.
     """
 
     name: str
@@ -90,24 +84,19 @@ class Realism:
         high`` and, where they were asked for, the scores of ``ceiling``, ``other recordings`` and
         ``random actions``. Rows of kinds and the total have an empty ``component``.
     score
-        The total with its 95 % interval over recordings.
-    rollouts
-        Mean number of rollouts per start. Scores rise with it: compare only equal numbers.
+        The total with its 95 % interval over recordings. Scores rise with the number of rollouts
+        a start: compare only equal numbers.
     """
 
     table: pd.DataFrame
     score: Interval
-    rollouts: float
 
 
 def realism(
-    recorded: Rollouts,
+    prepared: Prepared,
     rollouts: Rollouts,
-    arena: Arena,
-    rest: Floats,
     rng: np.random.Generator,
     *,
-    recording: NDArray[np.str_] | None = None,
     references: Rollouts | None = None,
     random: Rollouts | None = None,
 ) -> Realism:
@@ -115,19 +104,12 @@ def realism(
 
     Parameters
     ----------
-    recorded
-        The evaluated recordings as rollouts.
+    prepared
+        The evaluated recordings; those of one animal or recording are resampled together.
     rollouts
-        From their starts, in their condition, told no other one.
-    arena
-        The field.
-    rest
-        ``(individuals,)`` steps up to this length are at rest [arena unit].
+        From their starts, in their condition, told no other one, smoothed as the recordings.
     rng
         Draws other recordings and resamples.
-    recording
-        ``(recordings,)`` the animal or recording that each episode was cut from, the unit that is
-        resampled; by default every episode is one.
     references
         Recordings that are not evaluated, for the row of other recordings and for the limits of the
         bins; by default the evaluated ones, each start beside all others.
@@ -136,57 +118,49 @@ def realism(
     """
     import pandas as pd
 
-    lags = lags_for(median_steps(recorded), recorded.dt)
-    truth = list(_components(recorded, arena, lags, rest))
+    recorded, recording = prepared.recorded, prepared.demos.recording
+    truth = list(_components(prepared, recorded))
     pool = recorded if references is None else references
-    of_pool = truth if references is None else list(_components(pool, arena, lags, rest))
+    of_pool = truth if references is None else _components(prepared, pool)
     limits = [_limits(one.values) for one in of_pool]
     starts = np.unique(rollouts.demo)
-    per_start = len(rollouts) / len(starts)
+    per_start = max(1, round(len(rollouts) / len(starts)))
 
-    def score(side: list[Component], start: Ints, ends: Rollouts) -> Floats:
+    def score(side: Rollouts, start: Ints) -> Floats:
         rows = [
             _likelihood(true, other, limit, start, len(recorded))
-            for true, other, limit in zip(truth, side, limits)
+            for true, other, limit in zip(truth, _components(prepared, side), limits)
         ]
-        return np.stack([*rows, *_endings(recorded, ends, start)])[:, starts]
+        return np.stack([*rows, *_endings(recorded, side, start)])[:, starts]
 
-    def of(other: Rollouts) -> Floats:
-        return score(list(_components(other, arena, lags, rest)), other.demo, other)
-
-    columns = {"score": of(rollouts)}
-    repeated = recorded.select(np.repeat(starts, max(1, round(per_start))))
-    columns[CEILING] = of(repeated)
-    drawn, start = _others(len(pool), starts, max(1, round(per_start)), references is None, rng)
+    columns = {"score": score(rollouts, rollouts.demo)}
+    repeated = np.repeat(starts, per_start)
+    columns[CEILING] = score(recorded.select(repeated), repeated)
+    drawn = _others(len(pool), repeated, references is None, rng)
     if len(drawn):
-        others = pool.select(drawn)
-        columns[OTHERS] = score(list(_components(others, arena, lags, rest)), start, others)
+        columns[OTHERS] = score(pool.select(drawn), repeated)
     if random is not None:
-        columns[RANDOM] = of(random)
+        columns[RANDOM] = score(random, random.demo)
     names = [one.name for one in truth] + ["outcome", "duration"]
     kinds = np.array([one.kind for one in truth] + [ENDING, ENDING])
-    weights = component_weights(kinds, columns["score"])
-    group = starts if recording is None else np.unique(recording[starts], return_inverse=True)[1]
-    rows, total = [], Interval(np.nan, np.nan, np.nan)
-    levels = [(name, kind, np.arange(len(kinds)) == i) for i, (name, kind) in enumerate(
-        zip(names, kinds.tolist()))]  # fmt: skip
+    weights = _weights(kinds, columns["score"])
+    group = np.unique(recording[starts], return_inverse=True)[1]
+    levels = [(name, kinds[i], np.arange(len(kinds)) == i) for i, name in enumerate(names)]
     levels += [("", kind, kinds == kind) for kind in WEIGHTS if (kinds == kind).any()]
     levels.append(("", "total", np.ones(len(kinds), dtype=bool)))
+    rows, total = [], UNDEFINED
     for name, kind, members in levels:
         if not weights[members].sum() > 0:
             continue
-        means = {
-            column: _weighted(values[members], weights[members])
-            for column, values in columns.items()
-        }
-        total = _over_groups(means["score"], group, rng)
+        means = {key: _weighted(each[members], weights[members]) for key, each in columns.items()}
+        total = _over_groups(means.pop("score"), group, rng)
         row = {"component": name, "kind": kind, "weight": float(weights[members].sum())}
         row |= {"score": total.estimate, "low": total.low, "high": total.high}
-        rows.append(row | {c: float(np.nanmean(v)) for c, v in means.items() if c != "score"})
-    return Realism(pd.DataFrame(rows), total, per_start)
+        rows.append(row | {key: float(np.nanmean(each)) for key, each in means.items()})
+    return Realism(pd.DataFrame(rows), total)
 
 
-def component_weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:
+def _weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:
     """Weights of components ``(components,)``; they sum to one over those that are defined."""
     defined = np.isfinite(scores).any(axis=1)
     weights = np.zeros(len(kinds))
@@ -196,52 +170,39 @@ def component_weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:
     return np.asarray(weights / weights.sum())
 
 
-def _components(
-    rollouts: Rollouts, arena: Arena, lags: tuple[int, ...], rest: Floats
-) -> Iterator[Component]:
+def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
     """Components of all episodes: of single steps, and of whole episodes what is order in time."""
-    per_chunk = max(1, 4_000_000 // max(1, int(rollouts.lengths.max()) * len(rollouts.individuals)))
     gathered: dict[tuple[str, str], list[tuple[Floats, Ints, Ints]]] = {}
-    for first in range(0, len(rollouts), per_chunk):
-        chosen = np.arange(first, min(first + per_chunk, len(rollouts)))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            for name, kind, values in _step_series(rollouts, arena, chosen, rest):
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for series in Series.of(rollouts, prepared.rest):
+            for name, kind, values in _step_series(series, prepared):
                 episode, _, who = np.nonzero(np.isfinite(values))
-                part = (values[np.isfinite(values)], chosen[episode], who)
+                part = (values[np.isfinite(values)], series.chosen[episode], who)
                 gathered.setdefault((name, kind), []).append(part)
     for (name, kind), parts in gathered.items():
         yield Component(name, kind, *(np.concatenate(side) for side in zip(*parts)))
-    measured = order_measures(rollouts, arena, lags, rest)
+    measured = prepared.order(rollouts)
     for name, kind, values in zip(measured.names, measured.kinds, measured.values.T):
         known = np.flatnonzero(np.isfinite(values))
         if kind == ORDER or name.startswith(("speed with", "speed ahead", "polarisation")):
             yield Component(name, kind, values[known], known, np.zeros(len(known), dtype=np.int64))
 
 
-def _step_series(
-    rollouts: Rollouts, arena: Arena, chosen: Ints, rest: Floats
-) -> Iterator[tuple[str, str, Floats]]:
+def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str, Floats]]:
     """Name, kind and values ``(episodes, times, individuals)`` of components of single steps."""
-    series = Series.of(rollouts, chosen, rest)
-    dt, speed, turn, step = rollouts.dt, series.speed, series.turn / rollouts.dt, series.step
+    arena, dt, position = prepared.demos.arena, prepared.demos.dt, series.position
+    speed, turn = series.speed, series.turn / dt
     yield "speed", KINEMATIC, speed
     yield "acceleration", KINEMATIC, np.diff(speed, axis=1) / dt
     yield "turning", KINEMATIC, turn
     yield "angular acceleration", KINEMATIC, np.diff(turn, axis=1) / dt
-    focus = series.focus[:, :-1]
-    cross = focus[..., 0] * step[..., 1] - focus[..., 1] * step[..., 0]
-    bearing = np.arctan2(cross, (focus * step).sum(axis=-1))
+    bearing = angle(series.focus[:, :-1], series.step)
     yield "course beside the focus", INTERACTIVE, np.where(series.moving, bearing, np.nan)
-    position = series.position
-    num = position.shape[2]
-    if num > 1:
-        between = np.linalg.norm(position[:, :, :, None] - position[:, :, None], axis=-1)
-        between[:, :, np.arange(num), np.arange(num)] = np.inf
-        nearest = np.where(np.isfinite(position[..., 0]), between.min(axis=-1), np.nan)
-        yield "nearest neighbour", INTERACTIVE, nearest
-        closing = -np.diff(nearest, axis=1) / dt
+    if position.shape[2] > 1:
+        yield "nearest neighbour", INTERACTIVE, series.nearest
+        closing = -np.diff(series.nearest, axis=1) / dt
         soon = closing > 0
-        contact = np.where(soon, nearest[:, 1:] / np.where(soon, closing, 1.0), np.nan)
+        contact = np.where(soon, series.nearest[:, 1:] / np.where(soon, closing, 1.0), np.nan)
         yield "log of the time to contact", INTERACTIVE, np.log(contact + dt)
     yield "place, x", PLACE, position[..., 0]
     yield "place, y", PLACE, position[..., 1]
@@ -308,17 +269,12 @@ def _endings(recorded: Rollouts, rollouts: Rollouts, start: Ints) -> tuple[Float
     return outcome, duration
 
 
-def _others(
-    count: int, starts: Ints, per_start: int, same: bool, rng: np.random.Generator
-) -> tuple[Ints, Ints]:
-    """Which recordings stand in for rollouts, and from which starts; never a start's own."""
+def _others(count: int, start: Ints, same: bool, rng: np.random.Generator) -> Ints:
+    """Which recordings stand in for rollouts from each ``start``; never a start's own."""
     if same and count < 2:
-        return np.zeros((2, 0), dtype=np.int64)  # type: ignore[return-value]
-    start = np.repeat(starts, per_start)
+        return np.zeros(0, dtype=np.int64)
     drawn = rng.integers(count - same, size=len(start))
-    if same:
-        drawn += drawn >= start
-    return drawn, start
+    return drawn + (drawn >= start) if same else drawn
 
 
 def _weighted(scores: Floats, weights: Floats) -> Floats:
@@ -337,6 +293,6 @@ def _over_groups(scores: Floats, group: Ints, rng: np.random.Generator) -> Inter
     sizes = np.bincount(member, minlength=len(names))
     estimate = float(sums.sum() / sizes.sum())
     if len(names) < 2:
-        return Interval(estimate, np.nan, np.nan)
+        return Interval(estimate)
     drawn = rng.multinomial(len(names), np.full(len(names), 1 / len(names)), size=RESAMPLES)
     return percentile_interval(estimate, (drawn @ sums) / (drawn @ sizes))

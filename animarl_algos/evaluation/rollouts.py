@@ -24,13 +24,9 @@ def copies(demo: Sequence[int], seed: Sequence[int], did: Sequence[Hashable]) ->
     chance may repeat itself too, as an animal that rests; there each rollout counts, or what is
     seldom done would weigh more than it should.
     """
-    seen: set[tuple[int, int, Hashable]] = set()
-    repeats = np.zeros(len(demo), dtype=bool)
-    for i, one in enumerate(zip(demo, seed, did, strict=True)):
-        repeats[i] = one in seen
-        seen.add(one)
-    without_chance = len(seen) == len(set(zip(demo, seed)))
-    return repeats & without_chance
+    first: dict[tuple[int, int, Hashable], int] = {}
+    repeats = [first.setdefault(one, i) < i for i, one in enumerate(zip(demo, seed, did))]
+    return np.array(repeats) & (len(first) == len(set(zip(demo, seed))))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,11 +78,9 @@ class Rollouts(Episodes):
         super().__post_init__()
         if not np.isfinite(self.positions).all():
             self._refuse("a position is not a finite number: check the simulation")
-        if self.components.shape != (count, num, len(self.component_names)):
-            self._refuse(
-                f"components have shape {self.components.shape}, not "
-                f"({count}, {num}, {len(self.component_names)})"
-            )
+        shape = (count, num, len(self.component_names))
+        if self.components.shape != shape:
+            self._refuse(f"components have shape {self.components.shape}, not {shape}")
 
     @property
     def label(self) -> str:

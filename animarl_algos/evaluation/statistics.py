@@ -2,52 +2,41 @@
 
 Rollouts are nested: several from each recorded start, several starts, several training seeds.
 Repetitions from one start are never treated as independent; what varies are demonstrations and
-seeds, crossed. What is compared on the same demonstrations, or the same networks, is subtracted
-there first, which is what makes a comparison paired. How intervals are made of that is in
-:mod:`animarl_algos.evaluation.studentised`.
+seeds, crossed, and what is compared on the same demonstrations is subtracted there first.
 
-With a single seed an interval speaks of demonstrations only, for the one network that was trained.
+An estimate errs for two reasons: which demonstrations there happened to be, and which networks
+training happened to give. Their margins are worked out apart and added as squares, below and above
+the estimate (the method of variance estimates recovery: Zou and Donner 2008, Stat. Med. 27, 1693;
+for crossed effects Graybill and Wang 1980, J. Am. Stat. Assoc. 75, 869).
+
+- Demonstrations: the studentised bootstrap (bootstrap-t: Efron and Tibshirani 1993, chapter 12) of
+  the mean over demonstrations, which follows skewed values; Student's t where there are too few.
+- Seeds: Student's t on what the seeds' means vary beyond their share of the demonstrations. With a
+  single seed an interval speaks of demonstrations only, for the one network that was trained.
+
+Coverage is measured by ``benchmarks/stated_coverage.py`` and told in ``docs/statistics.md``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
-
-from animarl_algos.evaluation.cells import Cells, cells
-from animarl_algos.evaluation.studentised import (
-    CONFIDENCE,
-    RESAMPLES,
-    Draws,
-    Part,
-    draw_weights,
-    margins,
-    seed_square,
-    share_margins,
-)
-from animarl_envs.errors import InputError
-
-__all__ = [
-    "CONFIDENCE", "RESAMPLES", "UNDEFINED", "Cells", "Draws", "Interval", "bootstrap_difference",
-    "bootstrap_mean", "cells", "covers", "draw_weights", "percentile_interval", "shared_starts",
-    "within_intervals",
-]  # fmt: skip
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-NETWORK_ONLY = "this network only"
-NETWORKS_ONLY = "these networks only"
-TRAINING = "training runs like these"
+RESAMPLES = 10_000
+CONFIDENCE = 0.95
+TAILS = (50.0 * (1 - CONFIDENCE), 50.0 * (1 + CONFIDENCE))  # [%]
+FEWEST_RESAMPLED = 8  # demonstrations; of fewer, resamples often have no spread to divide by
+FEWEST_ALONE = 20  # ... and of fewer than these a margin is at least that of Student's t
 
 NO_VALUE = "no episode counts"
 ONE_DEMO = "one demonstration: no spread to be seen"
 NOTHING_SHARED = "no shared start"
-ONE_METHOD = "a single method"
-FEW_DEFINED = "too few resamples have a value"
 
 
 @dataclass(frozen=True)
@@ -55,29 +44,151 @@ class Interval:
     """An estimate with its interval; NaN where it is not defined, and then a ``reason``."""
 
     estimate: float
-    low: float
-    high: float
+    low: float = math.nan
+    high: float = math.nan
     reason: str = ""
 
     @property
     def excludes_zero(self) -> bool:
         return self.low > 0 or self.high < 0
 
-    def overlaps(self, other: Interval) -> bool:
-        """Whether the two intervals share a value; undefined intervals overlap everything."""
-        return not (self.high < other.low or other.high < self.low)
+
+UNDEFINED = Interval(math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Sums and counts of one metric per training seed and demonstration, each ``(seeds, demos)``.
+
+    The mean over any resample of seeds and demonstrations is a ratio of the two.
+    """
+
+    sums: Floats
+    counts: Floats
+
+    @property
+    def mean(self) -> float:
+        total = self.counts.sum()
+        return float(self.sums.sum() / total) if total else math.nan
+
+    @property
+    def cell_means(self) -> Floats:
+        """Mean per seed and demonstration, NaN where nothing counts."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.sums / self.counts)
+
+    @property
+    def seed_means(self) -> Floats:
+        """``(seeds,)``, NaN where nothing counts."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(self.sums.sum(axis=1) / self.counts.sum(axis=1))
+
+    @property
+    def starts(self) -> NDArray[np.bool_]:
+        """``(demos,)``, where something counts for any seed."""
+        return np.asarray((self.counts > 0).any(axis=0))
+
+    @property
+    def even(self) -> Cells:
+        """The same with every demonstration weighing one, and within it every seed the same."""
+        present = self.counts > 0
+        share = present / np.maximum(present.sum(axis=0), 1)
+        return Cells(np.where(present, self.cell_means, 0.0) * share, share)
+
+    @property
+    def deviations(self) -> Floats:
+        """What each cell adds to the mean's deviation, ``(seeds, demos)``, zero on average.
+
+        The mean is a ratio of sums; this is its linear part, exact where counts are equal. A cell
+        in which nothing counts adds nothing.
+        """
+        total = self.counts.sum()
+        if total == 0:
+            return np.zeros(self.sums.shape)
+        left = self.sums - self.sums.sum() / total * self.counts
+        return np.asarray(left * (left.size / total))
+
+    def of(self, demos: NDArray[np.bool_]) -> Cells:
+        """Those of some demonstrations, without seeds that have none of them."""
+        sums, counts = self.sums[:, demos], self.counts[:, demos]
+        seeds = counts.sum(axis=1) > 0
+        return Cells(sums[seeds], counts[seeds])
+
+
+def cells(
+    values: ArrayLike, seed: ArrayLike, demo: ArrayLike, num_demos: int, counts: ArrayLike = True
+) -> Cells:
+    """Gather one value per rollout into cells of seed and demonstration.
+
+    Parameters
+    ----------
+    values, seed, demo
+        ``(rollouts,)``: the metric, the training seed, and the demonstration's index below
+        ``num_demos``.
+    counts
+        ``(rollouts,)`` bool, which rollouts count; NaN values never do.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    seeds, row = np.unique(np.asarray(seed), return_inverse=True)
+    chosen = np.isfinite(values) & np.asarray(counts)
+    place = (row.ravel()[chosen], np.asarray(demo)[chosen])
+    sums, number = np.zeros((2, len(seeds), num_demos))
+    np.add.at(sums, place, values[chosen])
+    np.add.at(number, place, 1.0)
+    return Cells(sums, number)
+
+
+def single_cells(values: Floats) -> Cells:
+    """Cells that hold one value each, ``(seeds, demos)``; NaN does not count."""
+    present = np.isfinite(values)
+    return Cells(np.where(present, values, 0.0), present.astype(np.float64))
+
+
+def shared_starts(methods: Sequence[Cells]) -> list[Cells]:
+    """The methods on the starts that all of them have, every start weighing the same."""
+    chosen = np.logical_and.reduce([data.starts for data in methods])
+    return [data.of(chosen).even for data in methods]
+
+
+def covers(*methods: Cells) -> str:
+    """What the interval of a statistic of these methods speaks of (recordings left out)."""
+    if min(len(data.sums) for data in methods) > 1:
+        return "training runs like these"
+    return "this network only" if len(methods) == 1 else "these networks only"
+
+
+# -- intervals ------------------------------------------------------------------------------------
+
+
+def draw_weights(rng: np.random.Generator, count: int, resamples: int = RESAMPLES) -> Floats:
+    """How often each of ``count`` units is drawn, ``(resamples, count)``; rows sum to ``count``."""
+    drawn = rng.integers(count, size=(resamples, count))
+    place = drawn + count * np.arange(resamples)[:, None]
+    counted = np.bincount(place.ravel(), minlength=resamples * count)
+    return counted.reshape(resamples, count).astype(np.float64)
+
+
+@dataclass(eq=False)
+class Draws:
+    """Resamples of any number of demonstrations, the same ones whenever they are asked for."""
+
+    seed: int
+    resamples: int = RESAMPLES
+    _known: dict[int, Floats] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def without_ends(cls, estimate: float, reason: str) -> Interval:
-        return cls(estimate, math.nan, math.nan, reason)
+    def by(cls, rng: np.random.Generator | Draws, resamples: int = RESAMPLES) -> Draws:
+        return rng if isinstance(rng, Draws) else cls(int(rng.integers(2**62)), resamples)
+
+    def of(self, count: int) -> Floats:
+        """``(resamples, count)``."""
+        if count not in self._known:
+            rng = np.random.default_rng([self.seed, count])
+            self._known[count] = draw_weights(rng, count, self.resamples)
+        return self._known[count]
 
 
-UNDEFINED = Interval(math.nan, math.nan, math.nan)
-
-
-def percentile_interval(
-    estimate: float, resampled: Floats, confidence: float = CONFIDENCE
-) -> Interval:
+def percentile_interval(estimate: float, resampled: Floats) -> Interval:
     """Percentile interval of resampled estimates, for what has no standard error of its own.
 
     It is undefined (NaN) when more than one resample in twenty has no value. It is too short for
@@ -85,15 +196,10 @@ def percentile_interval(
     """
     defined = resampled[np.isfinite(resampled)]
     if not math.isfinite(estimate):
-        return Interval.without_ends(estimate, NO_VALUE)
+        return Interval(estimate, reason=NO_VALUE)
     if len(defined) < 0.95 * len(resampled):
-        return Interval.without_ends(estimate, FEW_DEFINED)
-    tail = 50.0 * (1.0 - confidence)
-    low, high = np.percentile(defined, [tail, 100.0 - tail])
-    return Interval(float(estimate), float(low), float(high))
-
-
-# -- intervals ------------------------------------------------------------------------------------
+        return Interval(estimate, reason="too few resamples have a value")
+    return Interval(float(estimate), *np.percentile(defined, TAILS).tolist())
 
 
 def bootstrap_mean(
@@ -115,17 +221,15 @@ def bootstrap_mean(
     """
     present = data.of(data.starts)
     if not present.counts.size:
-        return Interval.without_ends(math.nan, NO_VALUE)
+        return Interval(math.nan, reason=NO_VALUE)
     if present.sums.shape[1] < 2:
-        return Interval.without_ends(present.mean, ONE_DEMO)
-    deviations = present.deviations
+        return Interval(present.mean, reason=ONE_DEMO)
+    deviations, mean = present.deviations, present.mean
     if share:
-        mean = np.asarray(present.mean)
         by_demos = share_margins(mean, deviations.mean(axis=0) + mean)
-        by_seeds = seed_square([[deviations]])
-        below, above = (np.sqrt(np.square(side) + by_seeds) for side in by_demos)
-        return _around(present.mean, below, above, least=0.0, most=1.0)
-    return _around(present.mean, *margins([Part(deviations)], _draws(rng, resamples)))
+        below, above = np.sqrt(np.square(by_demos) + seed_square([deviations]))
+        return Interval(mean, max(mean - float(below), 0.0), min(mean + float(above), 1.0))
+    return _around(mean, [deviations], Draws.by(rng, resamples))
 
 
 def bootstrap_difference(
@@ -134,63 +238,32 @@ def bootstrap_difference(
     rng: np.random.Generator | Draws,
     resamples: int = RESAMPLES,
     *,
-    same_seeds: bool = False,
-    same_demos: bool = True,
     share: bool = False,
 ) -> Interval:
-    """``mean(first) - mean(second)`` with its interval.
+    """``mean(first) - mean(second)`` of different networks on the same demonstrations.
+
+    Only starts that both have count, each as much as any other. Recordings are cells with one row.
 
     Parameters
     ----------
-    same_seeds
-        Whether seed ``i`` of both is one and the same trained network, asked two questions, so that
-        what a network adds to both cancels. Recordings are cells with one row.
-    same_demos
-        Whether demonstration ``i`` of both is the same, so that the difference is paired. Only
-        starts that both have count then, each as much as any other.
     share
         The values are 0 or 1: the interval is Newcombe's hybrid score interval (1998, Stat. Med.
         17, 873, method 10) of both shares, which stays between -1 and 1 and always has a width.
     """
-    if same_demos and first.sums.shape[1] != second.sums.shape[1]:
-        raise InputError("paired samples need the same demonstrations")
-    if same_seeds and len(first.sums) != len(second.sums):
-        raise InputError(
-            f"the same networks cannot be {len(first.sums)} and {len(second.sums)} seeds: leave "
-            "out those that were asked one question only"
-        )
-    empty = min(first.counts.sum(), second.counts.sum()) == 0
-    if same_demos and same_seeds:
-        both = first.present & second.present
-        gap = np.where(both, first.cell_means - second.cell_means, 0.0)
-        pair = [Cells(gap, both.astype(np.float64)).even]
-        if both.any() and not share:
-            return bootstrap_mean(pair[0], rng, resamples)
-    elif same_demos:
-        pair = shared_starts([first, second])
-    else:
-        rows = first.present.any(axis=1) & second.present.any(axis=1) if same_seeds else slice(None)
-        chosen = [Cells(data.sums[rows], data.counts[rows]) for data in (first, second)]
-        pair = [data.of(data.starts) for data in chosen]
+    pair = shared_starts([first, second])
     if min(data.counts.sum() for data in pair) == 0:
-        return Interval.without_ends(math.nan, NO_VALUE if empty else NOTHING_SHARED)
+        empty = min(first.counts.sum(), second.counts.sum()) == 0
+        return Interval(math.nan, reason=NO_VALUE if empty else NOTHING_SHARED)
     estimate = pair[0].mean - pair[1].mean
-    if min(data.sums.shape[1] for data in pair) < 2:
-        return Interval.without_ends(estimate, ONE_DEMO)
+    if pair[0].sums.shape[1] < 2:
+        return Interval(estimate, reason=ONE_DEMO)
     if share:
-        one, other = (bootstrap_mean(data, rng, resamples, share=True) for data in pair)
+        one, other = (bootstrap_mean(data, rng, share=True) for data in pair)
         below = math.hypot(one.estimate - one.low, other.high - other.estimate)
         above = math.hypot(one.high - one.estimate, other.estimate - other.low)
-        return _around(estimate, np.asarray(below), np.asarray(above), least=-1.0, most=1.0)
-    parts = [
-        Part(
-            sign * data.deviations,
-            seeds=0 if same_seeds else number,
-            demos=0 if same_demos else number,
-        )
-        for number, (sign, data) in enumerate(zip((1.0, -1.0), pair))
-    ]
-    return _around(estimate, *margins(parts, _draws(rng, resamples)))
+        return Interval(estimate, max(estimate - below, -1.0), min(estimate + above, 1.0))
+    terms = [pair[0].deviations, -pair[1].deviations]
+    return _around(estimate, terms, Draws.by(rng, resamples))
 
 
 def within_intervals(
@@ -206,41 +279,111 @@ def within_intervals(
     Only starts that all of them have count for the width.
     """
     number = len(methods)
-    if number < 2:
-        return [Interval.without_ends(data.mean, ONE_METHOD) for data in methods]
-    tables = [data.deviations for data in shared_starts(methods)]
-    if tables[0].shape[1] < 2:
-        return [Interval.without_ends(data.mean, ONE_DEMO) for data in methods]
-    found, draws = [], _draws(rng, resamples)
-    scale = math.sqrt(number / (number - 1))
-    for one, data in enumerate(methods):
-        parts = [
-            Part(scale * ((other == one) - 1.0 / number) * table, seeds=other)
-            for other, table in enumerate(tables)
-        ]
-        found.append(_around(data.mean, *margins(parts, draws)))
-    return found
+    tables = [data.deviations for data in shared_starts(methods)] if number > 1 else []
+    if not tables or tables[0].shape[1] < 2:
+        reason = ONE_DEMO if tables else "a single method"
+        return [Interval(data.mean, reason=reason) for data in methods]
+    draws, scale = Draws.by(rng, resamples), math.sqrt(number / (number - 1))
+    weights = scale * (np.eye(number) - 1.0 / number)
+    return [
+        _around(data.mean, [weight * table for weight, table in zip(row, tables)], draws)
+        for data, row in zip(methods, weights)
+    ]
 
 
-def covers(*methods: Cells) -> str:
-    """What the interval of a statistic of these methods speaks of (recordings left out)."""
-    if min(len(data.sums) for data in methods) > 1:
-        return TRAINING
-    return NETWORK_ONLY if len(methods) == 1 else NETWORKS_ONLY
+def _around(estimate: float, terms: Sequence[Floats], draws: Draws) -> Interval:
+    below, above = margins(terms, draws)
+    return Interval(float(estimate), estimate - float(below), estimate + float(above))
 
 
-def shared_starts(methods: Sequence[Cells]) -> list[Cells]:
-    """The methods on the starts that all of them have, every start weighing the same."""
-    chosen = np.logical_and.reduce([data.starts for data in methods])
-    return [data.of(chosen).even for data in methods]
+# -- margins --------------------------------------------------------------------------------------
 
 
-def _draws(rng: np.random.Generator | Draws, resamples: int) -> Draws:
-    return rng if isinstance(rng, Draws) else Draws.by(rng, resamples)
+def margins(terms: Sequence[Floats], draws: Draws) -> Floats:
+    """Lengths of the interval below and above a sum of means, ``(2, ...)``.
+
+    Each of the ``terms`` ``(..., seeds, demos)`` is of networks of its own on the same
+    demonstrations: what each cell adds to the deviation of the sum, zero on average.
+    """
+    of_demos = demo_margins(np.sum([term.mean(axis=-2) for term in terms], axis=0), draws)
+    return np.asarray(np.sqrt(np.square(of_demos) + seed_square(terms)))
 
 
-def _around(
-    estimate: float, below: Floats, above: Floats, least: float = -math.inf, most: float = math.inf
-) -> Interval:
-    low, high = max(estimate - float(below), least), min(estimate + float(above), most)
-    return Interval(float(estimate), low, high)
+def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
+    """Of the mean of ``values`` ``(..., demos)``, by the studentised bootstrap, or by t."""
+    number = values.shape[-1]
+    error = values.std(axis=-1, ddof=1) / np.sqrt(number)
+    low, high = (np.full(error.shape, sign * _t(number - 1)) for sign in (-1, 1))
+    if number >= FEWEST_RESAMPLED:
+        quantiles = _studentised_quantiles(values, draws.of(number))
+        defined = np.isfinite(quantiles).all(axis=0)
+        if number < FEWEST_ALONE:
+            quantiles = np.stack([np.minimum(quantiles[0], low), np.maximum(quantiles[1], high)])
+        low, high = np.where(defined, quantiles, [low, high])
+    return np.maximum(high, 0.0) * error, np.maximum(-low, 0.0) * error
+
+
+def _studentised_quantiles(values: Floats, weights: Floats) -> Floats:
+    """Quantiles ``(2, ...)`` of resampled deviations, each over its own standard error."""
+    number = values.shape[-1]
+    flat = (values - values.mean(axis=-1, keepdims=True)).reshape(-1, number).T
+    mean = weights @ flat / number
+    variance = np.maximum(weights @ np.square(flat) / number - np.square(mean), 0.0)
+    floor = 1e-12 * np.square(flat).mean(axis=0)  # of rounding, not of spread
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = mean / np.sqrt(np.where(variance > floor, variance, 0.0) / (number - 1))
+        t = np.where(np.isnan(t), 0.0, t)  # no spread and no deviation
+        ends = np.percentile(t, TAILS, axis=0)
+    return np.asarray(ends).reshape(2, *values.shape[:-1])
+
+
+def seed_square(terms: Sequence[Floats]) -> Floats:
+    """Square of the margin that networks add, ``(...,)``; zero for single seeds, which show none.
+
+    Variances of several terms are added, with Welch's degrees of freedom.
+    """
+    between, within, per_freedom = np.zeros((3, *terms[0].shape[:-2]))
+    for table in terms:
+        seeds = table.shape[-2]
+        if seeds < 2:
+            continue
+        variance = table.mean(axis=-1).var(axis=-1, ddof=1) / seeds
+        between = between + variance
+        per_freedom = per_freedom + np.square(variance) / (seeds - 1)
+        within = within + _cell_variance(table)
+    varies = per_freedom > 0
+    freedom = np.where(varies, np.square(between) / np.where(varies, per_freedom, 1.0), 1.0)
+    return np.asarray(_t(freedom) ** 2 * np.maximum(between - within, 0.0))
+
+
+def _cell_variance(table: Floats) -> Floats:
+    """What cells of seed and demonstration add to the variance of their mean."""
+    seeds, demos = table.shape[-2:]
+    if demos < 2:
+        return np.zeros(table.shape[:-2])
+    rows, columns = table.mean(axis=-1, keepdims=True), table.mean(axis=-2, keepdims=True)
+    left = table - rows - columns + rows.mean(axis=-2, keepdims=True)
+    freedom = (seeds - 1) * (demos - 1)
+    return np.asarray(np.square(left).sum(axis=(-2, -1)) / freedom / (seeds * demos))
+
+
+def share_margins(share: float, values: Floats) -> tuple[float, float]:
+    """Of a share, the mean of ``values`` ``(demos,)`` about it, after Wilson (1927).
+
+    The number of independent episodes is what the spread between demonstrations says it is; if they
+    all are alike, that of the demonstrations.
+    """
+    number = len(values)
+    t = float(_t(number - 1))
+    variance, spread = float(values.var(ddof=1)) / number, share * (1.0 - share)
+    episodes = spread / variance if variance > 0 and spread > 0 else number
+    shrink = 1.0 + t**2 / episodes
+    centre = (share + t**2 / (2 * episodes)) / shrink
+    half = t / shrink * math.sqrt(spread / episodes + t**2 / (4 * episodes**2))
+    return max(share - centre + half, 0.0), max(centre + half - share, 0.0)
+
+
+def _t(freedom: float | Floats) -> Floats:
+    from scipy.special import stdtrit
+
+    return np.asarray(stdtrit(freedom, 0.5 + CONFIDENCE / 2))

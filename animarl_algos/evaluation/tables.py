@@ -13,10 +13,10 @@ import numpy as np
 from animarl_algos.evaluation.classifier_row import Tracked
 from animarl_algos.evaluation.comparison import (
     comparison_table,
+    contrast_table,
     factual,
     pair_table,
 )
-from animarl_algos.evaluation.contrasts import contrast_table
 from animarl_algos.evaluation.distances import DISTANCE_RESAMPLES
 from animarl_algos.evaluation.effects import answers_of, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TABLES = ("metrics", "comparison", "pairs", "contrasts", "counterfactual")
+NUMBERS = ("fingerprint", "seed", "resamples", "distance_resamples")
 WORDS = ("reason", "gate_unit", "variant", "speaks_of")  # columns that may be empty throughout
 
 
@@ -64,7 +65,9 @@ class Evaluation:
                 getattr(self, name).to_csv(part, index=False)
         self.verdict.save(folder)
         with write_then_rename(folder / "evaluation.json") as part:
-            part.write_text(json.dumps(self._numbers(), indent=2) + "\n")
+            part.write_text(
+                json.dumps({key: getattr(self, key) for key in NUMBERS}, indent=2) + "\n"
+            )
         return folder
 
     @classmethod
@@ -87,10 +90,9 @@ class Evaluation:
                     table = pd.read_csv(folder / f"{name}.csv", float_precision="round_trip")
                 except pd.errors.EmptyDataError:
                     table = pd.DataFrame()
-                words = [column for column in WORDS if column in table]
-                tables[name] = table.astype(dict.fromkeys(words, object)).fillna(
-                    dict.fromkeys(words, "")
-                )
+                for words in set(WORDS) & set(table):
+                    table[words] = table[words].astype(object).fillna("")
+                tables[name] = table
             return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:
             raise InputError(
@@ -100,10 +102,6 @@ class Evaluation:
             raise InputError(
                 f"{folder}: the evaluation is damaged ({error}): evaluate the run again"
             ) from error
-
-    def _numbers(self) -> dict[str, Any]:
-        keys = ("fingerprint", "seed", "resamples", "distance_resamples")
-        return {key: getattr(self, key) for key in keys}
 
 
 def evaluate(
@@ -160,22 +158,19 @@ def evaluate(
     streams = np.random.default_rng(seed).spawn(4)
     asked = {name: answers_of(one, demos) for name, one in rollouts.items()}
     flipped = {name: one for name, one in asked.items() if one is not None}
-    return Evaluation(
-        metrics=metrics,
-        comparison=comparison_table(
-            metrics,
-            demos.num_episodes,
-            streams[0],
-            resamples=resamples,
-            distance_resamples=distance_resamples,
-        ),
-        pairs=pair_table(metrics, demos.num_episodes, streams[3], resamples=resamples),
-        contrasts=contrast_table(metrics, demos.num_episodes, streams[1], resamples=resamples),
-        counterfactual=cue_effects(
+    counterfactual = pd.DataFrame()
+    if flipped:
+        counterfactual = cue_effects(
             flipped, demos, planned=planned_flip, seed=seed, resamples=resamples
         ).table
-        if flipped
-        else pd.DataFrame(),
+    number, drawn = demos.num_episodes, {"resamples": resamples}
+    drawn_too = {**drawn, "distance_resamples": distance_resamples}
+    return Evaluation(
+        metrics=metrics,
+        comparison=comparison_table(metrics, number, streams[0], **drawn_too),
+        pairs=pair_table(metrics, number, streams[3], **drawn),
+        contrasts=contrast_table(metrics, number, streams[1], **drawn),
+        counterfactual=counterfactual,
         verdict=verdict(
             demos,
             replace(rollouts[learner], method=learner),
@@ -188,6 +183,5 @@ def evaluate(
         ),
         fingerprint=demos.fingerprint(),
         seed=seed,
-        resamples=resamples,
-        distance_resamples=distance_resamples,
+        **drawn_too,
     )

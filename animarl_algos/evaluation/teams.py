@@ -2,7 +2,10 @@
 
 For artificial agents a counterfactual has a truth: the networks that were trained under the other
 condition, let loose from the same starts. Those of the packaged chases come with the package. Those
-of the public recordings (Tsutsui et al. 2024) are read from the folder of their weights.
+of the public recordings (Tsutsui et al. 2024, eLife) are read from the folder of their weights.
+What these see is their authors' own: every relative position and every velocity is turned by the
+angle of the individual's own position vector; partner and opponent follow, each with its position,
+relative position and velocity. They act greedily.
 """
 
 from __future__ import annotations
@@ -18,10 +21,12 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
+from torch import nn
 
 from animarl_algos.evaluation.collect import Policy, collect_rollouts
-from animarl_algos.evaluation.published_networks import PublishedTeam
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Floats
+from animarl_algos.learner.checkpoint import load_tensors, summarise_error
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -34,6 +39,11 @@ from animarl_envs.worlds.chase.layout import PAPER, observation_components
 
 META = "meta"
 FOLDERS = ("indiv", "share")  # of the published weights, by condition
+FILES = ("p1_2.4.pth", "p2_2.4.pth", "e_2.4.pth")  # the two predators and the prey
+SEEN = (
+    "own position x", "own velocity x",
+    "other 1 position x", "other 1 velocity x", "other 2 position x", "other 2 velocity x",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,9 +93,21 @@ def teams_of(demos: Demonstrations, folder: Path | None = None) -> tuple[Team, T
     folder
         Weights of the recorded agents, ``indiv/p1_2.4.pth`` and so on; without it the packaged
         teams, if the demonstrations say that they were made by these.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, damaged, or of other networks, or the weights are of other agents.
     """
     if folder is not None:
-        return _published(folder, demos)
+        locomotion = _stated_locomotion(demos)
+        made = [
+            Team(
+                policy=PublishedTeam.load(folder / name), locomotion=locomotion, observation="full"
+            )
+            for name in FOLDERS
+        ]
+        return made[0], made[1]
     from animarl_envs.demos.packaged import packaged_team
 
     packaged = [load_weights(packaged_team(name)) for name in AGENT.conditions]
@@ -93,7 +115,11 @@ def teams_of(demos: Demonstrations, folder: Path | None = None) -> tuple[Team, T
     if made_by != dict(zip(AGENT.conditions, (meta for _, meta in packaged))):
         return None
     epsilon = float(demos.provenance["epsilon"])
-    first, second = (_packaged(weights, epsilon) for weights, _ in packaged)
+    policies = [make_policy(weights, epsilon=epsilon, seed=0) for weights, _ in packaged]
+    first, second = (
+        Team(policy=one, locomotion=AGENT.locomotion, observation=PAPER, reseed=one.seed)
+        for one in policies
+    )
     return first, second
 
 
@@ -156,31 +182,120 @@ def make_policy(
     return policy
 
 
-def _packaged(weights: dict[str, NDArray[np.float32]], epsilon: float) -> Team:
-    policy = make_policy(weights, epsilon=epsilon, seed=0)
-    return Team(policy=policy, locomotion=AGENT.locomotion, observation=PAPER, reseed=policy.seed)
-
-
 # -- the published ones ---------------------------------------------------------------------------
 
 
-def _published(folder: Path, demos: Demonstrations) -> tuple[Team, Team]:
-    made: list[Team] = []
-    locomotion = published_locomotion(demos)
-    for condition in FOLDERS:
-        policy = PublishedTeam.load(folder / condition)
-        made.append(Team(policy=policy, locomotion=locomotion, observation="full"))
-    return made[0], made[1]
+class PublishedNetwork(nn.Module):
+    """Duelling network of 18 inputs and 13 actions, its layers named as in the published files."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fc_common = _two_layers(18, 64, 64)
+        self.fc_state, self.fc_advantage = _two_layers(64, 32, 1), _two_layers(64, 32, 13)
+        self.double()
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Action values ``(rows, 13)``."""
+        shared = torch.relu(self.fc_common(inputs))
+        advantage = self.fc_advantage(shared)
+        values: torch.Tensor = self.fc_state(shared) + advantage - advantage.mean(1, keepdim=True)
+        return values
 
 
-def published_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
-    """The exact locomotion that the recorded agents' files state.
+def _two_layers(inputs: int, units: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, units), nn.ReLU(), nn.Linear(units, outputs))
 
-    Raises
-    ------
-    InputError
-        If the demonstrations were not read from such files.
+
+@dataclass(frozen=True, eq=False)
+class PublishedTeam:
+    """Two predators and their prey."""
+
+    networks: tuple[PublishedNetwork, ...]
+
+    @classmethod
+    def load(cls, folder: Path) -> PublishedTeam:
+        """Read ``p1_2.4.pth``, ``p2_2.4.pth`` and ``e_2.4.pth``.
+
+        Raises
+        ------
+        InputError
+            If a file is missing, damaged, or holds anything but such a network.
+        """
+        return cls(tuple(_load_network(folder / name) for name in FILES))
+
+    def predict(
+        self,
+        observation: NDArray[np.floating],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        """Greedy actions ``(slots,)`` from the full observations of a chase ``(slots, n)``."""
+        components = observation_components(AGENT)
+        if observation.shape[-1] != len(components):
+            raise InputError(
+                f"the published networks need the {len(components)} components of the full "
+                f"observation of two predators and a prey, not {observation.shape[-1]}"
+            )
+        named = {c.name: i for i, c in enumerate(components) if c.frame == "arena"}
+        first = np.array([named[name] for name in SEEN])
+        seen = observation[:, first[:, None] + np.arange(2)].astype(np.float64)
+        actions = np.empty(len(seen), dtype=np.int64)
+        for k, network in enumerate(self.networks):
+            own = slice(k, None, len(self.networks))
+            with torch.no_grad():
+                values = network(torch.from_numpy(_inputs(seen[own], prey=k == 2)))
+            actions[own] = values.argmax(dim=1).numpy()
+        return actions, state
+
+
+def _inputs(seen: Floats, *, prey: bool) -> Floats:
+    """The 18 inputs of the published networks, ``(rows, 18)``.
+
+    ``seen`` is ``(rows, 6, 2)``, arena frame: own position and velocity, then position and velocity
+    of the focus and of the third. A predator's partner comes before its opponent, the prey; of the
+    prey the nearer predator comes first.
     """
+    place, velocity = seen[:, 0], seen[:, 1]
+    focus, third = (seen[:, 2], seen[:, 3]), (seen[:, 4], seen[:, 5])
+    angle = np.arctan2(place[:, 1], place[:, 0])
+    cosine, sine = np.cos(angle), np.sin(angle)
+
+    def turned(v: Floats) -> Floats:
+        return np.stack(
+            [cosine * v[:, 0] - sine * v[:, 1], sine * v[:, 0] + cosine * v[:, 1]], axis=1
+        )
+
+    parts = [place, turned(velocity), turned(velocity)]
+    for where, moving in (focus, third) if prey else (third, focus):
+        parts += [where, turned(where - place), turned(moving)]
+    return np.concatenate(parts, axis=1)
+
+
+def _load_network(file: Path) -> PublishedNetwork:
+    network = PublishedNetwork()
+    try:
+        loaded = load_tensors(file)
+        for name, own in network.state_dict().items():
+            if loaded[name].shape != own.shape or not loaded[name].isfinite().all():
+                shapes = f"has shape {tuple(loaded[name].shape)}, not {tuple(own.shape)}"
+                raise ValueError(f"{name} {shapes}, or a weight is not finite")
+            own.copy_(loaded[name])
+    except OSError:
+        raise InputError(
+            f"{file}: it cannot be read: give the folder of the published weights, with "
+            "indiv/p1_2.4.pth and so on"
+        ) from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{file}: it is no network of the recorded agents ({summarise_error(error)}): "
+            "copy it again"
+        ) from None
+    return network
+
+
+def _stated_locomotion(demos: Demonstrations) -> tuple[Locomotion, ...]:
+    """The exact locomotion that the recorded agents' files state."""
     meta: Any = _stated(demos.provenance)
     try:
         damping = float(meta["damping"])

@@ -14,6 +14,7 @@ import numpy as np
 
 from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.classifier_row import PART, followed
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.windows import comparison_smoothing, resting_step, window_features
@@ -44,13 +45,13 @@ def tracking_floor(
     Both sides are at the scale at which positions were stored and filtered. ``arena`` has the walls
     that tracking meets, by default those of the world that ``seen`` makes, as in the verdict.
     """
-    recorded = Rollouts.from_demonstrations(seen)
-    tracking = track(seen, locomotion, arena_of(seen) if arena is None else arena)
-    still, smoothing = resting_step(recorded), comparison_smoothing(seen)
+    prepared = Prepared(seen, comparison_smoothing(seen))
+    tracked = followed(seen, track(seen, locomotion, arena_of(seen) if arena is None else arena))
+    rest = resting_step(Rollouts.from_demonstrations(seen))
     block = PART if seen.num_episodes < FEW else None
     own, other = (
-        window_features(each, seen.arena, block=block, still=still, smoothing=smoothing)
-        for each in (recorded, followed(seen, tracking))
+        window_features(each, seen.arena, block=block, still=rest)
+        for each in (prepared.recorded, prepared.filtered(tracked))
     )
     if block is None:
         own, other = own.by_recording(seen), other.by_recording(seen)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.comparison import PAIR_COLUMNS
 from animarl_algos.evaluation.metrics import METRICS
 from animarl_algos.evaluation.rollouts import RECORDED
 from animarl_envs.errors import MissingExtraError
@@ -17,22 +16,12 @@ from animarl_envs.files import write_then_rename
 if TYPE_CHECKING:
     import pandas as pd
 
-REASON = "reason"
-OF_RECORDINGS = ("to_recorded", "kde", "kde_null", "wasserstein", "wasserstein_null", "within")
-
-
-def with_reasons(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with a column ``reason``: why a number of the row is missing, or nothing.
-
-    Reasons that a table has already are kept.
-    """
-    given = table[REASON].fillna("") if REASON in table else [""] * len(table)
-    reasons = [str(own) or _reason(row) for own, (_, row) in zip(given, table.iterrows())]
-    return table.assign(**{REASON: reasons})
-
 
 def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None:
     """Every table that has columns as ``NAME.csv`` and ``NAME.parquet``, whole or not at all.
+
+    Their column ``reason`` says why a number of the row is missing; reasons that a table has
+    already are kept.
 
     Raises
     ------
@@ -41,14 +30,15 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
     MissingExtraError
         If pyarrow is not installed.
     """
-    folder = Path(folder)
     for name, table in tables.items():
         if not len(table.columns):
             continue
-        tidy = with_reasons(table)
-        with write_then_rename(folder / f"{name}.csv") as part:
+        given = table["reason"].fillna("") if "reason" in table else [""] * len(table)
+        reasons = [str(own) or _reason(row) for own, (_, row) in zip(given, table.iterrows())]
+        tidy = table.assign(reason=reasons)
+        with write_then_rename(Path(folder) / f"{name}.csv") as part:
             tidy.to_csv(part, index=False)
-        with write_then_rename(folder / f"{name}.parquet") as part:
+        with write_then_rename(Path(folder) / f"{name}.parquet") as part:
             try:
                 tidy.to_parquet(part, index=False, engine="pyarrow")
             except ImportError as error:
@@ -56,33 +46,23 @@ def write_tables(tables: Mapping[str, pd.DataFrame], folder: str | Path) -> None
 
 
 def _reason(row: Any) -> str:
-    """Of the first thing that explains what is missing in a row."""
+    """Why values of a row are missing, where it does not say so itself."""
     missing = [key for key, value in row.items() if isinstance(value, float) and np.isnan(value)]
     if not missing:
         return ""
     found = []
-    if set(OF_RECORDINGS) & set(row.index):
-        found = _of_comparison(row, missing)
-    elif set(PAIR_COLUMNS) <= set(row.index) and np.isnan(row["difference"]):
-        found = ["one of the two has no episode that counts"]
+    if "kde_null" in row:
+        if row["rollouts"] == 0:
+            return "no episode counts: the target was never reached"
+        metric = next((m for m in METRICS if m.key == row["metric"]), None)
+        if row["method"] == RECORDED:
+            found.append("recordings are what is compared with")
+        elif metric is not None and not metric.of_recordings:
+            found.append("it is itself a distance to the recordings")
+        elif metric is not None and metric.share:
+            found.append("a share has no distribution")
+        if {"mean_low", "to_recorded_low", "kde_low"} & set(missing) and row["demos"] < 2:
+            found.append("one demonstration gives no interval")
+        if (not found and "within" in missing) or (not found and "within_low" in missing):
+            found.append("a single method has no other to be compared with within starts")
     return "; ".join(found) or f"not defined with so few values: {', '.join(missing)}"
-
-
-def _of_comparison(row: Any, missing: list[str]) -> list[str]:
-    if row["rollouts"] == 0:
-        return ["no episode counts: the target was never reached"]
-    metric = next((m for m in METRICS if m.key == row["metric"]), None)
-    found = []
-    if row["method"] == RECORDED:
-        found.append("recordings are what is compared with")
-    elif metric is not None and not metric.of_recordings:
-        found.append("it is itself a distance to the recordings")
-    elif metric is not None and metric.share:
-        found.append("a share has no distribution")
-    if {"mean_low", "to_recorded_low", "kde_low"} & set(missing) and row["demos"] < 2:
-        found.append("one demonstration gives no interval")
-    elif "mean_low" in missing:
-        found.append("too few resamples hold an episode that counts")
-    if (not found and "within" in missing) or (not found and "within_low" in missing):
-        found.append("a single method has no other to be compared with within starts")
-    return found

@@ -17,21 +17,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from animarl_algos.evaluation.classifier_row import (
     AUC,
     SEQUENCE,
     Tracked,
-    judge_sequences_of,
+    judge_sequences,
     judge_windows,
     read_beside,
 )
-from animarl_algos.evaluation.energy_score import energy_scores
+from animarl_algos.evaluation.distances import energy_scores
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
-from animarl_algos.evaluation.realism import CEILING, OTHERS, RANDOM, Realism, realism
+from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval, bootstrap_mean, cells
+from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Floats,
+    Interval,
+    bootstrap_mean,
+    single_cells,
+)
 from animarl_algos.evaluation.verdict_rows import (
     BY_LITTLE,
     DIFFERS,
@@ -41,7 +46,7 @@ from animarl_algos.evaluation.verdict_rows import (
     Row,
     verdict_rows,
 )
-from animarl_algos.evaluation.windows import comparison_smoothing, resting_step
+from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
@@ -49,12 +54,11 @@ from animarl_envs.files import write_then_rename
 if TYPE_CHECKING:
     import pandas as pd
 
-Floats = NDArray[np.float64]
-
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
-REFERENCES = (CEILING, OTHERS, RANDOM)  # that a realism score is read beside
+HALF = 0.5  # of the recorded value: a larger gap is implausible
+LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -140,15 +144,13 @@ class Verdict:
 
     def save(self, folder: str | Path) -> None:
         """Write ``verdict.csv``, ``verdict.json`` and ``realism.csv`` into a folder."""
-        folder = Path(folder)
-        with write_then_rename(folder / "verdict.csv") as part:
-            self.table.to_csv(part, index=False)
-        if self.components is not None:
-            with write_then_rename(folder / "realism.csv") as part:
-                self.components.to_csv(part, index=False)
-        plain = {k: _plain(v) for k, v in vars(self).items() if k not in ("table", "components")}
-        with write_then_rename(folder / "verdict.json") as part:
-            part.write_text(json.dumps(plain, indent=2))
+        plain = dict(vars(self))
+        for file, key in (("verdict.csv", "table"), ("realism.csv", "components")):
+            if (table := plain.pop(key)) is not None:
+                with write_then_rename(Path(folder) / file) as part:
+                    table.to_csv(part, index=False)
+        with write_then_rename(Path(folder) / "verdict.json") as part:
+            part.write_text(json.dumps(_plain(plain), indent=2))
 
     @classmethod
     def load(cls, folder: str | Path) -> Verdict:
@@ -157,19 +159,14 @@ class Verdict:
 
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
-        for key in ("auc", "sequence", "realism"):
-            plain[key] = _interval(plain[key])
+        plain |= {key: _interval(plain[key]) for key in ("auc", "sequence", "realism")}
         plain["areas"] = {
             judge: {name: _interval(ends) for name, ends in some.items()}
             for judge, some in plain["areas"].items()
         }
-        plain["realism_beside"] = {
-            name: math.nan if value is None else value
-            for name, value in plain["realism_beside"].items()
-        }
-        table = pd.read_csv(
-            folder / "verdict.csv", float_precision="round_trip", keep_default_na=True
-        )
+        beside = plain["realism_beside"]
+        plain["realism_beside"] = {k: math.nan if v is None else v for k, v in beside.items()}
+        table = pd.read_csv(folder / "verdict.csv", float_precision="round_trip")
         for words in ("unit", "covers", "reason"):
             table[words] = table[words].astype(object).fillna("")
         file = folder / "realism.csv"
@@ -239,33 +236,41 @@ def verdict(
             f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
             "compare them with the demonstrations they started from"
         )
-    streams = np.random.default_rng(seed).spawn(7)
+    streams, baselines = np.random.default_rng(seed).spawn(7), baselines or {}
     if smoothing is None:
         smoothing = comparison_smoothing(recorded)
-    prepared = Prepared.of(recorded, smoothing)
-    counted = prepared.filtered(censored(factual(rollouts, recorded), recorded))
-    group = _groups(recorded)
+    prepared = Prepared(recorded, smoothing)
+
+    def counting(one: Rollouts) -> Rollouts:
+        return prepared.filtered(censored(factual(one, recorded), recorded))
+
+    counted = counting(rollouts)
+    names, animals = np.unique(recorded.recording, return_inverse=True)
+    own = len(names) in (1, len(recorded))  # every start is a recording of its own
+    group = None if own else animals.astype(np.int64)
     rows = verdict_rows(prepared, counted, group, streams[0])
-    beside = read_beside(prepared, floor, perturbed, baselines or {})
+    beside = read_beside(prepared, floor, perturbed, baselines)
     windows, parts = judge_windows(prepared, counted, beside, references, streams[1:3])
-    animals = np.arange(len(recorded)) if group is None else group
-    sequences = judge_sequences_of(prepared, counted, beside, animals, streams[4])
+    of_start = np.arange(len(recorded)) if group is None else group
+    sequences = judge_sequences(prepared, counted, beside, of_start, streams[4])
     rows += [windows.row(), sequences.row()]
-    scored = _realism(prepared, counted, beside, references, streams[5])
-    words = _overall(rows)
-    untrained = (baselines or {}).get("untrained")
-    if untrained is not None and words != (SAME,):
-        other = prepared.filtered(censored(factual(untrained, recorded), recorded))
-        if _farther(prepared, counted, other, streams[3]):
-            words = (WORSE, *words)
+    others = None
+    if references is not None:
+        others = prepared.filtered(Rollouts.from_demonstrations(references))
+    scored = realism(prepared, counted, streams[5], references=others, random=beside.get("ceiling"))
+    words, untrained = _overall(rows), baselines.get("untrained")
+    worse = untrained is not None and words != (SAME,)
+    if worse and _farther(prepared, counted, counting(untrained), streams[3]):
+        words = (WORSE, *words)
     total = scored.table.iloc[-1]
+    starts = np.unique(counted.demo)
     return Verdict(
-        table=pd.DataFrame([row.as_dict() for row in rows]),
+        table=pd.DataFrame(rows),
         words=words,
         learner=rollouts.method,
-        starts=len(np.unique(counted.demo)),
+        starts=len(starts),
         rollouts=int(np.count_nonzero(~counted.copies)),
-        too_little=_too_little(recorded, counted),
+        too_little=_too_little(len(starts), len(np.unique(recorded.recording[starts]))),
         smoothing=smoothing,
         auc=windows.simulated.auc,
         sequence=sequences.simulated.auc,
@@ -275,34 +280,6 @@ def verdict(
         components=scored.table,
         importance=windows.simulated.importance,
         parts=parts,
-    )
-
-
-def _groups(recorded: Demonstrations) -> NDArray[np.int64] | None:
-    """Return the recording of each start, or None if every start is a recording of its own."""
-    names, group = np.unique(recorded.recording, return_inverse=True)
-    return None if len(names) in (1, len(recorded)) else group.astype(np.int64)
-
-
-def _realism(
-    prepared: Prepared,
-    counted: Rollouts,
-    beside: Mapping[str, Rollouts],
-    references: Demonstrations | None,
-    rng: np.random.Generator,
-) -> Realism:
-    others = None
-    if references is not None:
-        others = prepared.filtered(Rollouts.from_demonstrations(references))
-    return realism(
-        prepared.recorded,
-        counted,
-        prepared.demos.arena,
-        resting_step(prepared.recorded),
-        rng,
-        recording=prepared.demos.recording,
-        references=others,
-        random=beside.get("ceiling"),
     )
 
 
@@ -321,11 +298,9 @@ def _overall(rows: list[Row]) -> tuple[str, ...]:
     return (SAME,)
 
 
-def _too_little(recorded: Demonstrations, counted: Rollouts) -> str:
+def _too_little(starts: int, recordings: int) -> str:
     """Return why there is too little data for a headline, or nothing."""
-    starts = np.unique(counted.demo)
-    recordings = len(np.unique(recorded.recording[starts]))
-    for number, name in ((len(starts), "test start"), (recordings, "recording")):
+    for number, name in ((starts, "test start"), (recordings, "recording")):
         if number < FEWEST:
             return f"{number} {name}{'s' * (number != 1)}, and {FEWEST} are needed"
     return ""
@@ -338,14 +313,45 @@ def _farther(prepared: Prepared, ours: Rollouts, other: Rollouts, rng: np.random
     spread; the 95 % interval of the difference over starts must exclude none.
     """
     true = prepared.measures(prepared.recorded)
-    scale = [float(np.std(true[key])) or 1.0 for key in SUMMARY]
+    scale = {key: float(np.std(true[key])) or 1.0 for key in SUMMARY}
 
     def table(rollouts: Rollouts) -> Floats:
         found = prepared.measures(rollouts)
-        return np.stack([found[key] / s for key, s in zip(SUMMARY, scale)], axis=1)
+        return np.stack([found[key] / scale[key] for key in SUMMARY], axis=1)
 
     recorded = table(prepared.recorded)
     scores = [energy_scores(table(one), one.demo, recorded) for one in (ours, other)]
-    gap = scores[0] - scores[1]
-    starts = np.arange(len(gap))
-    return bootstrap_mean(cells(gap, np.zeros(len(gap)), starts, len(gap)), rng).low > 0
+    return bootstrap_mean(single_cells(np.subtract(*scores)[None]), rng).low > 0
+
+
+def implausible(verdict: Verdict) -> list[str]:
+    """What is off by more than half of what was recorded, and whether training made it worse.
+
+    Median speed, duration and the share of each ending, where chance does not explain it, are
+    looked at. One sentence each; none where nothing is.
+    """
+    found = []
+    if WORSE in verdict.words:
+        found.append(
+            "An untrained network comes nearer to the recordings than the trained one: train "
+            "longer, on more episodes, or with another learner, before anything is concluded."
+        )
+    shares = ("reached", "target_out", "pursuer_out")
+    rows = verdict.table.set_index("measure")
+    for key in ("median_speed", "duration", *shares):
+        if key not in rows.index:
+            continue
+        row = rows.loc[key]
+        recorded, simulated = float(row["recorded"]), float(row["simulated"])
+        least = max(HALF * abs(recorded), LEAST_SHARE if key in shares else 0.0)
+        if not abs(simulated - recorded) > least:
+            continue
+        if key in shares and row["judgement"] == SAME:  # few episodes are off by half by chance
+            continue
+        values = (
+            f"{100 * simulated:.0f} % simulated, {100 * recorded:.0f} % recorded"
+            if key in shares
+            else f"{simulated:.3g} {row['unit']} simulated, {recorded:.3g} {row['unit']} recorded"
+        )
+        found.append(f"{row['label']} is off by more than half: {values}.")
+    return found

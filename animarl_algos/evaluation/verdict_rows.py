@@ -10,40 +10,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from animarl_algos.evaluation.distances import null_distances, wasserstein
-from animarl_algos.evaluation.energy_score import energy_scores, pooled_score
-from animarl_algos.evaluation.exchange_test import ExchangeTest, exchange_test
+from animarl_algos.evaluation.distances import (
+    energy_scores,
+    pooled_score,
+    recorded_null,
+    wasserstein,
+)
+from animarl_algos.evaluation.exchange_test import Exchanges, ExchangeTest, exchange_test, least_p
 from animarl_algos.evaluation.metrics import DURATION, Metric, ending, judged_metrics
-from animarl_algos.evaluation.null import Exchanges
 from animarl_algos.evaluation.order_in_time import (
     INTERACTIVE,
     KINEMATIC,
     ORDER,
     PLACE,
     EpisodeMeasures,
-    lags_for,
-    median_steps,
-    order_measures,
+    Ints,
 )
-from animarl_algos.evaluation.prepared import Prepared
+from animarl_algos.evaluation.prepared import Prepared, has_ended, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import (
-    bootstrap_difference,
-    cells,
-    covers,
-)
-from animarl_algos.evaluation.survival import log_rank_scores, mean_survival
-from animarl_algos.evaluation.windows import resting_step
-from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from animarl_algos.evaluation.statistics import bootstrap_difference, cells, covers
+from animarl_envs.demos.episode import UNFINISHED
 
 SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
     "not distinguishable", "differs, but by little", "differs", "too little data to say",
@@ -60,6 +50,10 @@ KINDS = {
     PLACE: "Place",
 }
 """Rows of several measures each; the one that differs most stands for them."""
+LIKE_SHARES = (
+    "share", "correlation", "course", "polarisation", "speed with", "speed ahead", "speed before"
+)  # fmt: skip
+"""Measures that may be zero: a difference of ``LITTLE_SHARE`` is little."""
 PHRASES = {
     "windings": ("walks in circles", "winds too little"),
     "turn autocorrelation": ("walks in circles", "forgets its turns too soon"),
@@ -120,47 +114,29 @@ class Row:
     energy: float = math.nan
     energy_pooled: float = math.nan
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the row by column."""
-        return asdict(self)
 
+def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
+    """What is tested together, of recordings and then of rollouts.
 
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Values of both sides that are tested together, ``(episodes, columns)``."""
-
-    names: tuple[str, ...]
-    values: Floats
-
-    @classmethod
-    def of(cls, prepared: Prepared, counted: Rollouts) -> tuple[Columns, EpisodeMeasures]:
-        """Metrics, the spread of those that have one, and the measures of order in time."""
-        sides = (prepared.recorded, counted)
-        true, simulated = (prepared.measures(side) for side in sides)
-        names, columns = [], []
-        alone = np.concatenate([np.ones(len(sides[0]), dtype=bool), ~counted.copies])
-        for metric in judged_metrics():
-            both = np.concatenate([true[metric.key], simulated[metric.key]])
-            if metric is DURATION and (prepared.recorded.outcome == UNFINISHED).any():
-                outcome = np.concatenate([side.outcome for side in sides])
-                both = -log_rank_scores(both, ~np.isin(outcome, (UNFINISHED, TIME_OUT)))
-            names.append(metric.key)
-            columns.append(both)
-            if metric.noun:
-                names.append(_spread(metric))
-                columns.append(np.abs(both - np.median(both[alone])))
-        arena, rest = prepared.demos.arena, resting_step(prepared.recorded)
-        lags = lags_for(median_steps(prepared.recorded), prepared.recorded.dt)
-        ordered = [order_measures(side, arena, lags, rest) for side in sides]
-        order = EpisodeMeasures(
-            ordered[0].names, ordered[0].kinds, np.concatenate([o.values for o in ordered])
-        )
-        values = np.concatenate([np.stack(columns, axis=1), order.values], axis=1)
-        return cls((*names, *order.names), values), order
-
-    def place(self, name: str) -> int:
-        """Return the column of a measure."""
-        return self.names.index(name)
+    Metrics, the spread of those that have one (both without a kind), and order in time.
+    """
+    sides = (prepared.recorded, counted)
+    true, simulated = (prepared.measures(side) for side in sides)
+    names, columns = [], []
+    alone = np.concatenate([np.ones(len(sides[0]), dtype=bool), ~counted.copies])
+    for metric in judged_metrics():
+        both = np.concatenate([true[metric.key], simulated[metric.key]])
+        if _is_censored(metric, prepared):
+            both = -log_rank_scores(both, np.concatenate([has_ended(side) for side in sides]))
+        names.append(metric.key)
+        columns.append(both)
+        if metric.noun:
+            names.append(_spread(metric))
+            columns.append(np.abs(both - np.median(both[alone])))
+    order = [prepared.order(side) for side in sides]
+    values = [np.stack(columns, axis=1), np.concatenate([one.values for one in order])]
+    kinds = (*("" for _ in names), *order[0].kinds)
+    return EpisodeMeasures((*names, *order[0].names), kinds, np.concatenate(values, axis=1))
 
 
 def verdict_rows(
@@ -175,24 +151,44 @@ def verdict_rows(
     group
         ``(starts,)`` the recording of each start, where several starts are of one.
     """
-    columns, order = Columns.of(prepared, counted)
-    starts = len(prepared.recorded)
+    columns, starts = measure_columns(prepared, counted), len(prepared.recorded)
     exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
     start = np.concatenate([np.arange(starts), counted.demo])
     test = exchange_test(
         columns.values, exchanges, level=LEVEL, start=start, group=group, rng=rng
     )  # fmt: skip
     rows = [_endings_row(prepared, counted, exchanges)]
-    rows += _metric_rows(prepared, counted, columns, test, rng)
-    first = len(columns.names) - len(order.names)
-    rows += (_kind_row(kind, order, test, first) for kind in KINDS if kind in order.kinds)
-    return rows
+    rows += _metric_rows(prepared, counted, columns.names, test, rng)
+    return rows + [_kind_row(kind, columns, test) for kind in KINDS if kind in columns.kinds]
+
+
+def _endings_row(prepared: Prepared, counted: Rollouts, exchanges: Exchanges) -> Row:
+    ends = [ending(one) for one in (prepared.recorded, counted)]
+    tested = exchanges.chi_squared(np.concatenate(ends))
+    judgement = words = SAME
+    if tested.p <= ENDINGS_LEVEL:
+        known, starts = np.unique(np.concatenate(ends)), np.unique(counted.demo)
+        shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
+        moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
+        judgement, words = DIFFERS, "endings differ"
+        if moved <= LITTLE_SHARE:
+            judgement = BY_LITTLE
+            words = f"{BY_LITTLE}: endings differ in {100 * moved:.2g} % of episodes"
+    return Row(
+        measure=OUTCOMES,
+        label="Endings together (chi-squared)",
+        distance=tested.value,
+        null=tested.null,
+        p=tested.p,
+        judgement=judgement,
+        verdict=words,
+    )
 
 
 def _metric_rows(
     prepared: Prepared,
     counted: Rollouts,
-    columns: Columns,
+    names: tuple[str, ...],
     test: ExchangeTest,
     rng: np.random.Generator,
 ) -> Iterator[Row]:
@@ -206,18 +202,19 @@ def _metric_rows(
         one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
         gap = bootstrap_difference(many, one, rng, share=metric.share)
         recorded, drawn = one.mean, many.even.mean
-        if metric is DURATION and (prepared.recorded.outcome == UNFINISHED).any():
+        if _is_censored(metric, prepared):
             recorded, drawn = _mean_durations(prepared.recorded, counted, starts)
-        place = columns.place(metric.key)
-        judgement, words, worst = _judge_metric(
-            metric, columns, test, recorded, drawn - recorded, place
-        )
-        null, distances, energies = math.nan, math.nan, (math.nan, math.nan)
+        place = worst = names.index(metric.key)
         if metric.noun:
-            null = null_distances(a[starts], len(b), rng).wasserstein.high
-            distances = wasserstein(b, a[starts])
+            spread = names.index(_spread(metric))
+            p = np.nan_to_num(test.adjusted_p, nan=1.0)
+            worst = spread if p[spread] < p[place] else place
+        judgement, words = _judge_metric(metric, test, recorded, drawn, worst, worst != place)
+        null = distance = energy = pooled = math.nan
+        if metric.noun:
+            null, distance = recorded_null(a[starts], len(b), rng), wasserstein(b, a[starts])
             scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
-            energies = float(np.mean(scores)), pooled_score(a[starts])
+            energy, pooled = float(np.mean(scores)), pooled_score(a[starts])
         yield Row(
             measure=metric.key,
             label=metric.label,
@@ -227,67 +224,58 @@ def _metric_rows(
             difference=gap.estimate,
             difference_low=gap.low,
             difference_high=gap.high,
-            distance=abs(float(test.simulated[worst] - test.recorded[worst])),
+            distance=_gap(test, worst),
             null=float(test.null[worst]),
-            p=_least(test.adjusted_p[[place, worst]]),
+            p=least_p(test.adjusted_p[[place, worst]]),
             judgement=judgement,
             verdict=words,
             covers=covers(many),
             reason=gap.reason,
-            wasserstein_distance=distances,
+            wasserstein_distance=distance,
             recorded_null=null,
-            energy=energies[0],
-            energy_pooled=energies[1],
+            energy=energy,
+            energy_pooled=pooled,
         )
 
 
 def _judge_metric(
-    metric: Metric,
-    columns: Columns,
-    test: ExchangeTest,
-    recorded: float,
-    difference: float,
-    place: int,
-) -> tuple[str, str, int]:
-    """Return the judgement, its words, and the column that it rests on: mean or spread."""
-    worst = place
-    if metric.noun:
-        spread = columns.place(_spread(metric))
-        if _at(test.adjusted_p, spread) < _at(test.adjusted_p, place):
-            worst = spread
+    metric: Metric, test: ExchangeTest, recorded: float, drawn: float, worst: int, by_spread: bool
+) -> tuple[str, str]:
+    """Return the judgement and its words, by the column ``worst``: the mean's, or the spread's."""
     if not test.differs[worst]:
-        return SAME, SAME, worst
+        return SAME, SAME
     more = bool(test.statistic[worst] > 0)
     much, little = metric.words
-    wrong, size = much if more else little, abs(difference)
-    if worst != place:
+    wrong, size = much if more else little, abs(drawn - recorded)
+    if by_spread:
         wrong = f"{metric.noun} {'too varied' if more else 'too much alike'}"
-        size = abs(float(test.simulated[worst] - test.recorded[worst]))
+        size = _gap(test, worst)
     if size > (LITTLE_SHARE if metric.share else LITTLE * abs(recorded)):
-        return DIFFERS, wrong, worst
+        return DIFFERS, wrong
     points = f"{100 * size:.2g} percentage points"
     by = points if metric.share else f"{100 * size / abs(recorded):.2g} %"
-    return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}", worst
+    return BY_LITTLE, f"{BY_LITTLE}: {wrong} by {by}"
 
 
-def _kind_row(kind: str, order: EpisodeMeasures, test: ExchangeTest, first: int) -> Row:
+def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest) -> Row:
     """Return the row of all measures of a kind; the one that differs most speaks for it."""
-    members = first + np.flatnonzero(np.array(order.kinds) == kind)
+    members = np.flatnonzero(np.array(columns.kinds) == kind)
     size = np.abs(test.statistic[members])
-    known = np.isfinite(size)
-    if not known.any():
+    if not np.isfinite(size).any():
         return Row(measure=kind, label=KINDS[kind])
-    worst = int(members[np.argmax(np.where(known, size, -1.0))])
-    name = order.names[worst - first]
+    worst = int(members[np.nanargmax(size)])
+    name = columns.names[worst]
     recorded, simulated = float(test.recorded[worst]), float(test.simulated[worst])
-    judgement, words = SAME, SAME
+    judgement = words = SAME
     differing = members[test.differs[members]]
     if len(differing):
-        phrase = phrase_of(name, more=simulated > recorded)
-        words = f"{phrase} ({name}: {simulated:.2g}, recorded {recorded:.2g})"
+        words = phrase_of(name, more=simulated > recorded)
+        words = f"{words} ({name}: {simulated:.2g}, recorded {recorded:.2g})"
+        little = [any(part in columns.names[i] for part in LIKE_SHARES) for i in differing]
+        allowed = np.maximum(
+            LITTLE * np.abs(test.recorded[differing]), LITTLE_SHARE * np.array(little)
+        )
         gaps = np.abs(test.simulated[differing] - test.recorded[differing])
-        slack = _slack(order, differing, first)
-        allowed = np.maximum(LITTLE * np.abs(test.recorded[differing]), slack)
         judgement = DIFFERS if (gaps > allowed).any() else BY_LITTLE
         words = words if judgement == DIFFERS else f"{BY_LITTLE}: {words}"
     return Row(
@@ -296,9 +284,9 @@ def _kind_row(kind: str, order: EpisodeMeasures, test: ExchangeTest, first: int)
         recorded=recorded,
         simulated=simulated,
         difference=simulated - recorded,
-        distance=abs(simulated - recorded),
+        distance=_gap(test, worst),
         null=float(test.null[worst]),
-        p=_least(test.adjusted_p[members]),
+        p=least_p(test.adjusted_p[members]),
         judgement=judgement,
         verdict=words,
         reason="one of several measures: no interval",
@@ -313,35 +301,11 @@ def phrase_of(name: str, *, more: bool) -> str:
     return f"{name} too {'high' if more else 'low'}"
 
 
-def _slack(order: EpisodeMeasures, columns: Ints, first: int) -> Floats:
-    """Return what is little of a share or a correlation, which may be zero."""
-    words = ("share", "correlation", "course", "polarisation", "speed with", "speed ahead",
-             "speed before")  # fmt: skip
-    names = [order.names[column - first] for column in columns.tolist()]
-    return np.array([LITTLE_SHARE * any(word in name for word in words) for name in names])
-
-
-def _endings_row(prepared: Prepared, counted: Rollouts, exchanges: Exchanges) -> Row:
-    ends = [ending(one) for one in (prepared.recorded, counted)]
-    tested = exchanges.chi_squared(np.concatenate(ends))
-    row = Row(measure=OUTCOMES, label="Endings together (chi-squared)", distance=tested.value,
-              null=tested.null, p=tested.p)  # fmt: skip
-    if tested.p > ENDINGS_LEVEL:
-        return row
-    known, starts = np.unique(np.concatenate(ends)), np.unique(counted.demo)
-    shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
-    moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
-    if moved > LITTLE_SHARE:
-        return _with(row, judgement=DIFFERS, verdict="endings differ")
-    words = f"{BY_LITTLE}: endings differ in {100 * moved:.2g} % of episodes"
-    return _with(row, judgement=BY_LITTLE, verdict=words)
-
-
 def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tuple[float, float]:
     """Return the mean survival of both sides, up to the longest time that both know."""
     sides = (recorded.select(starts), counted)
     lasted = [(side.lengths - 1) * side.dt for side in sides]
-    ended = [~np.isin(side.outcome, (UNFINISHED, TIME_OUT)) for side in sides]
+    ended = [has_ended(side) for side in sides]
     whole = [bool(e[d == d.max()].all()) for d, e in zip(lasted, ended)]  # the curve ends at zero
     known = [d.max() for d, all_ended in zip(lasted, whole) if not all_ended]
     limit = float(min(known) if known else max(d.max() for d in lasted))
@@ -349,17 +313,13 @@ def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tupl
     return first, second
 
 
-def _with(row: Row, **changes: Any) -> Row:
-    return Row(**{**row.as_dict(), **changes})
+def _is_censored(metric: Metric, prepared: Prepared) -> bool:
+    return metric is DURATION and bool((prepared.recorded.outcome == UNFINISHED).any())
 
 
 def _spread(metric: Metric) -> str:
     return f"spread of {metric.key}"
 
 
-def _at(values: Floats, place: int) -> float:
-    return float(values[place]) if math.isfinite(values[place]) else 1.0
-
-
-def _least(values: Floats) -> float:
-    return float(np.nanmin(values)) if np.isfinite(values).any() else math.nan
+def _gap(test: ExchangeTest, place: int) -> float:
+    return abs(float(test.simulated[place] - test.recorded[place]))

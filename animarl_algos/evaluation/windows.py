@@ -1,8 +1,10 @@
-"""Short windows of motion as rows of numbers, for a classifier to look at.
+"""Windows of motion as rows of numbers, for a classifier to look at.
 
-Every window is described by the same few series (speeds, acceleration, turning, distances,
+Short windows are described by the same few series (speeds, acceleration, turning, distances,
 bearings, place in the arena) of all individuals, each summed up by its mean, spread, extremes and
-median.
+median. These are unsigned, so a path cannot be told from the same path reversed, or circles from a
+search. Long windows, up to a quarter of an episode, are therefore described by the measures of
+:mod:`animarl_algos.evaluation.order_in_time`.
 """
 
 from __future__ import annotations
@@ -13,16 +15,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.order_in_time import (
+    Ints,
+    angle,
+    lags_for,
+    median_steps,
+    order_measures,
+)
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Floats
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RESTING_SHARE
 from animarl_envs.errors import InputError
 
-Floats = NDArray[np.float64]
-
 WINDOW = 2.0  # [s]
 FEWEST_STEPS = 4  # of a window, where decisions are slow
+QUARTER = 0.25  # of the median episode: a long window ...
+SHORTEST, LONGEST = 2.0, 20.0  # ... which lasts so long [s]
 MOST_PARTS = 10_000  # of one demonstration
 FEWEST_GROUPS = 5  # recordings, for their demonstrations to be kept together
 NOISE_SHARE = 0.2  # of a median step: what a filter may leave of the tracking noise
@@ -47,7 +57,7 @@ class Windows:
     """
 
     values: Floats
-    group: NDArray[np.int64]
+    group: Ints
     kinds: NDArray[np.str_]
 
     def __len__(self) -> int:
@@ -71,15 +81,9 @@ class Windows:
 
 
 def window_features(
-    rollouts: Rollouts,
-    arena: Arena,
-    *,
-    window: float = WINDOW,
-    smoothing: int = 1,
-    block: int | None = None,
-    still: Floats | None = None,
+    rollouts: Rollouts, arena: Arena, *, block: int | None = None, still: Floats | None = None
 ) -> Windows:
-    """Describe all windows of all episodes.
+    """Describe all windows of ``WINDOW`` seconds of all episodes.
 
     Windows lie end to end from the first frame of an episode. What is left over at its end is a
     window too if it is at least half as long; an episode shorter than a window is one short window.
@@ -92,45 +96,53 @@ def window_features(
         (:meth:`~animarl_algos.evaluation.rollouts.Rollouts.from_demonstrations`).
     arena
         For the distance to its edge; in an open field that to the origin, the source, is taken.
-    window
-        Length [s], at least four steps.
-    smoothing
-        Frames of the moving average that positions go through first; 1 for none.
     block
         Where demonstrations are too few: so many successive windows of one make a group of their
         own, the same stretch of time in the recording and in its rollouts.
     still
         ``(individuals,)`` distance [arena unit], see :func:`resting_step`; who moves less is at
         rest: no speed, no direction. By default zero.
-
-    Raises
-    ------
-    InputError
-        If ``window`` is not positive or ``smoothing`` not odd and positive.
     """
-    if not window > 0:
-        raise InputError(f"the window is {window} s: give a positive length")
-    steps = max(FEWEST_STEPS, round(window / rollouts.dt))
-    positions = smoothed(rollouts.positions, rollouts.lengths, smoothing)
-    first, count, episode = _cut(rollouts.lengths, steps)
+    steps = max(FEWEST_STEPS, round(WINDOW / rollouts.dt))
+    first, count, episode = _cut(rollouts, steps)
     group = rollouts.demo[episode]
     if block is not None:
         place = (first - rollouts.offsets[episode]) // steps
         group = group * MOST_PARTS + np.minimum(place // block, MOST_PARTS - 1)
     offsets = np.arange(steps + 1)
-    frames = first[:, None] + np.minimum(offsets, count[:, None])
-    paths = positions[frames]
+    paths = rollouts.positions[first[:, None] + np.minimum(offsets, count[:, None])]
     paths[offsets > count[:, None]] = np.nan
-    columns, kinds = [], []
     rest = np.zeros(paths.shape[2]) if still is None else still
-    for kind, series in _series(paths, rollouts.dt, arena, rest):
-        summed_up = _summary(series)
-        columns.append(summed_up)
-        kinds += [kind] * summed_up.shape[1]
-    return Windows(np.concatenate(columns, axis=1), group, np.array(kinds))
+    described = [(kind, _summary(series)) for kind, series in _series(paths, rollouts, arena, rest)]
+    kinds = [kind for kind, columns in described for _ in range(columns.shape[1])]
+    values = np.concatenate([columns for _, columns in described], axis=1)
+    return Windows(values, group, np.array(kinds))
 
 
-def smoothed(positions: Floats, lengths: NDArray[np.int64], frames: int) -> Floats:
+def window_steps(recorded: Rollouts) -> int:
+    """Return the steps of a long window: a quarter of an episode, 2 to 20 s."""
+    steps = QUARTER * median_steps(recorded)
+    low, high = (round(limit / recorded.dt) for limit in (SHORTEST, LONGEST))
+    return int(np.clip(round(steps), max(4, low), max(4, high)))
+
+
+def sequence_windows(
+    rollouts: Rollouts, arena: Arena, rest: Floats, steps: int, group: Ints
+) -> Windows:
+    """Describe the order in time in all windows of ``steps`` steps, cut as short ones are.
+
+    ``group`` ``(recordings,)`` names the unit of resampling of each start.
+    """
+    first, count, episode = _cut(rollouts, steps)
+    frames = [np.arange(a, a + n + 1) for a, n in zip(first.tolist(), count.tolist())]
+    parts = {name: getattr(rollouts, name)[episode] for name in rollouts.EACH if name != "lengths"}
+    positions = rollouts.positions[np.concatenate(frames)]
+    pieces = replace(rollouts, positions=positions, lengths=count + 1, **parts)
+    measured = order_measures(pieces, lags_for(steps, rollouts.dt), rest, arena)
+    return Windows(measured.values, group[pieces.demo], np.array(measured.kinds))
+
+
+def smoothed(positions: Floats, lengths: Ints, frames: int) -> Floats:
     """Centred moving average within episodes, over fewer frames towards their ends.
 
     Parameters
@@ -218,27 +230,24 @@ def tracking_noise(recorded: Rollouts) -> float:
     return float(np.sqrt(max(0.0, -np.concatenate(products).mean() / 4.0)))
 
 
-def _cut(
-    lengths: NDArray[np.int64], steps: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _cut(rollouts: Rollouts, steps: int) -> tuple[Ints, Ints, Ints]:
     """First frame, steps and episode of every window."""
-    first, count, episode = [], [], []
-    start = 0
-    for index, length in enumerate(lengths.tolist()):
-        left = length - 1
+    found = []
+    for index, (start, length) in enumerate(zip(rollouts.offsets.tolist(), rollouts.lengths)):
+        left = int(length) - 1
         for begin in range(0, max(left, 1), steps):
             here = min(steps, left - begin)
             if begin == 0 or here >= steps / 2:
-                first.append(start + begin)
-                count.append(here)
-                episode.append(index)
-        start += length
-    return np.array(first), np.array(count), np.array(episode)
+                found.append((start + begin, here, index))
+    first, count, episode = np.array(found).T
+    return first, count, episode
 
 
-def _series(paths: Floats, dt: float, arena: Arena, still: Floats) -> list[tuple[str, Floats]]:
+def _series(
+    paths: Floats, rollouts: Rollouts, arena: Arena, still: Floats
+) -> list[tuple[str, Floats]]:
     """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``."""
-    steps, num = paths.shape[1] - 1, paths.shape[2]
+    steps, num, dt = paths.shape[1] - 1, paths.shape[2], rollouts.dt
     series: list[tuple[str, Floats]] = []
     quarter = max(1, steps // 4)
     for k in range(num):
@@ -251,15 +260,19 @@ def _series(paths: Floats, dt: float, arena: Arena, still: Floats) -> list[tuple
         series.append((ACCELERATION, bend / dt**2))
         for stride in sorted({1, quarter}):
             turned = _moved(own, stride, still[k])
-            series.append((TURNING, _angle(turned[:, :-stride], turned[:, stride:])))
-        series.append((PLACE, _to_edge(own, arena)))
-        centre = -own[:, :-1]
+            series.append((TURNING, _unsigned(turned[:, :-stride], turned[:, stride:])))
+        if arena.shape == "square":
+            place = arena.size - np.abs(own).max(axis=-1)
+        else:
+            radius = np.linalg.norm(own, axis=-1)
+            place = radius if arena.shape == "open" else arena.size - radius
+        series.append((PLACE, place))
         if num == 1:
-            series.append((BEARING, _angle(moved, centre)))
+            series.append((BEARING, _unsigned(moved, -own[:, :-1])))
         for other in range(num):
             between = paths[:, :, other] - own
             if other != k:
-                series.append((BEARING, _angle(moved, between[:, :-1])))
+                series.append((BEARING, _unsigned(moved, between[:, :-1])))
             if other > k:
                 series.append((DISTANCE, np.linalg.norm(between, axis=-1)))
     return series
@@ -272,22 +285,10 @@ def _moved(points: Floats, stride: int, still: float) -> Floats:
     return np.where(distance <= still, 0.0 * moved, moved)  # where there is no point, NaN stays
 
 
-def _to_edge(points: Floats, arena: Arena) -> Floats:
-    """Distance to the edge of the recorded field, or to the origin of an open one."""
-    if arena.shape == "square":
-        return np.asarray(arena.size - np.abs(points).max(axis=-1))
-    radius = np.linalg.norm(points, axis=-1)
-    return np.asarray(radius if arena.shape == "open" else arena.size - radius)
-
-
-def _angle(first: Floats, second: Floats) -> Floats:
+def _unsigned(first: Floats, second: Floats) -> Floats:
     """Unsigned angle between vectors [rad]; NaN where one is zero."""
-    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-    dot = (first * second).sum(axis=-1)
-    shorter = np.minimum(
-        np.hypot(*np.moveaxis(first, -1, 0)), np.hypot(*np.moveaxis(second, -1, 0))
-    )
-    return np.where(shorter <= 0, np.nan, np.abs(np.arctan2(cross, dot)))
+    shorter = np.minimum(np.linalg.norm(first, axis=-1), np.linalg.norm(second, axis=-1))
+    return np.where(shorter <= 0, np.nan, np.abs(angle(first, second)))
 
 
 def _summary(series: Floats) -> Floats:

@@ -275,7 +275,7 @@ def _pictures(verdict: Verdict) -> Iterator[Image]:
         yield to_image(figure, "Area under the ROC curve of the classifier, with its references")
     if verdict.importance:
         falls = {
-            kind: Interval.without_ends(fall, "")
+            kind: Interval(fall)
             for kind, fall in sorted(verdict.importance.items(), key=lambda item: -item[1])
         }
         figure = figures.interval_rows(falls, "Fall of the area", title="By what", reference=0.0)

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.cells import cells
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Interval, bootstrap_mean
+from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy

@@ -136,7 +136,7 @@ def test_the_same_seed_gives_the_same_answer() -> None:
 def test_both_sides_are_cut_alike_and_short_episodes_count() -> None:
     demos = recorded_pairs()
     recorded = Rollouts.from_demonstrations(demos)
-    windows = window_features(recorded, ARENA, window=2.0)
+    windows = window_features(recorded, ARENA)
     steps = demos.lengths - 1
     wanted = np.maximum(steps // 20 + (steps % 20 >= 10), 1)
     assert np.array_equal(np.bincount(windows.group), wanted)
@@ -218,8 +218,9 @@ def test_a_redeal_of_recordings_on_a_pixel_grid_is_ranked_by_chance() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         paths = pixel_walks(rng, 330)
-        few, many = rollouts_of(paths[:30], 30), rollouts_of(paths[30:], 30)
-        sides = [window_features(each, ARENA, smoothing=3) for each in (few, many)]
+        sides = [rollouts_of(some, 30) for some in (paths[:30], paths[30:])]
+        sides = [replace(r, positions=smoothed(r.positions, r.lengths, 3)) for r in sides]
+        sides = [window_features(each, ARENA) for each in sides]
         areas.append(tell_apart(*sides, rng, deals=1).auc.estimate)
     assert np.mean(areas) == pytest.approx(0.5, abs=0.03)
 

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from metric_tables import metrics_rows, row
 
-from animarl_algos.evaluation.comparison import comparison_table, pair_table
-from animarl_algos.evaluation.contrasts import contrast_table
+from animarl_algos.evaluation.comparison import comparison_table, contrast_table, pair_table
 
 
 def test_comparison_counts_what_it_says() -> None:

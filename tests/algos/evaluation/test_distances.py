@@ -13,7 +13,7 @@ from animarl_algos.evaluation.distances import (
     kde_floor,
     kde_rule,
     kde_weighted,
-    null_distances,
+    recorded_null,
     wasserstein,
     wasserstein_weighted,
 )
@@ -97,8 +97,7 @@ def test_kde_distance_of_a_peak_to_a_spread() -> None:
 def test_distances_of_nothing_are_undefined() -> None:
     assert np.isnan(kde_distance([], [1.0, 2.0])) and np.isnan(wasserstein([np.nan], [1.0]))
     nothing = bootstrap_distances([np.nan], [1.0], [0], [0], np.random.default_rng(0))
-    assert np.isnan(nothing.kde.estimate)
-    assert np.isnan(null_distances([], 5, np.random.default_rng(0)).kde.estimate)
+    assert np.isnan([one.estimate for one in nothing]).all()
 
 
 def test_binned_density_equals_the_exact_one() -> None:
@@ -142,8 +141,8 @@ def test_one_demonstration_leaves_nothing_to_resample() -> None:
     rng = np.random.default_rng(19)
     simulated = rng.normal(size=30)
     both = bootstrap_distances(simulated, [2.0], np.full(30, 7), np.zeros(30, dtype=int), rng, 20)
-    assert both.wasserstein.estimate == pytest.approx(np.abs(simulated - 2.0).mean())
-    for found in (both.wasserstein, both.kde):
+    assert both[1].estimate == pytest.approx(np.abs(simulated - 2.0).mean())
+    for found in both:
         assert np.isfinite(found.estimate) and np.isnan(found.low)
         assert found.reason.startswith("one demonstration")
 
@@ -158,41 +157,13 @@ def test_the_bandwidth_floor_is_told_where_it_acts() -> None:
 def test_what_does_not_count_leaves_the_distances_alone() -> None:
     simulated, demo = np.array([1.0, np.nan, 2.0, 4.0]), np.array([0, 1, 2, 1])
     recorded = np.array([0.0, 5.0, np.nan])
-    both = bootstrap_distances(simulated, recorded, [3, 3, 8, 8], demo, np.random.default_rng(0))
-    assert both.wasserstein.estimate == pytest.approx(wasserstein([1.0, 2.0, 4.0], [0.0, 5.0]))
-    assert both.kde.estimate == pytest.approx(kde_distance([1.0, 2.0, 4.0], [0.0, 5.0]))
-    nothing = bootstrap_distances([1.0], [np.nan], [0], [0], np.random.default_rng(0))
-    assert np.isnan(nothing.wasserstein.estimate)
-
-
-def test_null_reference_needs_a_value_of_each() -> None:
-    rng = np.random.default_rng(20)
-    assert np.isnan(null_distances([1.0, 2.0], 0, rng).kde.estimate)
-    assert null_distances([1.0, 1.0], 1, rng, 20).kde.estimate == 0.0
-    alone = null_distances([0.0, 1.0], 1, rng, 400, num_recorded=1)
-    # Two coins: equal half of the time, else one apart.
-    assert alone.wasserstein.estimate == pytest.approx(0.5, abs=0.1)
-    assert (alone.wasserstein.low, alone.wasserstein.high) == (0.0, 1.0)
-    assert alone.kde.estimate == pytest.approx(1.0, abs=0.2)
-    as_many = null_distances(rng.normal(size=40), 40, rng, 200).wasserstein.estimate
-    fewer = null_distances(rng.normal(size=40), 40, rng, 200, num_recorded=4).wasserstein.estimate
-    assert as_many < 0.6 * fewer
-
-
-def test_null_reference_shows_the_bias() -> None:
-    """Ten values against fifty of one distribution differ by 0.3 to 0.5; more values by less."""
-    rng = np.random.default_rng(16)
-    direct = np.mean(
-        [kde_distance(rng.exponential(size=10), rng.exponential(size=50)) for _ in range(100)]
+    kde, distance = bootstrap_distances(
+        simulated, recorded, [3, 3, 8, 8], demo, np.random.default_rng(0)
     )
-    assert 0.3 < direct < 0.5
-    recorded = rng.exponential(size=50)
-    null = null_distances(recorded, 10, rng, 400)
-    assert null.kde.estimate == pytest.approx(direct, abs=0.1)
-    assert null.kde.low < null.kde.estimate < null.kde.high
-    many = null_distances(recorded, 1000, rng, 400, num_recorded=1000)
-    assert many.kde.estimate < 0.15
-    assert many.wasserstein.estimate < null.wasserstein.estimate
+    assert distance.estimate == pytest.approx(wasserstein([1.0, 2.0, 4.0], [0.0, 5.0]))
+    assert kde.estimate == pytest.approx(kde_distance([1.0, 2.0, 4.0], [0.0, 5.0]))
+    nothing = bootstrap_distances([1.0], [np.nan], [0], [0], np.random.default_rng(0))
+    assert np.isnan(nothing[1].estimate)
 
 
 def test_bootstrap_distances_surround_a_large_distance() -> None:
@@ -200,8 +171,13 @@ def test_bootstrap_distances_surround_a_large_distance() -> None:
     demo, seed = np.tile(np.arange(30), 4), np.repeat([0, 1], 60)
     recorded = rng.normal(size=30)
     simulated = recorded[demo] + 2.0 + rng.normal(0, 0.2, len(demo))
-    both = bootstrap_distances(simulated, recorded, seed, demo, rng, 400)
-    assert both.wasserstein.low < 2.0 < both.wasserstein.high
-    assert both.kde.low < both.kde.estimate < both.kde.high < 2.0
-    null = null_distances(recorded, len(simulated), rng, 400)
-    assert both.kde.low > null.kde.high
+    kde, distance = bootstrap_distances(simulated, recorded, seed, demo, rng, 400)
+    assert distance.low < 2.0 < distance.high
+    assert kde.low < kde.estimate < kde.high < 2.0
+
+
+def test_recordings_drawn_from_recordings_are_the_nearer_the_more_they_are() -> None:
+    rng = np.random.default_rng(20)
+    assert recorded_null(np.array([0.0, 1.0]), 2, rng, 400) == pytest.approx(1.0)  # four coins
+    few, many = rng.normal(size=10), rng.normal(size=160)
+    assert recorded_null(many, 160, rng, 200) < 0.6 * recorded_null(few, 10, rng, 200)

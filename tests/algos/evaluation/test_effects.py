@@ -12,7 +12,12 @@ from report_inputs import make_demos, make_rollouts
 
 from animarl_algos.evaluation import Answers, Asked, Rollouts, collect_rollouts, cue_effects
 from animarl_algos.evaluation import effects as of
-from animarl_algos.evaluation.effects import FEWEST_SEEDS, answers_of, claim, over_seeds
+from animarl_algos.evaluation.effects import (
+    FEWEST_SEEDS,
+    answers_of,
+    objection_to_claim,
+    over_seeds,
+)
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.statistics import Cells, bootstrap_mean
 from animarl_algos.networks.policies import MlpPolicy
@@ -214,7 +219,7 @@ def test_of_untrained_networks_hardly_ever_a_claim_is_worded() -> None:
     for _ in range(100):
         chosen = rng.choice(len(pool), 6, replace=False)
         shift, null = stacked([pool[i] for i in chosen[:3]]), stacked([pool[i] for i in chosen[3:]])
-        claims += claim(shift, null, rng, 500).worded
+        claims += not objection_to_claim(shift, null, rng, 500)
         alone += bootstrap_mean(pool[chosen[0]], rng, 500).excludes_zero
     assert claims <= 10
     assert alone > 10  # one network over its starts does seem to show an effect
@@ -224,14 +229,14 @@ def test_an_effect_that_all_seeds_share_is_claimed() -> None:
     rng = np.random.default_rng(1)
     shift = Cells(2.0 + 0.1 * rng.normal(size=(4, 12)), np.ones((4, 12)))
     null = Cells(0.1 * rng.normal(size=(4, 12)), np.ones((4, 12)))
-    assert claim(shift, null, rng, SMALL).worded
-    assert "untrained" in claim(shift, None, rng, SMALL).reason
+    assert not objection_to_claim(shift, null, rng, SMALL)
+    assert "untrained" in objection_to_claim(shift, None, rng, SMALL)
     alike = replace(null, sums=null.sums + 2.0)
-    assert "not told apart" in claim(shift, alike, rng, SMALL).reason
+    assert "not told apart" in objection_to_claim(shift, alike, rng, SMALL)
     few = Cells(shift.sums[: FEWEST_SEEDS - 1], shift.counts[: FEWEST_SEEDS - 1])
-    assert claim(few, null, rng, SMALL).reason.startswith("2 training seeds")
+    assert objection_to_claim(few, null, rng, SMALL).startswith("2 training seeds")
     torn = Cells(np.repeat([[3.0], [-2.0], [4.0]], 12, axis=1), np.ones((3, 12)))
-    assert "do not agree" in claim(torn, null, rng, SMALL).reason
+    assert "do not agree" in objection_to_claim(torn, null, rng, SMALL)
 
 
 def test_with_one_seed_no_claim_and_the_table_says_so() -> None:
@@ -254,7 +259,9 @@ def test_who_acts_without_chance_has_no_shift_by_chance() -> None:
         asked = {"DQCIL": Asked(trained=certain, blind=blind)}
         row = value(cue_effects(asked, starts(), resamples=200), of.BLIND, 0)
         assert np.isfinite(row["value"]) == known
-        assert row["reason"] == ("" if known else of.SAME_TWICE)
+        assert row["reason"] == (
+            "" if known else "it acts without chance: asked twice, it does the same"
+        )
 
 
 def test_student_interval_over_seeds() -> None:

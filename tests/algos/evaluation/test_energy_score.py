@@ -7,13 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from animarl_algos.evaluation.energy_score import (
+from animarl_algos.evaluation.distances import (
     energy_cells,
     energy_score,
     energy_scores,
     pooled_score,
 )
-from animarl_envs.errors import InputError
 
 
 def test_a_score_worked_out_by_hand() -> None:
@@ -79,10 +78,3 @@ def test_to_know_the_start_is_worth_something() -> None:
     knowing = energy_scores(recorded[demo] + rng.normal(size=400), demo, recorded).mean()
     assert knowing < 0.6 * pooled_score(recorded)
     assert pooled_score(recorded) == pytest.approx(3.0 / math.sqrt(math.pi), rel=0.15)
-
-
-def test_shapes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match="give \\(rollouts,\\) and a number"):
-        energy_score([1.0, 2.0], [1.0, 2.0])
-    with pytest.raises(InputError, match="do not fit 1 recordings"):
-        energy_scores([1.0, 2.0], [0, 1], [1.0])

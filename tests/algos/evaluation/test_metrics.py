@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.metrics import (
     dtw_alignments,
-    dtw_distances,
     measure,
     measure_recordings,
     path_lengths,
@@ -98,13 +97,12 @@ def test_dtw_known_answers(demos: Demonstrations) -> None:
     shifted = demos.episode(0).positions + [0.0, 0.25]
     slower = np.repeat(demos.episode(0).positions, 2, axis=0)  # the same path at half the speed
     made = rollouts(demos, [0, 0, 0], [demos.episode(0).positions, slower, shifted])
-    distances = dtw_distances(made, demos)
+    distances, pairs = dtw_alignments(made, demos)
     assert distances[0] == pytest.approx(0.0) and distances[1] == pytest.approx(0.0)
     assert distances[2, [0, 2]] == pytest.approx(11 * 0.25)  # crosswise to the path, or at rest
     table = measure(made, demos)
     assert table["dtw"][2] == pytest.approx(distances[2, :2].mean())
     # The second pursuer moves along the shift: its path is aligned in 17 pairs, not 11.
-    pairs = dtw_alignments(made, demos)[1]
     assert pairs[2].tolist() == [11, 17, 11]
     per_step = (distances[2, 0] / 11 + distances[2, 1] / 17) / 2
     assert table["dtw_per_step"][2] == pytest.approx(per_step)
@@ -123,7 +121,7 @@ def test_dtw_equals_a_textbook_recursion(demos: Demonstrations) -> None:
             for j in range(len(y)):
                 before = min(total[t, j], total[t, j + 1], total[t + 1, j])
                 total[t + 1, j + 1] = cost[t, j] + before
-        assert dtw_distances(made, demos)[0, k] == pytest.approx(total[-1, -1], abs=1e-9)
+        assert dtw_alignments(made, demos)[0][0, k] == pytest.approx(total[-1, -1], abs=1e-9)
 
 
 def test_a_lone_searcher_is_measured_itself() -> None:

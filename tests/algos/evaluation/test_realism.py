@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from animarl_algos.evaluation.classifier import tell_apart
-from animarl_algos.evaluation.exchange_test import exchange_test
-from animarl_algos.evaluation.null import Exchanges
-from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
+from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import CEILING, OTHERS, WEIGHTS, realism
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.sequence_judge import sequence_windows, window_steps
-from animarl_algos.evaluation.windows import resting_step
+from animarl_algos.evaluation.windows import resting_step, sequence_windows, window_steps
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from benchmarks import verdict_power
@@ -33,9 +31,7 @@ def recorded_and_simulated(
 
 
 def score_of(recorded: Demonstrations, rollouts: Rollouts) -> float:
-    truth = Rollouts.from_demonstrations(recorded)
-    rng = np.random.default_rng(0)
-    return realism(truth, rollouts, ARENA, resting_step(truth), rng).score.estimate
+    return realism(Prepared(recorded), rollouts, np.random.default_rng(0)).score.estimate
 
 
 def standing_still(rollouts: Rollouts) -> Rollouts:
@@ -79,8 +75,7 @@ def test_realism_ranks_the_true_simulator_above_every_broken_one(world: KnownWor
 
 def test_realism_stands_between_its_references() -> None:
     recorded, perfect = recorded_and_simulated(CHASE, 20, seed=3)
-    truth = Rollouts.from_demonstrations(recorded)
-    found = realism(truth, perfect, ARENA, resting_step(truth), np.random.default_rng(0))
+    found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
     total = found.table.iloc[-1]
     assert total["kind"] == "total" and total["score"] == found.score.estimate
     assert total[OTHERS] < total["score"] < total[CEILING] <= 1.0
@@ -91,26 +86,23 @@ def test_realism_stands_between_its_references() -> None:
 
 def test_realism_of_one_recording_and_of_recordings_that_merely_end() -> None:
     recorded, perfect = recorded_and_simulated(PAIR, 1, seed=4)
-    truth = Rollouts.from_demonstrations(recorded)
-    rest = resting_step(truth)
-    found = realism(truth, perfect, ARENA, rest, np.random.default_rng(0))
+    found = realism(Prepared(recorded), perfect, np.random.default_rng(0))
     assert OTHERS not in found.table and np.isnan(found.score.low)
-    cut = replace(truth, outcome=np.full(1, UNFINISHED))
-    ending = realism(cut, perfect, ARENA, rest, np.random.default_rng(0)).table
+    cut = Prepared(replace(recorded, outcome=np.full(1, UNFINISHED)))
+    ending = realism(cut, perfect, np.random.default_rng(0)).table
     rows = ending.set_index("component")
     assert "outcome" not in rows.index  # nothing is known of how it would have ended
     assert rows.loc["duration", "score"] == pytest.approx((EACH + 0.1) / (EACH + 0.2))
     short = dying_early(perfect)
-    ended = realism(cut, short, ARENA, rest, np.random.default_rng(0)).table
+    ended = realism(cut, short, np.random.default_rng(0)).table
     assert ended.set_index("component").loc["duration", "score"] == pytest.approx(
         0.1 / (EACH + 0.2)
     )
 
 
 def joint_p(recorded: Demonstrations, rollouts: Rollouts, seed: int) -> float:
-    truth = Rollouts.from_demonstrations(recorded)
-    rest, lags = resting_step(truth), lags_for(median_steps(truth), truth.dt)
-    sides = [order_measures(one, ARENA, lags, rest).values for one in (truth, rollouts)]
+    prepared = Prepared(recorded)
+    sides = [prepared.order(one).values for one in (prepared.recorded, rollouts)]
     exchanges = Exchanges.draw(rollouts.demo, len(recorded), np.random.default_rng(seed), 300)
     return exchange_test(np.concatenate(sides), exchanges).p
 

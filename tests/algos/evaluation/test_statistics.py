@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy import stats
 
-from animarl_algos.evaluation.anova import Anova, f_statistic, permutation_anova
-from animarl_algos.evaluation.cells import Cells, cells
+from animarl_algos.evaluation.comparison import Anova, permutation_anova
 from animarl_algos.evaluation.statistics import (
     UNDEFINED,
+    Cells,
+    Draws,
     Interval,
     bootstrap_difference,
     bootstrap_mean,
+    cells,
     covers,
+    demo_margins,
+    draw_weights,
     percentile_interval,
+    share_margins,
     within_intervals,
 )
-from animarl_algos.evaluation.studentised import Draws, demo_margins, draw_weights, share_margins
-from animarl_envs.errors import InputError
 
 
 def crossed(
@@ -57,8 +58,6 @@ def test_weights_are_a_resample() -> None:
     weights = draw_weights(np.random.default_rng(0), 7, 400)
     assert weights.shape == (400, 7) and (weights.sum(axis=1) == 7).all()
     assert weights.mean() == pytest.approx(1.0)
-    with pytest.raises(InputError, match="nothing to resample"):
-        draw_weights(np.random.default_rng(0), 0)
 
 
 def test_draws_do_not_depend_on_what_was_asked_before() -> None:
@@ -71,7 +70,7 @@ def test_draws_do_not_depend_on_what_was_asked_before() -> None:
 def test_a_cell_in_which_nothing_counts_adds_nothing() -> None:
     data = cells([1.0, 3.0, 10.0, 4.0], [4, 4, 4, 9], [0, 0, 2, 1], num_demos=4)
     assert data.deviations.mean() == pytest.approx(0.0)
-    assert (data.deviations == 0).tolist() == (~data.present).tolist()
+    assert (data.deviations == 0).tolist() == (data.counts == 0).tolist()
     complete = crossed(np.random.default_rng(0), 3, 5, 2, (1.0, 1.0, 1.0, 1.0))
     assert complete.deviations == pytest.approx(complete.cell_means - complete.mean)
     even = data.even
@@ -169,23 +168,15 @@ def test_a_share_stays_between_none_and_all() -> None:
     assert 0.0 < few.low < 0.05 < few.high < 0.3
     # Of many independent episodes it is Wilson's.
     values = (np.arange(2000) < 300).astype(float)
-    below, above = share_margins(np.asarray(0.15), values)
+    below, above = share_margins(0.15, values)
     wilson = stats.binomtest(300, 2000).proportion_ci(method="wilson")
     assert (0.15 - below, 0.15 + above) == pytest.approx((wilson.low, wilson.high), abs=1e-4)
-
-
-def test_interval_is_undefined_when_many_resamples_are() -> None:
-    values = np.where(np.arange(100) < 10, np.nan, 1.0)
-    assert np.isnan(percentile_interval(1.0, values).low)
-    assert percentile_interval(1.0, np.linspace(0, 1, 1001)).low == pytest.approx(0.025)
 
 
 def test_interval_holds_the_central_share_of_what_is_defined() -> None:
     values = np.linspace(0, 1, 1001)
     interval = percentile_interval(0.4, values)
     assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.4, 0.025, 0.975))
-    half = percentile_interval(0.4, values, confidence=0.5)
-    assert (half.low, half.high) == pytest.approx((0.25, 0.75))
     # One in twenty may be without a value, no more.
     for without, defined in ((5, True), (6, False)):
         some = np.where(np.arange(100) < without, np.nan, 1.0)
@@ -193,25 +184,10 @@ def test_interval_holds_the_central_share_of_what_is_defined() -> None:
     assert np.isnan(percentile_interval(np.nan, values).low)
 
 
-def test_intervals_exclude_zero_and_overlap() -> None:
+def test_intervals_exclude_zero() -> None:
     assert Interval(1.0, 0.1, 2.0).excludes_zero and Interval(-1.0, -2.0, -0.1).excludes_zero
     assert not Interval(1.0, 0.0, 2.0).excludes_zero and not Interval(-1.0, -2.0, 0.0).excludes_zero
     assert not Interval(0.5, -0.5, 0.5).excludes_zero and not UNDEFINED.excludes_zero
-    below, above = Interval(0.5, 0.0, 1.0), Interval(2.0, 1.5, 2.5)
-    assert not below.overlaps(above) and not above.overlaps(below)
-    touching = Interval(1.2, 1.0, 1.5)
-    for other in (below, above, touching, UNDEFINED):
-        assert touching.overlaps(other) and other.overlaps(touching)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        below.low = 2.0  # type: ignore[misc]
-
-
-def test_misshapen_cells_are_refused() -> None:
-    for sums, counts in (((2, 3), (3, 2)), ((3,), (3,)), ((2, 3), (3,)), ((1, 2, 3), (1, 2, 3))):
-        with pytest.raises(InputError, match="seeds, demos"):
-            Cells(np.zeros(sums), np.zeros(counts))
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        Cells(np.zeros((1, 1)), np.zeros((1, 1))).sums = np.ones((1, 1))  # type: ignore[misc]
 
 
 def test_pairing_removes_what_demonstrations_share() -> None:
@@ -224,42 +200,8 @@ def test_pairing_removes_what_demonstrations_share() -> None:
     assert interval.low < 0.5 < interval.high
     assert interval.high - interval.low < 0.2
     assert interval.excludes_zero
-    with pytest.raises(InputError, match="same demonstrations"):
-        bootstrap_difference(first, Cells(np.ones((1, 3)), np.ones((1, 3))), rng)
-
-
-def test_shared_seeds_are_subtracted_network_by_network() -> None:
-    """One network asked two questions: what the seed adds to both cancels."""
-    rng = np.random.default_rng(5)
-    network = rng.normal(0, 10, (5, 1)) + np.zeros((5, 30))
-    first, second = Cells(network + 1.0, np.ones((5, 30))), Cells(network, np.ones((5, 30)))
-    shared = bootstrap_difference(first, second, rng, 500, same_seeds=True)
-    apart = bootstrap_difference(first, second, rng, 500)
-    assert (shared.low, shared.high) == pytest.approx((1.0, 1.0))
-    assert apart.high - apart.low > 5.0
-
-
-def test_conditions_have_demonstrations_of_their_own() -> None:
-    """Welch's standard error, with Student's t for each side and no pairing."""
-    rng = np.random.default_rng(8)
-    values = rng.normal(size=12)
-    sides = [
-        Cells((values * chosen)[None], chosen[None].astype(float))
-        for chosen in (np.arange(12) < 5, np.arange(12) >= 5)
-    ]
-    found = bootstrap_difference(*sides, rng, 100, same_seeds=True, same_demos=False)
-    margin = np.hypot(
-        stats.t.ppf(0.975, 4) * stats.sem(values[:5]), stats.t.ppf(0.975, 6) * stats.sem(values[5:])
-    )
-    assert found.estimate == pytest.approx(values[:5].mean() - values[5:].mean())
-    assert found.high - found.estimate == pytest.approx(margin)
-    nothing = bootstrap_difference(*sides, rng, 100)
-    assert np.isnan(nothing.low) and nothing.reason == "no shared start"
-    with pytest.raises(InputError, match="same networks"):
-        bootstrap_difference(
-            Cells(np.ones((2, 3)), np.ones((2, 3))), Cells(np.ones((1, 3)), np.ones((1, 3))),
-            rng, same_seeds=True,
-        )  # fmt: skip
+    sides = [Cells(level * chosen, 1.0 * chosen) for chosen in np.eye(2, 40)[:, None]]
+    assert bootstrap_difference(*sides, rng, 50).reason == "no shared start"
 
 
 def as_cells(values: np.ndarray) -> Cells:
@@ -273,8 +215,8 @@ def test_within_intervals_take_out_what_demonstrations_share() -> None:
     methods = [as_cells(shared + rng.normal(0, 2.0, 50) + centre) for centre in (100, 110, 120)]
     own = [bootstrap_mean(data, rng, 500) for data in methods]
     within = within_intervals(methods, rng, 500)
-    assert own[0].overlaps(own[2])
-    assert not within[0].overlaps(within[1]) and not within[1].overlaps(within[2])
+    assert own[0].high > own[2].low
+    assert within[0].high < within[1].low and within[1].high < within[2].low
     assert [w.estimate for w in within] == pytest.approx([data.mean for data in methods])
 
 
@@ -302,30 +244,7 @@ def test_within_intervals_by_hand() -> None:
     assert np.isnan(alone[0].low) and alone[0].reason == "a single method"
 
 
-def test_same_generator_same_numbers() -> None:
-    data = crossed(np.random.default_rng(6), 3, 10, 2, (1.0, 1.0, 1.0, 1.0))
-    intervals = [bootstrap_mean(data, np.random.default_rng(9), 200) for _ in range(2)]
-    assert intervals[0] == intervals[1]
-
-
 # -- ANOVA ------------------------------------------------------------
-
-
-@pytest.mark.parametrize("sizes", [(9, 9, 9, 9), (2, 5, 3)])
-def test_f_equals_scipy(sizes: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(7)
-    groups = [rng.normal(size=n) + k for k, n in enumerate(sizes)]
-    labels = np.repeat(np.arange(len(sizes)), sizes)
-    found = f_statistic(np.concatenate(groups), labels)
-    assert found == pytest.approx(stats.f_oneway(*groups).statistic)
-
-
-def test_f_of_many_arrangements_is_the_f_of_each() -> None:
-    rng = np.random.default_rng(10)
-    values, labels = rng.normal(size=(5, 9)), np.repeat([0, 1, 2], [2, 4, 3])
-    dealt = rng.permuted(np.tile(labels, (5, 1)), axis=1)
-    each = [stats.f_oneway(*(v[d == k] for k in range(3))).statistic for v, d in zip(values, dealt)]
-    np.testing.assert_allclose(f_statistic(values, dealt), each)
 
 
 def test_all_arrangements_are_gone_through_where_they_are_few() -> None:
@@ -333,12 +252,12 @@ def test_all_arrangements_are_gone_through_where_they_are_few() -> None:
     rng = np.random.default_rng(11)
     result = permutation_anova([np.array([0.0, 0.1]), np.array([100.0, 100.2])], rng)
     assert result.p == result.least == pytest.approx(2 / 6) and result.exact
-    assert not result.can_decide(0.05)
+    assert result.decision == "cannot be decided with so few seeds"
     assert result.permutes == ("which method a training seed belongs to (2 + 2 seeds, all 6 ways)")
     unequal = permutation_anova([np.array([5.0]), np.array([0.0, 0.1, 0.2])], rng)
     assert unequal.p == pytest.approx(1 / 4)
     drawn = permutation_anova([np.arange(20.0), np.arange(20.0) + 100], rng, 99)
-    assert not drawn.exact and drawn.p == 1 / 100 and drawn.can_decide(0.05)
+    assert not drawn.exact and drawn.p == 1 / 100 and drawn.decision == "passed"
 
 
 @pytest.mark.parametrize(
@@ -349,7 +268,7 @@ def test_so_few_seeds_decide_nothing(sizes: tuple[int, ...], decides: bool) -> N
     """Whatever the values: the best of all arrangements is not rare enough."""
     apart = [100.0 * k + np.arange(float(n)) for k, n in enumerate(sizes)]
     result = permutation_anova(apart, np.random.default_rng(0))
-    assert result.can_decide(0.05) == decides
+    assert (result.decision == "passed") == decides
     assert not decides or result.p == pytest.approx(result.least)
 
 
@@ -365,10 +284,3 @@ def test_the_gate_passes_in_one_of_twenty_where_nothing_differs(sizes: tuple[int
         permutation_anova([rng.exponential(size=n) for n in sizes], rng, 199).p for _ in range(400)
     ]
     assert np.mean(np.array(p) <= 0.05) <= 0.08
-
-
-def test_anova_refuses_what_it_cannot_judge() -> None:
-    rng = np.random.default_rng(0)
-    for methods in ([np.ones(5)], [np.ones(5), np.ones(0)], [np.ones(2), np.array([1.0, np.nan])]):
-        with pytest.raises(InputError, match="two methods"):
-            permutation_anova(methods, rng)

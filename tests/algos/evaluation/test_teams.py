@@ -12,9 +12,8 @@ import pytest
 import torch
 
 from animarl_algos.evaluation.metrics import path_lengths
-from animarl_algos.evaluation.published_networks import PublishedTeam
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.evaluation.teams import PublishedTeam, teams_of
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import join
 from animarl_envs.demos.packaged import load_packaged

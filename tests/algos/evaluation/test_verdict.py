@@ -12,11 +12,10 @@ import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
 
 from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.evaluation.exchange_test import Exchanges
 from animarl_algos.evaluation.metrics import METRICS, Episodes, judged_metrics, slow_speeds
-from animarl_algos.evaluation.null import Exchanges
-from animarl_algos.evaluation.prepared import Prepared, censored
+from animarl_algos.evaluation.prepared import Prepared, censored, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.survival import log_rank_scores, mean_survival
 from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, phrase_of
 from animarl_algos.report.page import Table
@@ -314,7 +313,7 @@ def test_who_is_held_by_a_wall_has_not_left() -> None:
     )
     reach = np.hypot(*np.moveaxis(rollouts.positions, -1, 0))
     assert reach.max() > 1.0 - 1e-5  # somebody is at the wall
-    prepared = Prepared.of(demos, smoothing=1)
+    prepared = Prepared(demos)
     assert not prepared.measures(rollouts)["leaving"].any()
     beyond = replace(rollouts, positions=rollouts.positions * 1.001)
     assert prepared.measures(beyond)["leaving"].any()

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import Interval, percentile_interval
-from animarl_algos.evaluation.studentised import draw_weights
+from animarl_algos.evaluation.statistics import Interval, draw_weights, percentile_interval
 from animarl_algos.evaluation.teams import load_weights, make_policy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
