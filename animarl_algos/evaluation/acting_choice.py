@@ -3,12 +3,9 @@
 Candidates are Boltzmann sampling at temperature 1, which a clone's logits mean, and at shares of
 the temperatures that fit the demonstrated actions best, and the greedy rule; where none of them
 comes near, also sampling at one share for how hard and another for which way. Each is rolled out
-from the starts of training and validation episodes and compared with these episodes by outcome,
-duration, path length, speed, rest and the memory of turns: neither by the DTW distance, which
-hardly tells good simulators from bad ones, nor on any test episode. Rollouts stop where their
-recording merely stops. The first stays unless another is better by more than
-rollouts of one rule differ: the others were fitted to few validation animals, and the best of a
-dozen is lucky. Where sampling at 1 is clearly wrong, the best is taken.
+from the starts of training and validation episodes, never of a test episode, and compared by
+outcome, duration, path length, speed, rest and the memory of turns. Not by the DTW distance, which
+hardly tells good simulators from bad ones. Rollouts stop where their recording merely stops.
 """
 
 from __future__ import annotations
@@ -139,13 +136,12 @@ def choose_acting(
         Training and validation episodes, see :func:`choice_episodes`.
     rules
         To choose among: the first of them, unless its mismatch is more than ``MARGIN`` above the
-        least; then the rule with the least.
+        least; then the rule with the least. The others were fitted to few validation animals, and
+        the best of a dozen is lucky.
     further
         To try as well where the mismatch of all ``rules`` is above ``NEAR``.
-    seed
-        Of the worlds.
-    cue
-        What policies are told of the condition.
+    seed, cue
+        Of the worlds, and what policies are told of the condition.
     """
     recorded = Rollouts.from_demonstrations(demos)
     repetitions = max(1, round(ROLLOUTS / demos.num_episodes))

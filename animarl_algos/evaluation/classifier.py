@@ -1,15 +1,14 @@
 """Which of these two is recorded? A classifier's answer, after Lopez-Paz and Oquab (2017, ICLR).
 
-Boosted trees look at windows of motion (:mod:`animarl_algos.evaluation.windows`). How often they
-rank a simulated window above a recorded one, the area under the ROC curve, is 0.5 if nothing
-distinguishes the two and 1 if everything does.
+How often boosted trees rank a simulated window (:mod:`animarl_algos.evaluation.windows`) above a
+recorded one, the area under the ROC curve, is 0.5 if nothing distinguishes the two and 1 if
+everything does. They are asked about demonstrations that they were not trained on: folds are dealt
+by demonstration, and a rollout goes with the recording that it started from.
 
-They are always asked about demonstrations that they were not trained on: folds are dealt by
-demonstration, and a rollout goes with the recording that it started from. Only windows of one fold
-are compared with each other. (Pooling the scores of all folds would push the null below 0.5, since
-a fold's mean score moves against its share of the classes.) Of a *fixed* set dealt in two halves
-this remains: what one half has more of in the test fold, it has less of in the training folds, so
-recordings among themselves may come out a little below 0.5 in small sets.
+Only windows of one fold are compared. (Pooling the scores of all folds would push the null below
+0.5, since a fold's mean score moves against its share of the classes.) Of a *fixed* set dealt in
+two halves this remains: what one half has more of in the test fold, it has less of in the training
+folds, so recordings among themselves may come out a little below 0.5 in small sets.
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.statistics import Floats, Interval, percentile_interval
-from animarl_algos.evaluation.windows import Ints, Windows
+from animarl_algos.evaluation.statistics import Floats, Interval, Ints, percentile_interval
+from animarl_algos.evaluation.windows import Windows
 from animarl_envs.errors import MissingExtraError
 
 FOLDS = 5
@@ -44,9 +43,8 @@ TREES: dict[str, Any] = {
 class Telling:
     """How well two sets of windows are told apart.
 
-    ``auc`` has a 95 % interval over demonstrations and training sets. It is undefined (NaN) where
-    there are not two demonstrations of each side, or too few windows for a tree to split; its
-    ``reason`` says which. ``importance`` is by how much the area falls when the features of one
+    ``auc`` has a 95 % interval over demonstrations and training sets; where it is undefined (NaN)
+    its ``reason`` says why. ``importance`` is by how much the area falls when the features of one
     kind are shuffled.
     """
 
@@ -72,8 +70,7 @@ def tell_apart(
         Deals the folds, thins, shuffles and resamples.
     deals
         How often the folds are dealt; by default ``DEALS`` times and, of ``FEWEST_DEALT``
-        demonstrations and more, until ``DEALT`` were asked about, for of few the answer depends on
-        how they are dealt.
+        demonstrations and more, until ``DEALT`` were asked about.
     importance
         Whether to shuffle features too, one kind after the other.
     """
@@ -168,11 +165,10 @@ def _thinned(windows: Windows, rng: np.random.Generator) -> Windows:
 
 
 def _levels(values: Floats) -> Floats:
-    """Every feature as its level among all windows; trees ask for nothing but the order.
+    """Every feature as its level among all windows, -1 where it is not defined.
 
-    Where it is not defined, it has a level of its own, -1.
-    The library would find the levels again in every fit, which takes it ten times as long as to
-    grow the trees.
+    Trees ask for nothing but the order. The library would find the levels again in every fit, which
+    takes it ten times as long as to grow the trees.
     """
     levels = np.full(values.shape, -1.0)
     for column in range(values.shape[1]):

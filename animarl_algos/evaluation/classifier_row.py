@@ -19,11 +19,10 @@ import numpy as np
 from animarl_algos.evaluation.classifier import Telling, among_themselves, tell_apart
 from animarl_algos.evaluation.prepared import Prepared, factual
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval
+from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, Ints
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, UNKNOWN, Row
 from animarl_algos.evaluation.windows import (
     WINDOW,
-    Ints,
     Windows,
     sequence_windows,
     window_features,
@@ -70,16 +69,9 @@ def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
 class Judge:
     """What one judge makes of the rollouts, and of what they are read beside.
 
-    Parameters
-    ----------
-    key, label
-        Of its row.
-    simulated
-        Of the rollouts against their recordings.
-    areas
-        By name, areas under the curve of recordings ``among`` themselves, of closed-loop tracking
-        (``floor``), of such tracking with some actions at random (``perturbed``), and of random
-        actions (``ceiling``).
+    ``areas`` are those under the curve, by name: of recordings ``among`` themselves, of closed-loop
+    tracking (``floor``), of such tracking with some actions at random (``perturbed``), and of
+    random actions (``ceiling``).
     """
 
     key: str
@@ -123,12 +115,8 @@ def judge_windows(
 ) -> tuple[Judge, bool]:
     """Ask about two seconds of motion; also whether parts of demonstrations were dealt.
 
-    Parameters
-    ----------
-    sides
-        What the rollouts are read beside, smoothed as the recordings.
-    references
-        Other recordings; by default halves of the evaluated ones are compared.
+    ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
+    other recordings, by default halves of the evaluated ones are compared.
     """
     demos = prepared.demos
     block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None

@@ -72,8 +72,7 @@ def collect_rollouts(
         ``partial(ChaseWorld, scenario)``. Warm-up steps are replayed by the world.
     policy
         Asked for all individuals of all copies at once: observations ``(slots, n)`` with slot =
-        copy * individuals + individual. Its own randomness (test epsilon, temperature) is its
-        owner's to seed.
+        copy * individuals + individual. Its own randomness is its owner's to seed.
     method, seed
         Name and training seed that the rollouts carry; the seed also starts the world's streams.
     repetitions
@@ -85,13 +84,12 @@ def collect_rollouts(
     deterministic
         Handed on to ``predict``.
     resolution
-        The grid to which positions of finished rollouts are rounded, by default that of the
-        world's demonstrations, so that both are at the scale at which positions were stored;
-        ``None``: they stay as simulated. The simulation itself is never rounded.
+        The grid to which positions of finished rollouts are rounded, by default that of the world's
+        demonstrations; ``None``: they stay as simulated. The simulation itself is never rounded.
     reseed
         Seeds the policy's own randomness before each batch of rollouts, from ``seed`` and the batch
-        alone: the same policy then meets the same random numbers whatever it is told (common
-        random numbers), so that two answers differ by the cue and by nothing else.
+        alone: the same policy then meets the same random numbers whatever it is told, so that two
+        answers differ by the cue and by nothing else.
 
     Raises
     ------
@@ -135,7 +133,6 @@ def _run_batch(
     cue: Cue | None,
     deterministic: bool,
 ) -> Rollouts:
-    """One rollout per copy, all from the start to their own end."""
     copies, num = world.num_copies, world.num_individuals
     world.reset(demo=tasks[:, 0].copy())
     flag = None if cue is None else _flag(cue, world.condition)

@@ -133,19 +133,18 @@ def comparison_table(
 
     Returns
     -------
-    One row per method, metric and counting rule. ``rollouts``, ``demos`` and ``seeds`` say how
-    many count, ``covers`` what an interval speaks of: of training runs, or of one network only.
-    Each of the following comes with ``_low`` and ``_high``; where they are not defined, ``reason``
-    says why.
+    One row per method, metric and counting rule. ``rollouts``, ``demos`` and ``seeds`` say how many
+    count, ``covers`` what an interval speaks of. Each of the following comes with ``_low`` and
+    ``_high``; where they are not defined, ``reason`` says why.
 
     - ``mean``, and ``within``, the mean again with the interval of
       :func:`~animarl_algos.evaluation.statistics.within_intervals` among the simulated methods;
     - ``to_recorded``: less the recorded mean, on the ``to_recorded_demos`` starts that both have;
     - ``energy``: mean energy score per start, the primary measure of a distribution; beside it
       ``energy_pooled``, what the recordings of all other starts score;
-    - ``kde`` and ``wasserstein``: distances of the pooled values; ``..._null`` are mean and
-      central 95 % of what a perfect simulator gives, ``kde_p`` and ``wasserstein_p`` how often it
-      gives as much; ``kde_floor`` is the smallest bandwidth where it acts [unit of the metric].
+    - ``kde`` and ``wasserstein``: distances of the pooled values; ``..._null`` are mean and central
+      95 % of what a perfect simulator gives, ``kde_p`` and ``wasserstein_p`` how often it gives as
+      much; ``kde_floor`` is the smallest bandwidth where it acts [unit of the metric].
 
     Beside a distance to the recordings (DTW) stand ``duration`` and ``reached`` of the same
     episodes, without which a short episode passes for a close one.
@@ -220,13 +219,10 @@ def pair_table(
 ) -> pd.DataFrame:
     """Every simulated method minus every other, paired by demonstration.
 
-    Returns
-    -------
-    One row per metric, counting rule and ordered pair: ``first``, ``second``, the ``difference`` of
-    their means and of their ``energy`` scores (below zero, the first is closer to the recordings)
-    with 95 % intervals, and the ``reason`` where there is none. Only starts that both have count:
-    ``demos`` of them, which ``pairing`` says if they are not all. These are not planned contrasts:
-    nothing corrects them for their number.
+    One row per metric, counting rule and ordered pair: the ``difference`` of their means and of
+    their ``energy`` scores (below zero, the ``first`` is closer to the recordings) with 95 %
+    intervals, and the ``reason`` where there is none. Only starts that both have count: ``demos``
+    of them, which ``pairing`` says if they are not all. Nothing corrects for the number of pairs.
     """
     import pandas as pd
 
@@ -270,9 +266,8 @@ def contrast_table(
 ) -> pd.DataFrame:
     """The planned contrasts, behind their gate; empty if fewer than two methods take part.
 
-    Compared is, by ``measure``, how far a method is from the recordings. A negative difference
-    means that the first method is closer. All episodes count, from the ``demos`` starts that all
-    methods have.
+    Compared is, by ``measure``, how far a method is from the recordings; below zero, the first is
+    closer. All episodes count, from the ``demos`` starts that all methods have.
 
     - ``energy score``: per seed and start, the primary measure;
     - ``absolute gap``: between the mean over repetitions and the recorded value, as in the paper;
@@ -280,9 +275,8 @@ def contrast_table(
     - ``distance``: for DTW the distance itself.
 
     The gate is a one-way ANOVA over all methods that take part, with the null of exchanged training
-    seeds (``gate_unit``); it is ``"passed"``, ``"not passed"`` or cannot be decided, where no
-    arrangement of so few seeds would reach the level. Only behind a passed gate does a contrast
-    have an interval; elsewhere ``reason`` says why not.
+    seeds (``gate_unit``). Only behind a passed gate does a contrast have an interval; elsewhere
+    ``reason`` says why not.
     """
     import pandas as pd
 
@@ -402,19 +396,11 @@ class Anova:
 def permutation_anova(
     methods: Sequence[Floats], rng: np.random.Generator, permutations: int = RESAMPLES
 ) -> Anova:
-    """Whether the methods differ more than their training seeds do.
+    """Whether the methods, each ``(seeds,)``, differ more than their training seeds do.
 
-    Parameters
-    ----------
-    methods
-        One array ``(seeds,)`` per method, of any lengths.
-    permutations
-        All arrangements are gone through if there are no more than this, else so many drawn.
-
-    Returns
-    -------
-    The observed arrangement counts among those as extreme, so p is never zero and is valid for any
-    number of permutations.
+    All arrangements are gone through if there are no more than ``permutations``, else so many
+    drawn. The observed one counts among those as extreme, so p is never zero and is valid for any
+    number.
     """
     from scipy.stats import f_oneway
 

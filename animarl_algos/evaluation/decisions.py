@@ -75,13 +75,7 @@ class Decisions:
 
     @classmethod
     def load(cls, file: Path) -> Decisions:
-        """Read what :meth:`save` wrote.
-
-        Raises
-        ------
-        InputError
-            If the file is damaged.
-        """
+        """Read what :meth:`save` wrote, or raise InputError if the file is damaged."""
         values: dict[str, Any] = read_npz(file)
         try:
             plain = {"individual": str, "demo": int, "moment": int}
@@ -107,15 +101,13 @@ def decide_along(
         Of all individuals, in the order of ``demos``, or of ``focal`` alone.
     species
         As the policy was trained in; its locomotion tells the recorded actions.
-    demos
-        The evaluated set.
+    demos, demo
+        The evaluated set, and which of it; by default the one of median length.
     condition_flag
         Whether the condition is the last component of an observation.
     focal
         The individual that learned, whose values are told. If all did: those of the first that
         moves towards the target or source.
-    demo
-        Which demonstration; by default the one of median length.
     """
     if demo is None:
         demo = int(np.argsort(demos.lengths, kind="stable")[len(demos) // 2])

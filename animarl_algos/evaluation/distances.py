@@ -42,9 +42,8 @@ FEW_ROLLOUTS = "fewer than two rollouts a start"
 class KdeRule:
     """The grid and the smallest bandwidth, fixed once for all samples that are compared.
 
-    The bandwidth of a sample is Scott's, ``n^(-1/5)`` times its standard deviation, the default of
-    ``scipy.stats.gaussian_kde``, but never less than ``floor``, so that values without any
-    variance (every episode timing out) are a narrow peak instead of an error.
+    The bandwidth of a sample is Scott's, as in ``scipy.stats.gaussian_kde``, but never less than
+    ``floor``, so that values without any variance (every episode timing out) are a narrow peak.
     """
 
     start: float
@@ -187,17 +186,10 @@ def bootstrap_distances(
 ) -> tuple[Interval, Interval]:
     """Kernel-density and Wasserstein distance with hierarchical bootstrap intervals.
 
-    Parameters
-    ----------
-    simulated, seed, demo
-        ``(rollouts,)``: value, training seed and demonstration of each; NaN does not count.
-    recorded
-        ``(demos,)``, NaN where a recording does not count.
-
-    Notes
-    -----
-    The kernel-density distance is biased upwards, and a resample repeats values, so its interval
-    may lie above the estimate: it shows spread, the null reference shows the bias.
+    Values, training seeds and demonstrations of rollouts are ``(rollouts,)``, ``recorded`` is
+    ``(demos,)``; NaN does not count. The kernel-density distance is biased upwards, and a resample
+    repeats values, so its interval may lie above the estimate: it shows spread, the null shows the
+    bias.
     """
     simulated = np.asarray(simulated, dtype=np.float64)
     recorded = np.asarray(recorded, dtype=np.float64)
@@ -224,8 +216,11 @@ def recorded_null(
     ``number`` values on one side and as many as there are on the other, without regard to starts.
     """
     even = np.full(len(recorded), 1.0 / len(recorded))
-    sides = [rng.multinomial(count, even, size=resamples) for count in (number, len(recorded))]
-    drawn = wasserstein_weighted(recorded, 1.0 * sides[0], recorded, 1.0 * sides[1])
+    first, second = (
+        rng.multinomial(count, even, size=resamples).astype(np.float64)
+        for count in (number, len(recorded))
+    )
+    drawn = wasserstein_weighted(recorded, first, recorded, second)
     return percentile_interval(0.0, drawn).high
 
 
@@ -247,16 +242,9 @@ def _scott(sample: Floats, floor: float) -> float:
 def energy_score(simulated: ArrayLike, recorded: ArrayLike) -> float:
     """The unbiased estimate for one start, in the values' unit.
 
-    Parameters
-    ----------
-    simulated
-        ``(rollouts,)`` or ``(rollouts, d)``; ``d`` numbers are compared by Euclidean distance.
-    recorded
-        One number, or ``(d,)``.
-
-    Returns
-    -------
-    A single one may be negative; NaN for fewer than two rollouts, which do not show a spread.
+    ``simulated`` is ``(rollouts,)`` and ``recorded`` a number, or ``(rollouts, d)`` and ``(d,)``:
+    ``d`` numbers are compared by Euclidean distance. A single estimate may be negative; NaN for
+    fewer than two rollouts, which do not show a spread.
     """
     drawn = np.asarray(simulated, np.float64)
     number = len(drawn)
@@ -269,31 +257,17 @@ def energy_score(simulated: ArrayLike, recorded: ArrayLike) -> float:
 
 
 def energy_scores(simulated: ArrayLike, demo: ArrayLike, recorded: ArrayLike) -> Floats:
-    """The score at every start, ``(starts,)``.
-
-    Parameters
-    ----------
-    simulated, demo
-        ``(rollouts,)`` or ``(rollouts, d)``, and the start of each, counted in ``recorded``.
-    recorded
-        ``(starts,)`` or ``(starts, d)``.
-    """
+    """The score at every start, ``(starts,)``; ``demo`` ``(rollouts,)`` is the start of each."""
     drawn, start = np.asarray(simulated, np.float64), np.asarray(demo)
-    return np.array([energy_score(drawn[start == i], one) for i, one in enumerate(recorded)])
+    return np.array(
+        [energy_score(drawn[start == i], one) for i, one in enumerate(np.asarray(recorded))]
+    )
 
 
 def energy_cells(
     simulated: ArrayLike, seed: ArrayLike, demo: ArrayLike, recorded: ArrayLike
 ) -> Cells:
-    """The score of every training seed at every start, where it has two rollouts at least.
-
-    Parameters
-    ----------
-    simulated, seed, demo
-        ``(rollouts,)``: the value, the training seed and the start of each; NaN does not count.
-    recorded
-        ``(starts,)``, NaN where there is none.
-    """
+    """The score of every training seed at every start; NaN values do not count."""
     drawn, of, start = np.asarray(simulated, np.float64), np.asarray(seed), np.asarray(demo)
     seeds, known = np.unique(of), np.isfinite(drawn)
     rows = [(drawn[chosen], start[chosen]) for chosen in ((of == one) & known for one in seeds)]

@@ -127,16 +127,12 @@ def cue_effects(
 
     Parameters
     ----------
-    asked
-        By method.
-    demos
-        The evaluated demonstrations, which all rollouts started from.
+    asked, demos
+        By method; the evaluated demonstrations, which all rollouts started from.
     teams
         What the teams of condition 0 and of condition 1 do from every start.
     planned
         The flip ``(from, to)`` that was planned in advance; only of it a claim may be worded.
-    seed
-        Of the resampling.
     """
     import pandas as pd
 

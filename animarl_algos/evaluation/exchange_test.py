@@ -26,10 +26,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from animarl_algos.evaluation.distances import wasserstein_weighted, weighted_distances
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, percentile_interval
+from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Floats,
+    Interval,
+    Ints,
+    percentile_interval,
+)
 from animarl_envs.errors import InputError
-
-Ints = NDArray[np.int64]
 
 EXCHANGES = 1000
 LEVEL = 0.05
@@ -87,11 +91,6 @@ class Exchanges:
 
         ``copies`` ``(rollouts,)`` marks those that repeat an earlier one, see
         :attr:`~animarl_algos.evaluation.rollouts.Rollouts.copies`; by default none does.
-
-        Raises
-        ------
-        InputError
-            If there is no rollout, or a start is none of the recordings.
         """
         demo = np.asarray(demo)
         if len(demo) == 0 or demo.min() < 0 or demo.max() >= starts:
@@ -122,10 +121,9 @@ class Exchanges:
         return Tested.of(wasserstein_weighted(values, self.simulated, values, self.recorded))
 
     def distances(self, values: ArrayLike) -> tuple[tuple[Interval, float], ...]:
-        """Null of the kernel-density and of the Wasserstein distance.
+        """Mean and central 95 % of the null, and p, of the kernel-density and Wasserstein distance.
 
-        ``values`` ``(episodes,)`` may be NaN where an episode does not count. Of each distance the
-        mean and central 95 % of what exchanges give, and p.
+        ``values`` ``(episodes,)`` may be NaN where an episode does not count.
         """
         values = np.asarray(values, dtype=np.float64)
         counts = np.isfinite(values)
@@ -162,16 +160,10 @@ class Exchanges:
 class ExchangeTest:
     """What the joint test found, all ``(measures,)`` but the ``level`` at which measures differ.
 
-    Parameters
-    ----------
-    recorded, simulated
-        Means of recordings and of rollouts; every start counts alike.
-    statistic
-        Difference of both means, in standard deviations of the null.
-    adjusted_p
-        Corrected for the number of measures; NaN where a measure is undefined.
-    null
-        How far apart both means may be by chance, over all measures together.
+    Means of recordings and of rollouts, where every start counts alike; their difference in
+    standard deviations of the null (``statistic``); p corrected for the number of measures (NaN
+    where one is undefined); and how far apart means may be by chance over all measures together
+    (``null``).
     """
 
     recorded: Floats
@@ -213,15 +205,13 @@ def exchange_test(
     values
         ``(episodes, measures)``: recordings in their order, then rollouts in theirs. NaN where a
         measure is undefined in an episode, which then does not count.
-    exchanges
-        Which episode of a start is called the recorded one; the first row is the truth.
-    level
-        At which measures are said to differ.
+    exchanges, level
+        The null, and the level at which measures are said to differ.
     start, group, rng
         Where several recordings are of one animal: ``(episodes,)`` start of each episode, and
-        ``(starts,)`` the animal of each. What recordings of one animal have in common is no
-        evidence beyond one animal, so the null then turns the sign of all differences of an animal
-        together (a sign-flip test), by draws from ``rng``.
+        ``(starts,)`` the animal of each. The null then turns the sign of all differences of an
+        animal together (a sign-flip test), as what its recordings have in common is no evidence
+        beyond one animal.
     """
     known = np.isfinite(values)
     filled = np.where(known, values, 0.0)

@@ -324,13 +324,7 @@ def ending(rollouts: Rollouts) -> NDArray[np.int64]:
 
 
 def add_metric(metric: Metric) -> None:
-    """Have one more metric measured and shown, in this process.
-
-    Raises
-    ------
-    InputError
-        If there is one of that key.
-    """
+    """Have one more metric measured and shown, in this process; its key must be new."""
     if any(metric.key == known.key for known in METRICS):
         raise InputError(f"there is a metric {metric.key!r} already: give it another key")
     METRICS.append(metric)
@@ -348,11 +342,7 @@ def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, F
     """DTW distance of each individual's whole path to its demonstration's, and pairs of frames.
 
     Closed at both ends, Euclidean local cost, summed along the best warping path, which aligns so
-    many pairs.
-
-    Returns
-    -------
-    ``(rollouts, individuals)`` [arena unit], twice.
+    many pairs; ``(rollouts, individuals)`` [arena unit], twice.
     """
     distance, pairs = np.empty((2, len(rollouts), len(rollouts.individuals)))
     for i, demo in enumerate(rollouts.demo.tolist()):
@@ -363,26 +353,11 @@ def dtw_alignments(rollouts: Rollouts, demos: Demonstrations) -> tuple[Floats, F
 
 
 def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
-    """One row per rollout, one column per metric.
+    """One row per rollout, one column per metric of :func:`compared_metrics`.
 
-    Parameters
-    ----------
-    rollouts
-        Of one method; ``rollouts.demo`` counts the episodes of ``demos``.
-    demos
-        The evaluated set, the test split as a rule.
-
-    Returns
-    -------
-    Columns ``method, seed, demo, repetition, condition, cue, outcome, captured`` and
-
-    - ``return``: 1 if a pursuer reached the target (the moth the source), else 0;
-    - ``path_length`` [arena unit]: mean over the pursuers, or the moth's;
-    - ``duration`` [s];
-    - ``dtw`` [arena unit]: mean over the pursuers of the DTW distance to the same individual of the
-      demonstration; zero for the recordings;
-    - ``dtw_per_step`` [arena unit]: the same over the pairs of frames that the warping path aligns,
-      the mean distance between aligned positions.
+    Beside them ``method, seed, demo, repetition, condition, cue, outcome, captured``; ``rollouts``
+    are of one method, ``rollouts.demo`` counts the episodes of ``demos``. The DTW distance is that
+    to the same individual of the demonstration, so zero for the recordings.
 
     Raises
     ------

@@ -19,11 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
+from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.arena import Arena
 from animarl_envs.focus import focus_directions
-
-Ints = NDArray[np.int64]
 
 LAGS = (0.5, 2.0, 5.0, 20.0)  # [s] at which order in time is looked at
 LONGEST_LAG = 0.5  # of the median episode: beyond it too few pairs of steps are left
@@ -36,23 +34,11 @@ KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactiv
 class Series:
     """Padded series of several episodes, NaN where an episode has ended or nothing is defined.
 
-    Parameters
-    ----------
-    chosen
-        ``(episodes,)``, which of all.
-    speed
-        ``(episodes, steps, individuals)`` [arena unit / s].
-    turn
-        ``(episodes, steps - 1, individuals)``, signed angle between successive steps [rad]; NaN
-        where either step is at rest.
-    moving
-        ``(episodes, steps, individuals)``, whether the individual moves; false after the end.
-    step
-        ``(episodes, steps, individuals, 2)`` [arena unit].
-    position
-        ``(episodes, steps + 1, individuals, 2)`` [arena unit].
-    focus
-        ``(episodes, steps + 1, individuals, 2)``, unit vectors towards the focus.
+    ``chosen`` ``(episodes,)`` says which of all. ``position`` is ``(episodes, frames, individuals,
+    2)`` [arena unit], ``focus`` unit vectors of that shape towards the focus, ``step`` one frame
+    shorter; ``speed`` [arena unit / s] and ``moving`` are ``(episodes, steps, individuals)``,
+    ``turn`` is one step shorter, the signed angle between successive steps [rad], NaN where either
+    is at rest.
     """
 
     chosen: Ints
@@ -107,8 +93,7 @@ def angle(first: Floats, second: Floats) -> Floats:
 class EpisodeMeasures:
     """Measures of episodes, ``values`` ``(episodes, measures)``.
 
-    ``names`` are theirs, with the individual where there are several, and ``kinds`` what each is
-    about: one of the constants of this module.
+    ``names`` hold the individual where there are several; ``kinds`` are constants of this module.
     """
 
     names: tuple[str, ...]
@@ -138,12 +123,10 @@ def median_steps(rollouts: Rollouts) -> float:
 def order_measures(
     rollouts: Rollouts, lags: tuple[int, ...], rest: Floats, arena: Arena | None = None
 ) -> EpisodeMeasures:
-    """Measure every episode.
+    """Measure every episode of rollouts, or of recordings, both smoothed alike.
 
     Parameters
     ----------
-    rollouts
-        Of one method, or the recordings as rollouts, both smoothed alike.
     lags
         Of :func:`lags_for` of the recordings, so that both sides are measured alike [steps].
     rest

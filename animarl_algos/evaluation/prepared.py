@@ -33,12 +33,7 @@ from animarl_envs.demos.units import Unit, unit_of
 class Prepared:
     """Recordings smoothed, with what is worked out once for all comparisons with them.
 
-    Parameters
-    ----------
-    demos
-        The evaluated demonstrations.
-    smoothing
-        Frames of the moving average that both sides go through, 1 for none.
+    ``smoothing`` are the frames of the moving average that both sides go through, 1 for none.
     """
 
     demos: Demonstrations
@@ -120,16 +115,11 @@ def has_ended(rollouts: Rollouts) -> np.ndarray:
 
 
 def log_rank_scores(duration: ArrayLike, ended: ArrayLike) -> Floats:
-    """Return what each episode adds to the log-rank statistic, ``(episodes,)``.
+    """Return what each episode of both sides adds to the log-rank statistic, ``(episodes,)``.
 
-    It is whether the episode ended, less the cumulative hazard (Nelson and Aalen) of all episodes
-    up to its end: zero on average on both sides if both end at the same rate. The higher, the
-    earlier an episode ended.
-
-    Parameters
-    ----------
-    duration, ended
-        ``(episodes,)`` of both sides; ``ended`` is false where the film merely stopped.
+    It is whether the episode ``ended`` (not merely the film), less the cumulative hazard (Nelson
+    and Aalen) of all episodes up to its end: zero on average on both sides if both end at the same
+    rate. The higher, the earlier an episode ended.
     """
     duration, ended = np.asarray(duration, np.float64), np.asarray(ended, bool)
     times, place = np.unique(duration, return_inverse=True)

@@ -24,13 +24,18 @@ from animarl_algos.evaluation.order_in_time import (
     KINEMATIC,
     ORDER,
     PLACE,
-    Ints,
     Series,
     angle,
 )
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Floats, Interval, percentile_interval
+from animarl_algos.evaluation.statistics import (
+    UNDEFINED,
+    Floats,
+    Interval,
+    Ints,
+    percentile_interval,
+)
 from animarl_envs.demos.episode import UNFINISHED
 
 if TYPE_CHECKING:
@@ -56,15 +61,7 @@ CEILING, OTHERS, RANDOM = REFERENCES = "ceiling", "other recordings", "random ac
 
 @dataclass(frozen=True)
 class Component:
-    """Values of one component, of all episodes of one side.
-
-    Parameters
-    ----------
-    name, kind
-        What it measures; one of the keys of :data:`WEIGHTS`.
-    values, episode, individual
-        ``(n,)``, undefined values left out, and of whom each is.
-    """
+    """Values ``(n,)`` of one component, of all episodes of one side, and of whom each is."""
 
     name: str
     kind: str
@@ -108,8 +105,6 @@ def realism(
         The evaluated recordings; those of one animal or recording are resampled together.
     rollouts
         From their starts, in their condition, told no other one, smoothed as the recordings.
-    rng
-        Draws other recordings and resamples.
     references
         Recordings that are not evaluated, for the row of other recordings and for the limits of the
         bins; by default the evaluated ones, each start beside all others.
@@ -161,7 +156,7 @@ def realism(
 
 
 def _weights(kinds: NDArray[np.str_], scores: Floats) -> Floats:
-    """Weights of components ``(components,)``; they sum to one over those that are defined."""
+    """Weights ``(components,)``; they sum to one over those that are defined."""
     defined = np.isfinite(scores).any(axis=1)
     weights = np.zeros(len(kinds))
     for kind, share in WEIGHTS.items():
@@ -213,7 +208,6 @@ def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str,
 
 
 def _limits(values: Floats) -> tuple[float, float]:
-    """Between which values the bins lie."""
     if len(values) == 0:
         return 0.0, 1.0
     low, high = np.quantile(values, LIMITS).tolist()

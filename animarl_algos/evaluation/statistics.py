@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 RESAMPLES = 10_000
 CONFIDENCE = 0.95
@@ -120,13 +121,8 @@ def cells(
 ) -> Cells:
     """Gather one value per rollout into cells of seed and demonstration.
 
-    Parameters
-    ----------
-    values, seed, demo
-        ``(rollouts,)``: the metric, the training seed, and the demonstration's index below
-        ``num_demos``.
-    counts
-        ``(rollouts,)`` bool, which rollouts count; NaN values never do.
+    All are ``(rollouts,)``: the metric, the training seed, the demonstration's index below
+    ``num_demos``, and whether a rollout counts; NaN values never do.
     """
     values = np.asarray(values, dtype=np.float64)
     seeds, row = np.unique(np.asarray(seed), return_inverse=True)
@@ -211,13 +207,8 @@ def bootstrap_mean(
 ) -> Interval:
     """Mean over rollouts with its interval over demonstrations and seeds.
 
-    Parameters
-    ----------
-    rng
-        A generator, or draws that several statistics share.
-    share
-        The values are 0 or 1: the interval stays between them, and has a width even if all
-        episodes end alike.
+    ``rng`` may be draws that several statistics share. The values of a ``share`` are 0 or 1: its
+    interval stays between them, and has a width even if all episodes end alike.
     """
     present = data.of(data.starts)
     if not present.counts.size:
@@ -243,12 +234,8 @@ def bootstrap_difference(
     """``mean(first) - mean(second)`` of different networks on the same demonstrations.
 
     Only starts that both have count, each as much as any other. Recordings are cells with one row.
-
-    Parameters
-    ----------
-    share
-        The values are 0 or 1: the interval is Newcombe's hybrid score interval (1998, Stat. Med.
-        17, 873, method 10) of both shares, which stays between -1 and 1 and always has a width.
+    The interval of shares is Newcombe's hybrid score interval (1998, Stat. Med. 17, 873, method
+    10), which stays between -1 and 1 and always has a width.
     """
     pair = shared_starts([first, second])
     if min(data.counts.sum() for data in pair) == 0:

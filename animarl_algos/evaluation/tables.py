@@ -37,13 +37,12 @@ WORDS = ("reason", "gate_unit", "variant", "speaks_of")  # columns that may be e
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Evaluation:
-    """The tables of an evaluation, each a tidy data frame.
+    """The tables of an evaluation, each a tidy data frame, and the verdict on one method.
 
     ``metrics`` has one row per rollout and recording, ``comparison`` one per method, metric and
     counting rule, ``pairs`` one per ordered pair of methods, ``contrasts`` one per planned contrast
     (may be empty), ``counterfactual`` one per quantity (empty if no cue was flipped).
-    ``verdict`` says of one method whether it moves like the recordings. ``fingerprint`` is that of
-    the evaluated demonstrations.
+    ``fingerprint`` is that of the evaluated demonstrations.
     """
 
     metrics: pd.DataFrame
@@ -72,13 +71,7 @@ class Evaluation:
 
     @classmethod
     def load(cls, folder: str | Path) -> Evaluation:
-        """Read what :meth:`save` wrote.
-
-        Raises
-        ------
-        InputError
-            If a file is missing or damaged.
-        """
+        """Read what :meth:`save` wrote, or raise InputError if a file is missing or damaged."""
         import pandas as pd
 
         folder = Path(folder)
@@ -123,8 +116,7 @@ def evaluate(
     Parameters
     ----------
     rollouts
-        By method name, all its seeds and cues joined
-        (:meth:`~animarl_algos.evaluation.rollouts.Rollouts.concatenate`).
+        By method name, all its seeds and cues joined.
     demos
         The evaluated demonstrations, which the rollouts started from.
     seed
@@ -163,13 +155,13 @@ def evaluate(
         counterfactual = cue_effects(
             flipped, demos, planned=planned_flip, seed=seed, resamples=resamples
         ).table
-    number, drawn = demos.num_episodes, {"resamples": resamples}
-    drawn_too = {**drawn, "distance_resamples": distance_resamples}
+    number = demos.num_episodes
+    drawn = {"resamples": resamples, "distance_resamples": distance_resamples}
     return Evaluation(
         metrics=metrics,
-        comparison=comparison_table(metrics, number, streams[0], **drawn_too),
-        pairs=pair_table(metrics, number, streams[3], **drawn),
-        contrasts=contrast_table(metrics, number, streams[1], **drawn),
+        comparison=comparison_table(metrics, number, streams[0], **drawn),
+        pairs=pair_table(metrics, number, streams[3], resamples=resamples),
+        contrasts=contrast_table(metrics, number, streams[1], resamples=resamples),
         counterfactual=counterfactual,
         verdict=verdict(
             demos,
@@ -183,5 +175,5 @@ def evaluate(
         ),
         fingerprint=demos.fingerprint(),
         seed=seed,
-        **drawn_too,
+        **drawn,
     )

@@ -50,16 +50,9 @@ SEEN = (
 class Team:
     """All individuals of one condition as they were trained.
 
-    Parameters
-    ----------
-    policy
-        Moves everybody.
-    locomotion
-        That they were trained with, one per individual.
-    observation
-        What the policy sees: ``"full"`` or ``"paper"``.
-    reseed
-        Seeds its own randomness; None for one that has none.
+    ``policy`` moves everybody with the ``locomotion`` that they were trained with, one per
+    individual; it sees the ``"full"`` or the ``"paper"`` observation. ``reseed`` seeds its own
+    randomness; None for one that has none.
     """
 
     policy: Policy
@@ -88,11 +81,8 @@ class Team:
 def teams_of(demos: Demonstrations, folder: Path | None = None) -> tuple[Team, Team] | None:
     """The teams of condition 0 and 1 behind demonstrations; None where they are not known.
 
-    Parameters
-    ----------
-    folder
-        Weights of the recorded agents, ``indiv/p1_2.4.pth`` and so on; without it the packaged
-        teams, if the demonstrations say that they were made by these.
+    ``folder`` has the weights of the recorded agents, ``indiv/p1_2.4.pth`` and so on; without it
+    the packaged teams, if the demonstrations say that they were made by these.
 
     Raises
     ------
@@ -132,13 +122,7 @@ def trained_species() -> ChaseSpecies:
 
 
 def load_weights(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, object]]:
-    """Weights by the name of their layer, each ``(individuals, ...)``, and how they were made.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or no file of weights.
-    """
+    """Weights by the name of their layer, each ``(individuals, ...)``, and how they were made."""
     arrays = read_npz(file)
     try:
         meta = json.loads(str(arrays.pop(META)))
@@ -153,13 +137,7 @@ def load_weights(file: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, 
 def make_policy(
     weights: dict[str, NDArray[np.float32]] | None, *, epsilon: float, seed: int
 ) -> MlpPolicy:
-    """The networks of all individuals, epsilon-greedy; untrained where no weights are given.
-
-    Raises
-    ------
-    InputError
-        If the weights do not fit the networks.
-    """
+    """The networks of all individuals, epsilon-greedy; untrained where no weights are given."""
     species = trained_species()
     size = len(observation_components(species))
     policy = MlpPolicy(
@@ -214,13 +192,7 @@ class PublishedTeam:
 
     @classmethod
     def load(cls, folder: Path) -> PublishedTeam:
-        """Read ``p1_2.4.pth``, ``p2_2.4.pth`` and ``e_2.4.pth``.
-
-        Raises
-        ------
-        InputError
-            If a file is missing, damaged, or holds anything but such a network.
-        """
+        """Read ``p1_2.4.pth``, ``p2_2.4.pth`` and ``e_2.4.pth``, or raise InputError."""
         return cls(tuple(_load_network(folder / name) for name in FILES))
 
     def predict(

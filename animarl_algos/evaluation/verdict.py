@@ -82,16 +82,13 @@ class Verdict:
         Why there is too little data to say anything; empty where there is enough.
     smoothing
         Frames of the moving average that both sides went through.
-    auc, sequence
-        Areas under the ROC curve of the classifier on two seconds, and of the judge of order.
-    areas
-        By the judge's key and name, the areas that these are read beside: of recordings among
-        themselves, of closed-loop tracking, of such tracking with some actions at random, and of
-        random actions.
-    realism
-        The realism score with its interval, and by name the scores it is read beside.
-    components
-        The realism score by component, one row each.
+    auc, sequence, areas
+        Areas under the ROC curve of the classifier on two seconds and of the judge of order, and by
+        judge and name the areas that these are read beside
+        (:class:`~animarl_algos.evaluation.classifier_row.Judge`).
+    realism, realism_beside, components
+        The realism score with its interval, the scores that it is read beside, and its components,
+        one row each.
     importance
         By kind of feature, how much of the area rests on it.
     parts
@@ -175,7 +172,6 @@ class Verdict:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it: intervals as three numbers, None for what is not finite."""
     if isinstance(value, Interval):
         return [_plain(end) for end in (value.estimate, value.low, value.high)]
     if isinstance(value, Mapping):
@@ -210,11 +206,9 @@ def verdict(
         out.
     seed
         Of exchanges, folds and resamples.
-    floor
-        The same demonstrations as the fitted locomotion follows them; looked at on the grid on
-        which recorded positions lie, as rollouts are.
-    perturbed
-        The same with some actions at random, to read areas by.
+    floor, perturbed
+        The same demonstrations as the fitted locomotion follows them, and with some actions at
+        random, to read areas by.
     baselines
         Rollouts of ``"random"`` actions, for the upper end of the classifier's scale, and of an
         ``"untrained"`` network, which a trained one should beat.
@@ -259,9 +253,9 @@ def verdict(
         others = prepared.filtered(Rollouts.from_demonstrations(references))
     scored = realism(prepared, counted, streams[5], references=others, random=beside.get("ceiling"))
     words, untrained = _overall(rows), baselines.get("untrained")
-    worse = untrained is not None and words != (SAME,)
-    if worse and _farther(prepared, counted, counting(untrained), streams[3]):
-        words = (WORSE, *words)
+    if untrained is not None and words != (SAME,):
+        farther = _farther(prepared, counted, counting(untrained), streams[3])
+        words = (WORSE, *words) if farther else words
     total = scored.table.iloc[-1]
     starts = np.unique(counted.demo)
     return Verdict(
@@ -299,7 +293,6 @@ def _overall(rows: list[Row]) -> tuple[str, ...]:
 
 
 def _too_little(starts: int, recordings: int) -> str:
-    """Return why there is too little data for a headline, or nothing."""
     for number, name in ((starts, "test start"), (recordings, "recording")):
         if number < FEWEST:
             return f"{number} {name}{'s' * (number != 1)}, and {FEWEST} are needed"
@@ -337,11 +330,11 @@ def implausible(verdict: Verdict) -> list[str]:
             "longer, on more episodes, or with another learner, before anything is concluded."
         )
     shares = ("reached", "target_out", "pursuer_out")
-    rows = verdict.table.set_index("measure")
+    known = set(verdict.table["measure"])
     for key in ("median_speed", "duration", *shares):
-        if key not in rows.index:
+        if key not in known:
             continue
-        row = rows.loc[key]
+        row = verdict.row(key)
         recorded, simulated = float(row["recorded"]), float(row["simulated"])
         least = max(HALF * abs(recorded), LEAST_SHARE if key in shares else 0.0)
         if not abs(simulated - recorded) > least:

@@ -28,11 +28,10 @@ from animarl_algos.evaluation.order_in_time import (
     ORDER,
     PLACE,
     EpisodeMeasures,
-    Ints,
 )
 from animarl_algos.evaluation.prepared import Prepared, has_ended, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import bootstrap_difference, cells, covers
+from animarl_algos.evaluation.statistics import Ints, bootstrap_difference, cells, covers
 from animarl_envs.demos.episode import UNFINISHED
 
 SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
@@ -144,12 +143,8 @@ def verdict_rows(
 ) -> list[Row]:
     """Return the rows of endings, of motion and of order.
 
-    Parameters
-    ----------
-    counted
-        Rollouts that count, smoothed as the recordings.
-    group
-        ``(starts,)`` the recording of each start, where several starts are of one.
+    ``counted`` are the rollouts that count, smoothed as the recordings; ``group`` ``(starts,)`` is
+    the recording of each start, where several starts are of one.
     """
     columns, starts = measure_columns(prepared, counted), len(prepared.recorded)
     exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)

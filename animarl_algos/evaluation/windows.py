@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.order_in_time import (
-    Ints,
     angle,
     lags_for,
     median_steps,
     order_measures,
 )
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Floats
+from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import RESTING_SHARE
@@ -87,15 +86,12 @@ def window_features(
 
     Windows lie end to end from the first frame of an episode. What is left over at its end is a
     window too if it is at least half as long; an episode shorter than a window is one short window.
-    Recordings and rollouts are cut alike, and of a short window only the frames that exist count.
 
     Parameters
     ----------
-    rollouts
-        Of one method, or the recordings
-        (:meth:`~animarl_algos.evaluation.rollouts.Rollouts.from_demonstrations`).
-    arena
-        For the distance to its edge; in an open field that to the origin, the source, is taken.
+    rollouts, arena
+        Of one method, or the recordings; for the distance to the arena's edge, in an open field
+        that to the origin, the source.
     block
         Where demonstrations are too few: so many successive windows of one make a group of their
         own, the same stretch of time in the recording and in its rollouts.
@@ -143,18 +139,10 @@ def sequence_windows(
 
 
 def smoothed(positions: Floats, lengths: Ints, frames: int) -> Floats:
-    """Centred moving average within episodes, over fewer frames towards their ends.
+    """Centred moving average of positions within episodes, over fewer frames towards their ends.
 
-    Parameters
-    ----------
-    positions
-        ``(frames, individuals, 2)``, episodes end to end.
-    frames
-        Odd; 1 leaves the positions as they are.
-
-    Returns
-    -------
-    Each average depends on its own frames only, and is rounded: positions on a pixel grid that
+    Over an odd number of ``frames``; 1 leaves the positions ``(frames, individuals, 2)`` as they
+    are. Each average depends on its own frames only, and is rounded: positions on a pixel grid that
     agreed before still do. (Differences of one running sum over all episodes would carry rounding
     errors that grow with the size of the set, by which a classifier tells a large set from a small
     one.)
@@ -294,7 +282,7 @@ def _unsigned(first: Floats, second: Floats) -> Floats:
 def _summary(series: Floats) -> Floats:
     """Mean, standard deviation, least, median and greatest of each row, ``(windows, 5)``.
 
-    A series of a single value gives that alone. NaN is left out; a row of nothing else is NaN.
+    A series of a single value gives that alone. NaN is left out.
     """
     ordered = np.sort(series, axis=1)  # NaN comes last
     if ordered.shape[1] == 1:

@@ -12,9 +12,9 @@ import numpy as np
 from animarl_algos.evaluation.comparison import BASELINE, COUNTING, factual, find_method
 from animarl_algos.evaluation.effects import ERROR, PREDICTED, TRUE
 from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH, Metric
-from animarl_algos.evaluation.verdict import implausible
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
+from animarl_algos.evaluation.verdict import implausible
 from animarl_algos.report import figures
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.page import (

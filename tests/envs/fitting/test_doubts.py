@@ -9,8 +9,7 @@ import pytest
 from moving_pairs import recorded_pairs, simulated_pairs
 from test_fitting import simulate
 
-from animarl_algos.evaluation.verdict import implausible
-from animarl_algos.evaluation.verdict import verdict
+from animarl_algos.evaluation.verdict import implausible, verdict
 from animarl_envs.fitting import LocomotionFit, fit_locomotion
 from animarl_envs.fitting.result import doubts
 
