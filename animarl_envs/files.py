@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import errno
 import glob
+import io
 import math
 import os
-import re
 import shutil
 import stat
 import sys
@@ -21,7 +21,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ MOST_MEMBERS = 10_000  # of an archive
 PART = ".part"
 RANDOM = 8  # characters that tempfile draws
 JUST_MADE = 1.0  # [s] within which a temporary file may not be locked yet
+Unpickle = Callable[[bytes, str], Any]
 PLAIN_KINDS = "biufSU"  # truth values, whole numbers, floats, bytes, text
 PACKINGS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}  # others allocate what a header says
 
@@ -209,31 +210,16 @@ def npz_members(path: Path) -> set[str]:
     return set()
 
 
-def npy_header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
-    """Shape, dtype and the bytes to hold it, of an ``.npy`` stream that is at its start.
+def read_npz(path: Path, unpickle: Unpickle | None = None) -> dict[str, Any]:
+    """All arrays of an ``.npz``, by name; ``unpickle`` is as of :func:`load_npy`.
 
     Raises
     ------
     InputError
-        If the array is of no plain kind (objects are, for the restricted unpickler).
+        If it is none, damaged, holds a pickle, or asks for more memory than it may.
     """
-    version = np.lib.format.read_magic(file)
-    if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(file)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(file)
-    else:
-        raise InputError(f"{path}: npy version {version} is unknown: save it with np.save")
-    require(
-        dtype.kind in PLAIN_KINDS + "O" and dtype.fields is None,
-        f"{path}: an array is of kind {dtype}: save plain numbers or text",
-    )
-    return tuple(int(n) for n in shape), dtype, math.prod(map(int, shape)) * dtype.itemsize
-
-
-def check_npz(path: Path) -> None:
-    """Refuse an archive whose members, or the arrays their headers announce, are too large."""
     refuse_special(path)
+    found, total = {}, 0
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
@@ -242,54 +228,61 @@ def check_npz(path: Path) -> None:
                 f"{path}: it holds {len(members):,} arrays, too many or two of one name: "
                 "cut it in parts",
             )
-            total = 0
             for member in members:
-                total += _checked_member(path, archive, member)
-                check_size(path, total, "its content")
-    except InputError:
+                name, total = member.filename, total + member.file_size
+                check_size(path, total, name)
+                plain = member.compress_type in PACKINGS
+                require(plain, f"{path}: {name} is packed unusually: save it with np.savez")
+                raw = archive.read(member)
+                found[name.removesuffix(".npy")] = load_npy(raw, path, name, unpickle)
+    except (InputError, MemoryError):
         raise
-    except Exception as error:
+    except Exception as error:  # whatever NumPy, zipfile and its decompressors raise
         raise InputError(
             f"{path}: it is not a plain npz archive, or damaged or cut short "
             f"({type(error).__name__}): copy it again"
         ) from None
+    return found
 
 
-def _checked_member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> int:
-    """Bytes that the array will take."""
-    name = member.filename
-    check_size(path, member.file_size, name)
-    plain = member.compress_type in PACKINGS
-    require(plain, f"{path}: {name} is packed unusually: save it with np.savez")
-    with archive.open(member) as file:
-        _, dtype, size = npy_header(path, file)
-        held = member.file_size - file.tell()
-    if dtype.hasobject:
-        return member.file_size
+def load_npy(raw: bytes, path: Path, member: str = "", unpickle: Unpickle | None = None) -> Any:
+    """Return the array in an ``.npy`` stream; of objects, what ``unpickle`` makes of their pickle.
+
+    Raises
+    ------
+    InputError
+        If it is damaged, too large, or of another kind than numbers and text.
+    """
+    stream, place = io.BytesIO(raw), f"{path}: {member}" if member else str(path)
+    try:
+        version = np.lib.format.read_magic(stream)
+        header = {(1, 0): np.lib.format.read_array_header_1_0,
+                  (2, 0): np.lib.format.read_array_header_2_0}[version]  # fmt: skip
+        shape, _, dtype = header(stream)
+    except Exception as error:
+        raise InputError(f"{place}: it is no npy array ({error}): copy it again") from None
+    held = len(raw) - stream.tell()
+    if dtype.kind == "O" and unpickle is not None:
+        value = unpickle(raw[stream.tell() :], place)
+        same = not isinstance(value, np.ndarray) or value.shape == shape
+        require(same, f"{place}: its header and content differ in shape: copy it again")
+        return value
+    require(
+        not dtype.hasobject,
+        f"{place}: it holds a pickle of Python objects, which is never opened: check --source, or "
+        "save numbers",
+    )
+    plain = dtype.kind in PLAIN_KINDS and dtype.fields is None
+    require(plain, f"{place}: an array is of kind {dtype}: save plain numbers or text")
+    count = math.prod(map(int, shape))
+    size = count * dtype.itemsize
     require(
         size == held,
-        f"{path}: {name} announces {size:,} bytes and holds {held:,}: copy the file again",
+        f"{place}: its header announces {size:,} bytes and it holds {held:,}: copy it again",
     )
-    return size if dtype.kind in "SU" else max(size, size // dtype.itemsize * 8)
-
-
-def read_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """All arrays of an ``.npz`` without pickle, or one sentence that says why not."""
-    check_npz(path)
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {key: checked_text(path, archive[key]) for key in archive.files}
-    except InputError:
-        raise
-    except Exception as error:  # whatever NumPy, zipfile and its decompressors raise
-        if isinstance(error, ValueError) and re.search("pickle|object", str(error), re.IGNORECASE):
-            raise InputError(
-                f"{path}: it holds a pickle, which is never opened here: save plain arrays with "
-                "np.savez"
-            ) from None
-        raise InputError(
-            f"{path}: the archive is damaged or cut short ({error}): copy it again"
-        ) from None
+    check_size(path, size if dtype.kind in "SU" else count * 8, member or "its array")
+    stream.seek(0)
+    return checked_text(path, np.load(stream, allow_pickle=False))
 
 
 def checked_text(path: Path, array: NDArray[Any]) -> NDArray[Any]:

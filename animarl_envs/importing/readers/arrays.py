@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.files import npz_members, read_npz
+from animarl_envs.files import load_npy, npz_members, read_npz
 from animarl_envs.importing.readers.hdf import is_hdf, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import register_track_reader
-from animarl_envs.importing.readers.unpickle import load_npy
 from animarl_envs.importing.tracks import CENTROID, Tracks
 
 AXES = ("frame", "individual", "keypoint", "xy")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ import numpy as np
 
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError, require
-from animarl_envs.files import check_npz, npz_members, refuse_unfinished
+from animarl_envs.files import npz_members, read_npz, refuse_unfinished
 from animarl_envs.importing.readers.published import MOTH_DEFAULTS
 from animarl_envs.importing.readers.registry import Floats, numbers, register_track_reader
-from animarl_envs.importing.readers.unpickle import load_npy
+from animarl_envs.importing.readers.unpickle import load_plain
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.species import AGENT, FLY, NEWT, SILKMOTH, Species
 
@@ -50,19 +49,6 @@ def _chase_defaults(species: Species) -> dict[str, Any]:
             "boundary": species.arena.boundary,
         },
     }  # fmt: skip
-
-
-def _objects(path: Path, *needed: str) -> dict[str, Any]:
-    """Arrays of an archive, objects included, by name."""
-    check_npz(path)
-    with zipfile.ZipFile(path) as archive:
-        found = {
-            member.removesuffix(".npy"): load_npy(archive.read(member), path, member, objects=True)
-            for member in archive.namelist()
-        }
-    for name in needed:
-        require(name in found, f"{path}: it has no array {name!r}: check --source")
-    return found
 
 
 def _nested(value: Any) -> list[Any]:
@@ -111,7 +97,7 @@ def read_authors_agents(path: Path) -> list[Tracks]:
     """Key ``pos``: (episodes, 3 individuals: prey, predators) of lists of (x, y) at 10 Hz."""
     condition = 1 if "share" in path.name else 0
     found = []
-    for number, episode in enumerate(_nested(_objects(path, "pos")["pos"])):
+    for number, episode in enumerate(_nested(read_npz(path, load_plain)["pos"])):
         prey, *predators = _nested(episode)
         if len(prey) >= FEWEST_AGENT_FRAMES:
             found.append(_tracks(path, number, [*predators, prey], AGENT, condition=condition))
@@ -127,7 +113,7 @@ def read_authors_agents(path: Path) -> list[Tracks]:
 )
 def read_authors_fly(path: Path) -> list[Tracks]:
     """Key ``states``: [individual][episode] of (frames, 1, >= 2) at 30 Hz; ``rewards`` likewise."""
-    objects = _objects(path, "states", "rewards")
+    objects = read_npz(path, load_plain)
     states, rewards = ([*map(_nested, _nested(objects[key]))] for key in ("states", "rewards"))
     require(
         len(states) == 3 and len({len(one) for one in states}) == 1,
@@ -155,11 +141,11 @@ def read_authors_newt(path: Path) -> list[Tracks]:
     rewards = []
     for male in ("m1", "m2"):
         beside = path.with_name(f"reward_{male}_data{number_of_file}.npz")
-        rewards.append(_objects(beside) if beside.exists() else {})
+        rewards.append(read_npz(beside, load_plain) if beside.exists() else {})
     rate = NEWT.recording.frame_rate
     kept = round(NEWT_STEPS * NEWT.dt * rate) + 1
     found = []
-    for number, (key, value) in enumerate(_objects(path).items()):
+    for number, (key, value) in enumerate(read_npz(path, load_plain).items()):
         array = numbers(path, key, np.asarray(value, np.float64), "frames", "columns", "x, y, ...")
         array = array[:, NEWT_COLUMNS, :2]
         speed = np.linalg.norm(np.diff(array, axis=0), axis=2).max(axis=1) * rate

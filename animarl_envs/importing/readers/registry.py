@@ -21,7 +21,7 @@ from animarl_envs import wall
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError, MissingExtraError, printable, require
-from animarl_envs.files import check_npz, refuse_special
+from animarl_envs.files import read_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.tables import EXTENSIONS, Progress
@@ -171,7 +171,7 @@ def _find_own_reader(path: Path) -> str:
 
     refuse_special(path)
     if path.suffix.lower() == ".npz":
-        check_npz(path)  # says so if it is damaged
+        read_npz(path)  # says so if it is damaged
     if is_hdf(path):
         open_hdf(path).close()  # says so if the extra is missing or the file is damaged
     words = suggested_command(path) if path.suffix.lower() in EXTENSIONS else None

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from animarl_envs.errors import InputError
-from animarl_envs.files import check_size, checked_text, npy_header
+from animarl_envs.files import checked_text
 
 PLAIN_CODE = re.compile(r"[<>|=]?(b1|\?|i[1248]|u[1248]|f[248]|[US][1-9]\d{0,5}|O8?)")
 DEEPEST = 40  # lists within lists; no recording nests deeper
@@ -39,36 +39,6 @@ def load_plain(raw: bytes, name: str) -> Any:
             f"{name}: it holds a pickle that is damaged or not of numbers and lists ({what}): "
             "it is not opened; save plain arrays instead"
         ) from None
-
-
-def load_npy(raw: bytes, path: Path, member: str = "", objects: bool = False) -> Any:
-    """Return the content of an ``.npy`` stream, of object arrays only if ``objects`` is true."""
-    stream = io.BytesIO(raw)
-    place = f"{path}: {member}" if member else str(path)
-    try:
-        shape, dtype, size = npy_header(path, stream)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{place}: it is no npy array ({error}): copy it again") from None
-    held = len(raw) - stream.tell()
-    if dtype.hasobject:
-        if not objects:
-            raise InputError(
-                f"{place}: it holds a pickle of Python objects, which is never opened: check "
-                "--source, or save numbers"
-            )
-        value = load_plain(raw[-held:], place)
-        if isinstance(value, np.ndarray) and value.shape != shape:
-            raise InputError(f"{place}: its header and content differ in shape: copy it again")
-        return value
-    if size != held:
-        raise InputError(
-            f"{place}: its header announces {size:,} bytes and it holds {held:,}: copy it again"
-        )
-    check_size(path, size // max(dtype.itemsize, 1) * 8, member or "its array")
-    stream.seek(0)
-    return checked_text(path, np.load(stream, allow_pickle=False))
 
 
 def _need(met: bool, what: str) -> None:

@@ -17,8 +17,9 @@ from refusals import refused
 
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
+from animarl_envs.files import load_npy
 from animarl_envs.importing.readers import read, read_tracks
-from animarl_envs.importing.readers.unpickle import load_npy, load_plain
+from animarl_envs.importing.readers.unpickle import load_plain
 from tools.fuzz.layouts import agents_arrays, write_mothvr, write_native, write_npy, write_wide
 
 
@@ -160,7 +161,7 @@ def test_a_pickle_that_repeats_itself_is_refused(tmp_path: Path) -> None:
         archive.writestr("pos.npy", buffer.getvalue() + pickle.dumps(laugh))
     with pytest.raises(InputError, match=r"MemoryError|more memory|processor time"):
         read(path)
-    assert load_npy(buffer.getvalue() + pickle.dumps([1]), path, objects=True) == [1]
+    assert load_npy(buffer.getvalue() + pickle.dumps([1]), path, unpickle=load_plain) == [1]
 
 
 BAD_TABLES = {
