@@ -55,7 +55,7 @@ class Layout:
     """
 
     names: tuple[str, ...]
-    units: tuple[str, ...]
+    units: tuple[str, ...] = ()
     separator: str = ","
     decimal: str = "."
     first: int = 1
@@ -123,7 +123,7 @@ def layout_of_lines(lines: Sequence[str]) -> Layout:
         return layout
     separator = max(SEPARATORS[:-1], key=lambda one: len(split_cells(lines[0], one)))
     names = tuple(split_cells(lines[0], separator))  # a header alone
-    return Layout(names, ("",) * len(names), separator)
+    return Layout(names, separator=separator)
 
 
 def split_cells(line: str, separator: str) -> list[str]:
@@ -160,7 +160,7 @@ def _without_brackets(cell: str) -> str:
 
 def _under(lines: Sequence[str], separator: str) -> tuple[float, Layout]:
     """Return the numbers in a usual row under this separator, and the layout that would have."""
-    none = (0.0, Layout((), ()))
+    none = (0.0, Layout(()))
     rows = [split_cells(line, separator) for line in lines[: HEADER_LINES + LOOKED_AT]]
     counts = Counter(len(row) for row in rows[-LOOKED_AT:] if any(row))
     width = max(counts, key=lambda n: (counts[n], n), default=0)

@@ -56,24 +56,19 @@ class Words:
     number: NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Table:
+@dataclass(frozen=True, kw_only=True)
+class Table(Layout):
     """A table whose layout is known; its columns are read on demand."""
 
     path: Path
-    layout: Layout
     encoding: str = UTF_8
     sheet: str | None = None
     kind: str = "text"  # or workbook, Parquet
 
     @property
-    def names(self) -> tuple[str, ...]:
-        return self.layout.names
-
-    @property
-    def separator(self) -> str:
+    def parsed_separator(self) -> str:
         """Between cells as they are parsed: blanks were made tabs."""
-        return "\t" if self.layout.separator == BLANK else self.layout.separator
+        return "\t" if self.separator == BLANK else self.separator
 
     @property
     def description(self) -> str:
@@ -81,18 +76,15 @@ class Table:
         if self.kind == "Parquet":
             return self.kind
         kind = "workbook" if self.kind == "workbook" else f"text in {self.encoding}"
-        layout = self.layout
-        sign = {"\t": "tabs", BLANK: "blanks"}.get(layout.separator, repr(layout.separator))
-        return (
-            f"{kind}, separator {sign}, decimal {layout.decimal!r}, first row on {layout.first + 1}"
-        )
+        sign = {"\t": "tabs", BLANK: "blanks"}.get(self.separator, repr(self.separator))
+        return f"{kind}, separator {sign}, decimal {self.decimal!r}, first row on {self.first + 1}"
 
     def place(self, row: int) -> str:
         """Return what messages call a row, counted from 0: its line, of Parquet the row."""
         if self.kind == "Parquet":
             return f"row {row + 1}"
         with contextlib.closing(self._rows()) as file:
-            for line in itertools.count(self.layout.first + 1):
+            for line in itertools.count(self.first + 1):
                 text = file.readline(LONGEST_LINE)
                 row -= bool(text.strip())  # blank lines are no rows
                 if row < 0 or not text:
@@ -170,11 +162,11 @@ class Table:
             raw = _sheet_as_text(self.path, self.sheet)
         elif self.encoding != UTF_8:
             raw = _decoded(self.path, self.encoding)
-        elif self.layout.separator == BLANK:
+        elif self.separator == BLANK:
             raw = self.path.read_bytes()
         else:
             return None
-        if self.layout.separator == BLANK:
+        if self.separator == BLANK:
             return b"\n".join(b"\t".join(line.split()) for line in raw.split(b"\n"))
         return raw
 
@@ -182,7 +174,7 @@ class Table:
         """The lines of numbers."""
         file: IO[bytes]
         file = self.path.open("rb") if self._content is None else io.BytesIO(self._content)
-        for _ in range(self.layout.first):
+        for _ in range(self.first):
             file.readline(LONGEST_LINE)
         return file
 
@@ -194,7 +186,7 @@ class Table:
         ends inside quotes belong to the cell; blank lines count for none.
         """
         size, seen = max(len(self._content or b"") or self.path.stat().st_size, 1), 0
-        line = 1 + self.layout.first
+        line = 1 + self.first
         while block := file.read(BLOCK) + file.readline():
             parts, quotes = [block], block.count(b'"')
             while quotes % 2:
@@ -224,7 +216,7 @@ class Table:
         ends = np.flatnonzero((block == ord("\n")) & ~inside)
         if block[-1] != ord("\n"):
             ends = np.append(ends, len(block))
-        separators = np.flatnonzero((block == ord(self.separator)) & ~inside)
+        separators = np.flatnonzero((block == ord(self.parsed_separator)) & ~inside)
         cells = np.diff(np.searchsorted(separators, ends), prepend=0) + 1
         length = np.diff(ends, prepend=-1) - 1
         length -= (block[ends - 1] == ord("\r")) & (length > 0)
@@ -237,12 +229,12 @@ class Table:
         return len(ends)
 
     def _text(self, numbers: list[str], words: list[str], progress: Progress) -> dict[str, Any]:
-        pandas, layout = _pandas(), self.layout
-        if layout.unclear:
-            plain, decimal = (layout.unclear.replace(layout.decimal, sign) for sign in ("", "."))
+        pandas = _pandas()
+        if self.unclear:
+            plain, decimal = (self.unclear.replace(self.decimal, sign) for sign in ("", "."))
             raise InputError(
-                f"{self.path}: {layout.unclear} may be {plain} or {decimal}: write numbers without "
-                f"signs between thousands, or say --option decimal={layout.decimal!r} if it is the "
+                f"{self.path}: {self.unclear} may be {plain} or {decimal}: write numbers without "
+                f"signs between thousands, or say --option decimal={self.decimal!r} if it is the "
                 "decimal sign"
             )
         at = {name: self.names.index(name) for name in (*numbers, *words)}
@@ -251,9 +243,9 @@ class Table:
             with contextlib.closing(self._rows()) as file:
                 frame = pandas.read_csv(
                     _Blocks(self._checked_blocks(file, progress)), names=range(len(self.names)),
-                    header=None, usecols=list(at.values()), index_col=False, sep=self.separator,
-                    encoding=UTF_8, dtype=kinds, skipinitialspace=True, decimal=layout.decimal,
-                    float_precision="round_trip",
+                    header=None, usecols=list(at.values()), index_col=False, dtype=kinds,
+                    sep=self.parsed_separator, encoding=UTF_8, skipinitialspace=True,
+                    decimal=self.decimal, float_precision="round_trip",
                     na_values={at[name]: [NO_VALUE] for name in numbers},
                 )  # fmt: skip
         except InputError:
@@ -273,14 +265,14 @@ class Table:
         """Name line and column of the first cell that is no number, where one should be."""
         places = {name: self.names.index(name) for name in numbers}
         with contextlib.closing(self._rows()) as file:
-            for line in itertools.count(self.layout.first + 1):
+            for line in itertools.count(self.first + 1):
                 text = file.readline(LONGEST_LINE).decode(errors="replace")
                 if not text or not places:
                     return
-                cells = split_cells(text.rstrip("\r\n"), self.separator)
+                cells = split_cells(text.rstrip("\r\n"), self.parsed_separator)
                 for name, at in places.items():
                     cell = cells[at] if at < len(cells) else ""
-                    if not (cell in MISSING or is_number(cell, self.layout.decimal)):
+                    if not (cell in MISSING or is_number(cell, self.decimal)):
                         raise InputError(
                             f"{self.path}: line {line}, column {name!r} holds {cell[:40]!r}, which "
                             "is no number: correct it, or name another column by an option"
@@ -357,7 +349,7 @@ def open_table(
         return table
     if decimal not in (".", ","):
         raise InputError(f"{path}: decimal is {decimal!r}: give . or ,")
-    return replace(table, layout=replace(table.layout, decimal=decimal, unclear=""))
+    return replace(table, decimal=decimal, unclear="")
 
 
 def table_or_none(path: Path, sheet: str | None = None) -> Table | None:
@@ -377,7 +369,7 @@ def plain_table(path: Path) -> Table:
     separator = ";" if ";" in header and "," not in header else ","
     separator = "\t" if path.suffix.lower() == ".tsv" else separator
     names = tuple(split_cells(header, separator))
-    return Table(path, Layout(names, ("",) * len(names), separator))
+    return Table(names, separator=separator, path=path)
 
 
 def read_rows(path: Path, needed: set[str]) -> tuple[list[tuple[int, dict[str, str]]], list[str]]:
@@ -425,7 +417,7 @@ def _open_table(
     if path.suffix.lower() in PARQUET:
         with _open_parquet(path) as file:
             names = tuple(str(name) for name in file.schema_arrow.names)
-        return Table(path, Layout(names, ("",) * len(names)), kind="Parquet")
+        return Table(names, path=path, kind="Parquet")
     if is_workbook(path):
         head, encoding, kind = _sheet_as_text(path, sheet)[:HEAD], UTF_8, "workbook"
     else:
@@ -445,7 +437,8 @@ def _open_table(
         lines.pop()
     if not lines:
         raise InputError(f"{path}: it is empty: check the file")
-    return Table(path, layout_of_lines(lines), encoding, sheet, kind)
+    layout = vars(layout_of_lines(lines))
+    return Table(path=path, encoding=encoding, sheet=sheet, kind=kind, **layout)
 
 
 def _decoded(path: Path, encoding: str) -> bytes:

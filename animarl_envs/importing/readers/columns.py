@@ -155,7 +155,7 @@ def refuse_unused_pair(table: Table, found: Columns) -> None:
 
 def find_columns(table: Table) -> Columns:
     """Return the part that each column plays, from its name."""
-    known = parsed_names(table.names, table.layout.units)
+    known = parsed_names(table.names, table.units)
     parts: dict[str, str] = {}
     unclear = []
     for part, ranks in USUAL_NAMES.items():

@@ -26,7 +26,6 @@ from animarl_envs.importing.readers.hdf import hdf_keys, is_hdf, open_hdf, read_
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.readers.table_files import LONE
 from animarl_envs.importing.readers.unpickle import load_plain
-from animarl_envs.importing.table_layout import Layout
 from animarl_envs.importing.tables import Table, plain_table
 from animarl_envs.importing.tracks import CENTROID, Tracks
 
@@ -78,7 +77,7 @@ def _dlc_csv(path: Path) -> tuple[list[Column], Floats]:
         )
     columns = _dlc_columns(path, [row[1:] for row in header[1:]])
     names = ("frame", *map(" ".join, columns))
-    table = Table(path, Layout(names, ("",) * len(names), first=len(header)))
+    table = Table(names, first=len(header), path=path)
     number, _ = table.columns(names)
     refuse_uneven_frames(path, number["frame"], table.place, first=0)
     return columns, np.column_stack([number[name] for name in names[1:]])

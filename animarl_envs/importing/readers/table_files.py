@@ -166,7 +166,7 @@ def read_wide_table(
         f"{path}: it has no pairs of x and y columns: name them, such as "
         "columns: {male: [mx, my], female: [fx, fy]}",
     )
-    units = {one.column: one.unit for one in parsed_names(table.names, table.layout.units)}
+    units = {one.column: one.unit for one in parsed_names(table.names, table.units)}
     unit = unit or units.get(next(iter(pairs.values()))[0]) or "px"
     return _recordings(
         table, found, pairs, None, recording or found.recording, {}, frame, time, fps, time_unit,
@@ -201,7 +201,7 @@ def _recordings(
     numbers += [frame] if frame else []
     texts = [name for name in (individual, recording) if name]
     if clock is not None:
-        (texts if clock in table.layout.words_in else numbers).append(clock)
+        (texts if clock in table.words_in else numbers).append(clock)
     number, word = table.columns(numbers, texts, progress)
     rows = len(number[numbers[0]])
     zeros = np.zeros(rows, dtype=np.int64)

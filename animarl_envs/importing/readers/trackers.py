@@ -39,7 +39,7 @@ def _is_ethovision(path: Path) -> bool:
         return False
     with contextlib.suppress(InputError, ImportError, IndexError):
         table = table_or_none(path, sheet_names(path)[0] if is_workbook(path) else None)
-        return table is not None and table.layout.before[0][0] == ETHOVISION
+        return table is not None and table.before[0][0] == ETHOVISION
     return False
 
 
@@ -61,20 +61,20 @@ def read_ethovision(
 
 
 def _ethovision(table: Table, progress: Progress) -> Tracks:
-    path, layout = table.path, table.layout
-    said = {row[0].rstrip(":").lower(): row[1] for row in layout.before if len(row) > 1}
-    points = {name[2:]: (name, "Y" + name[1:]) for name in layout.names if re.match(r"X .", name)}
-    clock = next((name for name in ETHOVISION_CLOCKS if name in layout.names), None)
-    lacking = [y for _, y in points.values() if y not in layout.names]
+    path, names = table.path, table.names
+    said = {row[0].rstrip(":").lower(): row[1] for row in table.before if len(row) > 1}
+    points = {name[2:]: (name, "Y" + name[1:]) for name in names if re.match(r"X .", name)}
+    clock = next((name for name in ETHOVISION_CLOCKS if name in names), None)
+    lacking = [y for _, y in points.values() if y not in names]
     if clock is None or not points or lacking:
         what = "a time" if clock is None else (lacking or ["X center"])[0]
         raise InputError(f"{path}: it lacks the column {what!r}: export it with time, X and Y")
-    names = [name for pair in points.values() for name in pair]
-    units = {layout.units[layout.names.index(name)] for name in names}
+    wanted = [name for pair in points.values() for name in pair]
+    units = {table.units[names.index(name)] for name in wanted}
     if len(units) != 1:
         raise InputError(f"{path}: its points have several units: export them in one")
-    number, _ = table.columns([clock, *names], progress=progress)
-    values = np.column_stack([number[name] for name in names])
+    number, _ = table.columns([clock, *wanted], progress=progress)
+    values = np.column_stack([number[name] for name in wanted])
     return Tracks(
         recording=said.get("trial name") or path.stem,
         individuals=(said.get("subject name") or table.sheet or "subject",),
