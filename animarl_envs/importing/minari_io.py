@@ -138,11 +138,12 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
     }
     if meta["actions"] == RECORDED:
         signals["actions"] = np.concatenate(actions)
-    known = meta["demonstrations"]
-    arena = Arena(**known["arena"] | {"boundary": float(known["arena"]["boundary"])})
+    known: dict[str, Any] = dict(meta["demonstrations"])
+    known |= {key: np.array(known[key]) for key in PER_EPISODE}
+    known["arena"]["boundary"] = float(known["arena"]["boundary"])
+    known |= {"arena": Arena(**known["arena"]), "individuals": tuple(names)}
     return Demonstrations(
-        **{key: np.array(value) if key in PER_EPISODE else value for key, value in known.items()}
-        | {"arena": arena, "individuals": tuple(names), "roles": tuple(known["roles"])},
+        **known | {"roles": tuple(known["roles"])},
         positions=np.concatenate([state[..., :2] for state in states]),
         lengths=np.array([len(state) for state in states]),
         initial_velocity=np.stack([state[0, :, 2:] for state in states]),

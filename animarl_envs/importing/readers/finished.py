@@ -83,7 +83,7 @@ def read_agents(path: Path, split_seed: int = SPLIT_SEED) -> Demonstrations:
     require(num > 1, f"{path}: pos is not of two individuals or more: give predators and a prey")
     pos = numbers(path, "pos", arrays["pos"], int(steps.sum()) + count, num, 2)
     actions = numbers(path, "actions", arrays["actions"], int(steps.sum()), num)
-    outcome = numbers(path, "outcome", arrays["outcome"], count)
+    outcome = numbers(path, "outcome", arrays["outcome"], count).astype(np.int8)
     if ((actions < 0) | (actions >= NUM_ACTIONS)).any():
         raise InputError(f"{path}: an action lies outside 0 to {NUM_ACTIONS - 1}: check actions")
     signal = np.full((len(pos), num), -1, dtype=np.int8)

@@ -94,7 +94,7 @@ def _dlc_hdf(path: Path) -> tuple[list[Column], Floats]:
     try:
         names = [tuple(str(part) for part in column) for column in labels[0][1]]
         levels = [list(level) for level in zip(*names, strict=True)][1:]
-        (block,) = (name for name in table.dtype.names if name.startswith("values_block"))
+        (block,) = (name for name in table.dtype.names or () if name.startswith("values_block"))
         values = table[block].reshape(len(table), -1)
     except (TypeError, IndexError, KeyError, ValueError) as error:
         raise InputError(f"{path}: its header is not DeepLabCut's ({error}): check it") from None
