@@ -96,7 +96,7 @@ def described(label: str, rollouts: Rollouts, recorded: Rollouts) -> list[str]:
     if rollouts is recorded:
         return [*cells, *("" for _ in range(5))]
     far = compared(label, rollouts, recorded)
-    distances = (far.outcome, far.duration, far.path_length, far.speed, far.mismatch)
+    distances = (*list(far.distances.values())[:4], far.mismatch)
     return [*cells, *(f"{value:.2f}" for value in distances)]
 
 

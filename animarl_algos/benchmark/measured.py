@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.metrics import Metric, judged_metrics
 from animarl_algos.evaluation.statistics import Cells
 

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.benchmark.nearest import NearestSegment
-from animarl_algos.evaluation.classifier_row import followed
+from animarl_algos.evaluation.classifier import followed
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of

@@ -19,7 +19,7 @@ from animarl_algos.benchmark.measured import (
     labels,
 )
 from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
-from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.distances import (
     FEW_ROLLOUTS,
     bootstrap_distances,

@@ -10,12 +10,12 @@ hardly tells good simulators from bad ones. Rollouts stop where their recording 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
 from animarl_algos.evaluation.metrics import path_lengths
@@ -28,8 +28,6 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.worlds.base import World
-
-Floats = NDArray[np.float64]
 
 COOLER = (1.0, 0.85, 0.7, 0.5, 0.35)
 """Shares of the fitted temperatures that are tried: a clone that is unsure samples too widely."""
@@ -48,24 +46,19 @@ SPEEDS = 400  # quantiles by which two distributions of speed are compared
 class Candidate:
     """An acting rule, and how far its rollouts are from the recordings.
 
-    ``outcome`` is the total variation distance of the shares of outcomes; the others are
-    Wasserstein distances in units of the recorded mean, ``speed`` that of all steps, as the mean
-    over individuals. ``rest`` is the difference of the shares of steps at rest and ``order`` that
-    of the autocorrelation of turns (circles have one), each times ``WEIGHT``.
+    Of the ``distances``, ``outcome`` is the total variation distance of the shares of outcomes;
+    the others are Wasserstein distances in units of the recorded mean, ``speed`` that of all steps,
+    as the mean over individuals. ``rest`` is the difference of the shares of steps at rest and
+    ``order`` that of the autocorrelation of turns (circles have one), each times ``WEIGHT``.
     """
 
     acting: str
-    outcome: float
-    duration: float
-    path_length: float
-    speed: float
-    rest: float = 0.0
-    order: float = 0.0
+    distances: Mapping[str, float]
 
     @property
     def mismatch(self) -> float:
         """Their sum: the lower, the more alike."""
-        return self.outcome + self.duration + self.path_length + self.speed + self.rest + self.order
+        return sum(self.distances.values())
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,10 @@ class ActingChoice:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        rows = [asdict(each) | {"mismatch": each.mismatch} for each in self.candidates]
+        rows = [
+            {"acting": each.acting, **each.distances, "mismatch": each.mismatch}
+            for each in self.candidates
+        ]
         return {"acting": self.acting.to_json(), "candidates": rows}
 
 
@@ -178,15 +174,16 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
         np.subtract(*(one.mean(name) for one in order))
         for name in ("share at rest", "turn autocorrelation")
     )
-    return Candidate(
-        acting=name,
-        outcome=float(0.5 * np.abs(shares[0] - shares[1]).sum()),
-        duration=relative_distance(duration[0], duration[1]),
-        path_length=relative_distance(path[0], path[1]),
-        speed=float(np.mean([relative_distance(a, b) for a, b in zip(speeds[0].T, speeds[1].T)])),
-        rest=WEIGHT * float(np.abs(rest).mean()),
-        order=WEIGHT * float(np.nan_to_num(np.abs(turns)).mean()),
-    )
+    rest, order = (WEIGHT * np.nan_to_num(np.abs(each)).mean() for each in (rest, turns))
+    distances = {
+        "outcome": 0.5 * np.abs(shares[0] - shares[1]).sum(),
+        "duration": relative_distance(*duration),
+        "path_length": relative_distance(*path),
+        "speed": np.mean([relative_distance(a, b) for a, b in zip(speeds[0].T, speeds[1].T)]),
+        "rest": rest,
+        "order": order,
+    }
+    return Candidate(name, {key: float(value) for key, value in distances.items()})
 
 
 def relative_distance(simulated: ArrayLike, recorded: ArrayLike) -> float:

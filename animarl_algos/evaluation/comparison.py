@@ -163,31 +163,26 @@ def comparison_table(
         reference = gathered[RECORDED]
         truth = reference.cell_means[0]
         for name, data in gathered.items():
-            simulation = name != RECORDED
+            simulation, rows = name != RECORDED, methods.rows[name]
+            compared = simulation and metric.of_recordings
             if not (simulation or metric.of_recordings):
                 continue
-            compared = simulation and metric.of_recordings
             shared = data.starts & reference.starts
-            found = dict.fromkeys(
-                ("to_recorded", "energy", "kde", "kde_null", "wasserstein", "wasserstein_null"),
-                UNDEFINED,
-            )
-            more = dict.fromkeys(("kde_p", "wasserstein_p", "kde_floor"), math.nan)
+            gap = energy = kde = kde_null = distance = null = UNDEFINED
+            pooled = kde_p = p = floor = math.nan
             if compared:
-                found["to_recorded"] = bootstrap_difference(
-                    data, reference, draws, share=metric.share
-                )
+                gap = bootstrap_difference(data, reference, draws, share=metric.share)
             if compared and metric.has_distribution:
-                energy = methods.energy(name, metric, counting)
-                found["energy"] = _energy_interval(bootstrap_mean(energy, draws), energy)
-                values, rows = methods.values(name, metric, counting), methods.rows[name]
-                found["kde"], found["wasserstein"] = bootstrap_distances(
+                energies = methods.energy(name, metric, counting)
+                energy = _energy_interval(bootstrap_mean(energies, draws), energies)
+                pooled = pooled_score(truth[shared])
+                values = methods.values(name, metric, counting)
+                kde, distance = bootstrap_distances(
                     values, truth, rows["seed"], rows["demo"], rng, distance_resamples
                 )
-                null = exchanges[name].distances(np.concatenate([truth, values]))
-                (found["kde_null"], more["kde_p"]), (other, more["wasserstein_p"]) = null
-                found["wasserstein_null"] = other
-                more["kde_floor"] = kde_floor(values, truth)
+                chance = exchanges[name].distances(np.concatenate([truth, values]))
+                (kde_null, kde_p), (null, p) = chance
+                floor = kde_floor(values, truth)
             row: dict[str, Any] = {
                 "method": name,
                 "metric": metric.key,
@@ -197,20 +192,17 @@ def comparison_table(
                 "seeds": len(data.counts),
                 "covers": covers(data) if simulation else "demonstrations like these",
                 "to_recorded_demos": int(shared.sum()) if compared else 0,
-                "energy_pooled": pooled_score(truth[shared])
-                if compared and metric.has_distribution
-                else math.nan,
+                "energy_pooled": pooled,
                 "duration": methods.cells(name, DURATION, counting).mean,
                 "reached": methods.cells(name, RETURN, counting).mean,
                 "reason": "",
             }
+            mean = bootstrap_mean(data, draws, share=metric.share)
             put_intervals(
-                row,
-                mean=bootstrap_mean(data, draws, share=metric.share),
-                within=within.get(name, UNDEFINED),
-                **found,
-            )
-            table.append(row | more)
+                row, mean=mean, within=within.get(name, UNDEFINED), to_recorded=gap, energy=energy,
+                kde=kde, kde_null=kde_null, wasserstein=distance, wasserstein_null=null,
+            )  # fmt: skip
+            table.append(row | {"kde_p": kde_p, "wasserstein_p": p, "kde_floor": floor})
     return pd.DataFrame(table)
 
 

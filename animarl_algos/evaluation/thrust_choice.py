@@ -12,8 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animarl_algos.evaluation.classifier import tell_apart
-from animarl_algos.evaluation.classifier_row import PART, followed
+from animarl_algos.evaluation.classifier import PART, followed, tell_apart
 from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval

@@ -3,7 +3,7 @@
 Every row compares recordings and rollouts from the same starts, says how far apart they are, what
 chance alone would give, and puts it in words: endings, motion and order in time in
 :mod:`animarl_algos.evaluation.verdict_rows`, two judges in
-:mod:`animarl_algos.evaluation.classifier_row`. Beside them stands the realism score, how likely the
+:mod:`animarl_algos.evaluation.classifier`. Beside them stands the realism score, how likely the
 recordings are under the rollouts (:mod:`animarl_algos.evaluation.realism`).
 """
 
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from animarl_algos.evaluation.classifier_row import (
+from animarl_algos.evaluation.classifier import (
     AUC,
     SEQUENCE,
     Tracked,
@@ -85,7 +85,7 @@ class Verdict:
     auc, sequence, areas
         Areas under the ROC curve of the classifier on two seconds and of the judge of order, and by
         judge and name the areas that these are read beside
-        (:class:`~animarl_algos.evaluation.classifier_row.Judge`).
+        (:class:`~animarl_algos.evaluation.classifier.Judge`).
     realism, realism_beside, components
         The realism score with its interval, the scores that it is read beside, and its components,
         one row each.

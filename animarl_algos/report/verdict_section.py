@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from animarl_algos.evaluation.classifier_row import AUC, SEQUENCE
+from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.evaluation.verdict import REFERENCES, Verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, LEVEL, SAME, UNKNOWN

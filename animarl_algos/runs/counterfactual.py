@@ -17,8 +17,8 @@ from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
+from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.evaluation.teams import teams_of
-from animarl_algos.evaluation.tidy import write_tables
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.counterfactual_page import counterfactual_page
 from animarl_algos.report.inputs import CounterfactualInputs

@@ -20,8 +20,7 @@ from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate
-from animarl_algos.evaluation.tidy import write_tables
+from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe

@@ -12,7 +12,7 @@ import pandas as pd
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.tidy import write_tables
+from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.report.inputs import InspectionInputs
 from animarl_algos.report.inspection_page import inspection_page
 from animarl_algos.runs.evaluating import command, refuse_run_folder

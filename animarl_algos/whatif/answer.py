@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
-from animarl_algos.evaluation.tidy import write_tables
+from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations

@@ -89,9 +89,11 @@ def test_a_recording_that_was_cut_ends_as_a_rollout_that_time_ends() -> None:
     went_on = simulated.outcome == TIME_OUT
     assert 0 < went_on.mean() < 1
     cut = replace(simulated, outcome=np.where(went_on, UNFINISHED, simulated.outcome))
-    assert compared("itself", simulated, cut).outcome == 0
+    assert compared("itself", simulated, cut).distances["outcome"] == 0
     touched = replace(simulated, outcome=np.where(went_on, 1, simulated.outcome))
-    assert compared("another end", simulated, touched).outcome == pytest.approx(went_on.mean())
+    assert compared("another end", simulated, touched).distances["outcome"] == pytest.approx(
+        went_on.mean()
+    )
 
 
 def test_no_test_episode_is_chosen_by() -> None:
@@ -128,7 +130,7 @@ def test_the_first_rule_stays_unless_another_is_better_by_a_margin(
     rules = [Acting.boltzmann(1.0), Acting.boltzmann(0.5), Acting()]
     found = iter(mismatches)
     monkeypatch.setattr(
-        acting_choice, "compared", lambda name, *_: Candidate(name, next(found), 0.0, 0.0, 0.0)
+        acting_choice, "compared", lambda name, *_: Candidate(name, {"outcome": next(found)})
     )
     choice = choose_acting(
         lambda rule: RandomPolicy(0), partial(make_world, scenario), demos, rules, seed=0
