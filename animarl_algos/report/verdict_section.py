@@ -7,8 +7,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
+from animarl_algos.evaluation.realism import REFERENCES
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
-from animarl_algos.evaluation.verdict import REFERENCES, Verdict
+from animarl_algos.evaluation.verdict import Verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, LEVEL, SAME, UNKNOWN
 from animarl_algos.evaluation.windows import WINDOW
 from animarl_algos.report import figures
