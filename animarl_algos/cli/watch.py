@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
@@ -14,6 +13,7 @@ from typer import Argument, Option
 
 from animarl_algos.checked import SEED
 from animarl_algos.cli.shared import PlainConsole, helps, load, named_split
+from animarl_algos.runs.run_settings import environment_options
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import CLIP_SUFFIXES, Renderer, write_clip
@@ -158,11 +158,7 @@ def prepare(
     if env is None:
         assert run is not None
         env = environment_id(run.settings.species)
-    try:
-        kwargs = dict(gym.spec(env).kwargs)
-    except gym.error.Error as error:
-        known = ", ".join(sorted(i for i in gym.registry if i.startswith("AnimaRL/")))
-        raise InputError(f"environment {env!r} is unknown: choose one of {known}") from error
+    kwargs = environment_options(env)
     if "species" not in kwargs:
         raise InputError(
             f"environment {env!r} has no species, so it cannot be watched: use AnimaRL"
@@ -175,10 +171,17 @@ def prepare(
     if isinstance(demos, str | Path) and str(demos) != PACKAGED:
         demos = options["demos"] = load(str(demos))
     if run is not None:
-        name = species if isinstance(species, str) else species.name
-        shown = _shown_with(run, name, demos if isinstance(demos, Demonstrations) else None)
+        name, settings = species if isinstance(species, str) else species.name, run.settings
+        if settings.species != name:
+            raise InputError(
+                f"{run.path}: it was trained as {settings.species}, not as {name}: watch "
+                f"{environment_id(settings.species)}"
+            )
+        shown = run.shown_with(demos if isinstance(demos, Demonstrations) else None)
+        if run.has_policy(settings.algo):
+            run.acting(settings.algo)  # chosen already: watching chooses none
         run.policy.policy.seed(seed)
-        species, learned = run.species, run.settings.focal
+        species, learned = run.species, settings.focal
         if learned is not None and focal not in (None, learned):
             raise InputError(
                 f"focal is {focal!r}, but {learned} alone learned in {model}: leave --focal out"
@@ -207,34 +210,6 @@ def _load_run(model: str | Path, acting: str | None) -> Run:
     from animarl_algos.runs.run import Run
 
     return Run(model_folder(model), acting)
-
-
-def _shown_with(run: Run, species: str, given: Demonstrations | None) -> Demonstrations:
-    """Return the demonstrations that a run is shown with: those ``given``, or else its own."""
-    from animarl_algos.runs.run_world import select_individuals
-
-    settings = run.settings
-    if settings.species != species:
-        raise InputError(
-            f"{run.path}: it was trained as {settings.species}, not as {species}: watch "
-            f"{environment_id(settings.species)}"
-        )
-    run.use_demonstrations(given)
-    if run.has_policy(settings.algo):
-        run.acting(settings.algo)  # chosen already: watching chooses none
-    if given is None:
-        return run.demos
-    given = select_individuals(given, run.environment_options)
-    shown, learned = (
-        ", ".join(f"{name} ({role})" for name, role in zip(d.individuals, d.roles))
-        for d in (given, run.demos)
-    )
-    if shown != learned:
-        raise InputError(
-            f"{given.name}: it shows {shown}, but {run.path} learned from {learned}: give --demos "
-            "of the same individuals, in this order"
-        )
-    return given
 
 
 def idle_actor(world: World, start: bool) -> NDArray[np.integer]:

@@ -239,24 +239,38 @@ class Run:
                 )
         return select_individuals(demos, self.environment_options)
 
-    def use_demonstrations(self, given: Demonstrations | None) -> None:
-        """Let ``given`` stand in for demonstrations that an exported model came without.
+    def shown_with(self, given: Demonstrations | None) -> Demonstrations:
+        """Return the demonstrations that the run is shown with: those ``given``, or else its own.
+
+        Given ones also stand in for those that an exported model came without.
 
         Raises
         ------
         InputError
-            If they are not those that it learned from.
+            If it lacks its own and these are others, or they are of other individuals.
         """
         file = self.settings.file
-        if file == PACKAGED or (self.path / DEMONSTRATIONS).exists():
-            return
-        if given is None or given.fingerprint() != self.record["fingerprint"]:
-            other = "" if given is None else f", and {given.name} holds others"
+        if file != PACKAGED and not (self.path / DEMONSTRATIONS).exists():
+            if given is None or given.fingerprint() != self.record["fingerprint"]:
+                other = "" if given is None else f", and {given.name} holds others"
+                raise InputError(
+                    f"{self.path}: the demonstrations that it learned from ({file}) are not in it"
+                    f"{other}: give their file by --demos, or export it again --with-demonstrations"
+                )
+            self.demos = select_individuals(given, self.environment_options)
+        if given is None:
+            return self.demos
+        given = select_individuals(given, self.environment_options)
+        shown, learned = (
+            ", ".join(f"{name} ({role})" for name, role in zip(d.individuals, d.roles))
+            for d in (given, self.demos)
+        )
+        if shown != learned:
             raise InputError(
-                f"{self.path}: the demonstrations that it learned from ({file}) are not in it"
-                f"{other}: give their file by --demos, or export it again --with-demonstrations"
+                f"{given.name}: it shows {shown}, but {self.path} learned from {learned}: give "
+                "--demos of the same individuals, in this order"
             )
-        self.demos = select_individuals(given, self.environment_options)
+        return given
 
     @cached_property
     def learnable_demos(self) -> Demonstrations:
@@ -281,10 +295,7 @@ class Run:
 
     @cached_property
     def species(self) -> Species:
-        """The species that the run trains and is evaluated in.
-
-        With the recording's arena and names, the fitted locomotion, and over these its options.
-        """
+        """The recordings' animals and arena, the fitted locomotion, and over these its options."""
         fitted = species_of(self.demos, self.fit.locomotion, base=self.settings.species)
         return with_options(fitted, **species_options(self.environment_options))
 
@@ -317,10 +328,7 @@ class Run:
         )
 
     def environment(self, demos: Demonstrations | None = None) -> SlotVecEnv:
-        """Return the training environment: episodes start from the train split.
-
-        All individuals learn, or the run's focal one.
-        """
+        """Return the training environment, in which all learn, or the run's focal individual."""
         return SlotVecEnv(
             self.species,
             self.settings.copies,
@@ -487,18 +495,9 @@ class Run:
     ) -> Rollouts:
         """Return rollouts of a policy from every start of a world, told ``cue``.
 
-        Whatever it is told, a policy gets the same random numbers, and so does the world.
-
-        Parameters
-        ----------
-        scenario
-            By default the run's own from its test starts.
-        repetitions, seed
-            By default those of the run.
-        draws
-            Another number gives the policy other random numbers.
-        wrap
-            Returns what acts in the policy's place.
+        Whatever it is told, a policy gets the same random numbers, and so does the world; another
+        number of ``draws`` gives the policy others. ``wrap`` returns what acts in its place. World,
+        ``repetitions`` and ``seed`` are by default the run's own, from its test starts.
         """
 
         def reseed(seed: int) -> None:

@@ -155,6 +155,24 @@ def check_device(device: str) -> None:
         raise InputError(f"device {device!r} is asked for but this machine has none: choose cpu")
 
 
+def environment_options(env: str) -> dict[str, Any]:
+    """Return the options that an environment was registered with.
+
+    Raises
+    ------
+    InputError
+        If none of this id is registered.
+    """
+    try:
+        return dict(gym.spec(env).kwargs)
+    except gym.error.Error as error:
+        known = ", ".join(sorted(i for i in gym.registry if i.startswith("AnimaRL/")))
+        raise InputError(
+            f"environment {env!r} is not registered: choose one of {known}, or import the package "
+            "of yours before (--gym-packages of python -m animarl_algos.zoo)"
+        ) from error
+
+
 def asked_species(env: str | None, species: str | None) -> str | None:
     """Return the species that ``--env`` and ``--species`` name; None if neither is given.
 

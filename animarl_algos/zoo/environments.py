@@ -5,35 +5,20 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import gymnasium as gym
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from animarl_algos.data.slots import MixedMeansWarning
 from animarl_algos.data.vec_env import SlotVecEnv
-from animarl_envs.errors import InputError
+from animarl_algos.runs.run_settings import environment_options
 
 NOT_SLOTS = ("others", "render_mode")
 """Options of a single environment that the slot VecEnv has not."""
 
 
 def species_of_id(env_id: str) -> str | None:
-    """Return the species of an AnimaRL id, None for any other environment.
-
-    Raises
-    ------
-    InputError
-        If no such environment is registered.
-    """
-    try:
-        spec = gym.spec(env_id)
-    except gym.error.Error as error:
-        known = ", ".join(sorted(i for i in gym.registry if i.startswith("AnimaRL/")))
-        raise InputError(
-            f"environment {env_id!r} is not registered: choose one of {known}, or import the "
-            "package of yours with --gym-packages"
-        ) from error
-    species = spec.kwargs.get("species")
+    """Return the species of an AnimaRL id, None for any other environment that is registered."""
+    species = environment_options(env_id).get("species")
     return species if isinstance(species, str) else None
 
 
@@ -45,7 +30,7 @@ def slot_environment(
     The condition is the last observation component if the species has conditions and the
     demonstrations hold both.
     """
-    registered = {k: v for k, v in gym.spec(env_id).kwargs.items() if k not in NOT_SLOTS}
+    registered = {k: v for k, v in environment_options(env_id).items() if k not in NOT_SLOTS}
     options = {"condition_flag": None} | registered | options
     return SlotVecEnv(options.pop("species"), copies, split=split, **options)
 

@@ -33,6 +33,7 @@ def test_start_of_a_help_imports_no_learners(name: str) -> None:
     done = subprocess.run(asked, capture_output=True, text=True, check=True)
     loaded = set(ast.literal_eval(done.stderr))
     assert not loaded & (LEARNING if name else LEARNING | HEAVY)
+    assert f"animarl {name}" in done.stdout
     for command, place in COMMANDS.items():
         assert name or (command in done.stdout and place.summary()[:20] in done.stdout)
 

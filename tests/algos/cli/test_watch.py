@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -12,11 +12,10 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 import typer
+from small_runs import few, made
 from typer.testing import CliRunner
 
 from animarl_algos.cli.watch import play, prepare, trained_actor, watch_command
-from animarl_envs.arena import Arena
-from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.drawing.render import Renderer
 from animarl_envs.errors import InputError
 
@@ -29,29 +28,10 @@ def watch(*arguments: str):
     return CliRunner().invoke(app, list(arguments))
 
 
-@pytest.fixture
-def demos(tmp_path: Path) -> str:
-    """Two newt episodes of 6 steps along straight lines, in a file."""
-    frames = np.linspace(0.0, 1.0, 7)[:, None, None]
-    first = np.array([(-0.8, -0.5), (-0.8, 0.0), (-0.8, 0.5)])
-    path = first + frames * np.array([0.5, 0.1])
-    file = tmp_path / "newts.npz"
-    Demonstrations(
-        species="newt",
-        individuals=("male_0", "male_1", "female"),
-        roles=("pursuer", "pursuer", "target"),
-        dt=0.1,
-        arena=Arena("square"),
-        positions=np.concatenate([path, path * np.array([1.0, -1.0])]),
-        lengths=np.array([7, 7]),
-        initial_velocity=np.zeros((2, 3, 2)),
-        condition=np.zeros(2),
-        outcome=np.zeros(2),
-        split=np.array(["train", "test"]),
-        recording=np.array(["a", "b"]),
-        provenance={"source": "made by a test", "licence": "MIT", "synthetic": True},
-    ).save(file)
-    return str(file)
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory) -> str:
+    """A few newt episodes, in a file."""
+    return str(few("newt").save(tmp_path_factory.mktemp("demos") / "newts.npz"))
 
 
 def test_writes_a_clip_and_says_so(tmp_path):
@@ -91,9 +71,9 @@ def positions_of(world, actor, steps):
 def test_without_a_model_the_recorded_paths_are_followed(demos, split):
     world, actor = prepare(NEWT, demos=demos, split=split)
     path = positions_of(world, actor, steps=6)
-    recorded = world.demos.episode(0).positions
-    np.testing.assert_allclose(path[:7], recorded, atol=1e-12)
-    assert np.sign(recorded[-1, 0, 1] - recorded[0, 0, 1]) == (1 if split == "train" else -1)
+    starts = [world.demos.episode(i).positions for i in range(len(world.demos))]
+    assert len(starts) == len(few("newt").select(split=split))
+    assert any(np.allclose(path[:7], one[:7], atol=1e-12) for one in starts)
 
 
 def test_by_script_males_approach_the_female(demos):
@@ -117,38 +97,11 @@ class Pusher:
 
 
 def test_a_trained_run_drives_its_fitted_animals(tmp_path):
-    from animarl_algos.evaluation.acting_choice import ActingChoice
-    from animarl_algos.networks.acting_rule import Acting
-    from animarl_algos.runs.run import Run
-    from animarl_algos.runs.run_settings import RunSettings
-    from animarl_envs.demos.packaged import load_packaged
-    from animarl_envs.fitting import fit_locomotion
-
-    agent, packaged = "AnimaRL/Agent-v0", load_packaged("agent")
-    few = np.concatenate(
-        [np.flatnonzero(packaged.split == s)[:5] for s in ("train", "val", "test")]
-    )
-    recorded = packaged.select(episodes=few)
-    run = Run(tmp_path / "run")
-    run.start(
-        RunSettings(file="packaged", species="agent", algo="dqn", steps=1, copies=1),
-        recorded,
-        "a test",
-    )
-    with pytest.raises(InputError, match="no trained policy"):
-        prepare(agent, model=run.path)
-    fitted = fit_locomotion(recorded, "joint", bootstrap=2, seed=0)
-    fitted.save(run.path / "locomotion.json")
-    env = run.environment(recorded)
-    run.save_policy("dqn", run.learner("dqn", env))
-    with pytest.raises(InputError, match="no acting rule was chosen yet"):
-        prepare(agent, model=run.path)
-    chosen = ActingChoice(Acting(), ()).to_json()
-    run.acting_file("dqn").write_text(json.dumps(chosen))
-
+    agent = "AnimaRL/Agent-v0"
+    run = made(tmp_path, "dqn", demos=few(), rolled_out=False)
     world, actor = prepare(agent, model=run.path)
     assert world.scenario.drivers == ("action",) * 3
-    assert world.scenario.species.locomotion == fitted.locomotion
+    assert world.scenario.species.locomotion == run.fit.locomotion
     assert len(positions_of(world, actor, steps=3)) == 4 + 1  # the last picture is held
     world, _ = prepare(agent, model=run.path, focal="prey")
     assert world.scenario.drivers == ("replay", "replay", "action")
@@ -156,6 +109,13 @@ def test_a_trained_run_drives_its_fitted_animals(tmp_path):
         prepare(NEWT, model=run.path)
     with pytest.raises(InputError, match="predator_1"):
         prepare(agent, model=run.path, focal="nobody")
+    changed = run.record | {"settings": run.record["settings"] | {"acting": "chosen"}}
+    (run.path / "settings.json").write_text(json.dumps(changed))
+    with pytest.raises(InputError, match="no acting rule was chosen yet"):
+        prepare(agent, model=run.path)
+    shutil.rmtree(run.path / "policies")
+    with pytest.raises(InputError, match="no trained policy"):
+        prepare(agent, model=run.path)
 
 
 def test_a_policy_drives_all_individuals_and_keeps_its_state():
