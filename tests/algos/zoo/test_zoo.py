@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sqlite3
 import sys
 from collections.abc import Callable
@@ -187,14 +186,6 @@ def test_clients_of_rl_zoo3_go_on_from_a_zip_and_plot(
     assert len(lines) == 2 and min(lines) > 0
 
 
-def test_clients_of_rl_zoo3_without_wandb_are_told(zoo: Callable[..., Done]) -> None:
-    if importlib.util.find_spec("wandb") is not None:
-        pytest.skip("wandb is installed")
-    done = zoo("train", "--track", "--env", AGENT)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "--track needs Weights & Biases: pip install wandb" in done.stderr
-
-
 def test_the_same_seed_gives_the_same_scores(
     zoo: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
@@ -275,18 +266,6 @@ def test_optimize_tunes_into_sqlite(
         return
     study = optuna.load_study(study_name=f"{algo} {AGENT}", storage=f"sqlite:///{database}")
     assert len({trial.value for trial in study.trials}) > 1
-
-
-@pytest.mark.parametrize("algo", [["--algo=dqn"], ["--alg", "dqn"]])
-@pytest.mark.parametrize("command", [["train"], ["optimize", "--n-trials", "1", "--pruner=none"]])
-def test_the_algorithm_may_be_given_in_any_spelling(
-    command: list[str], algo: list[str], zoo: Callable[..., Done], tmp_path: Path
-) -> None:
-    done = zoo(*command, *algo, *CARTPOLE)
-    assert done.returncode == 0, done.stderr
-    assert [folder.name for folder in (tmp_path / "logs").iterdir()] == ["dqn"]
-    runs = list(tmp_path.glob("logs/dqn/*/"))
-    assert len(runs) == (command[0] == "train")
 
 
 def test_a_trial_has_the_network_that_was_asked_for(

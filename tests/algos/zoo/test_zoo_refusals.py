@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.zoo.environments import slot_environment
 
 DQN = ["train", "--algo", "dqn", "--env", AGENT]
+WITHOUT_WANDB = pytest.mark.skipif(find_spec("wandb") is not None, reason="wandb is installed")
 
 
 @pytest.mark.parametrize(
@@ -35,6 +37,7 @@ DQN = ["train", "--algo", "dqn", "--env", AGENT]
         ([*DQN, "-params", "learning_rate:-1"], "learning_rate is -1"),
         ([*DQN, "--env-kwargs", "copies:2"], "give -params n_envs"),
         ([*DQN, "--device", "abacus"], "'abacus' is unknown"),
+        pytest.param([*DQN, "--track"], "--track needs Weights & Biases", marks=WITHOUT_WANDB),
         ([*DQN, "-i", "no.zip"], "no.zip: there is no such zip file"),
         ([*DQN, "-f", "/dev/null/logs"], "/dev/null/logs: a file cannot be"),
         (["optimize", *DQN[1:], "--n-trials", "0"], "--n-trials is 0"),
@@ -144,14 +147,17 @@ def test_a_model_of_other_animals_is_refused(zoo: Callable[..., Done], tmp_path:
 def test_training_that_diverged_leaves_its_settings_to_look_at(
     zoo: Callable[..., Done], tmp_path: Path
 ) -> None:
+    moths = [
+        "train",
+        "--algo=bc",
+        "--env=AnimaRL/Silkmoth-v0",
+        "-n",
+        "20",
+        "-params",
+        "offline_epochs:1",
+    ]
     done = zoo(
-        *("train", "--algo", "bc", "--env", "AnimaRL/Silkmoth-v0", "-n", "20"),
-        *(
-            "-params",
-            "offline_epochs:1",
-            "offline_learning_rate:1e30",
-            "offline_max_grad_norm:null",
-        ),
+        *moths, "offline_epochs:1", "offline_learning_rate:1e30", "offline_max_grad_norm:null"
     )
     assert done.returncode == 2 and "offline training diverged" in done.stderr
     assert list(tmp_path.glob("logs/bc/*/*/config.yml"))
