@@ -321,7 +321,7 @@ def test_demonstrations_that_do_not_fit_the_run(
     ("asked", "words"),
     [
         ({"device": "abacus"}, "'abacus' is unknown: choose cpu or cuda"),
-        ({"device": "meta"}, "'meta' is not supported"),
+        ({"device": "meta"}, "'meta' is unknown: choose cpu or cuda"),
         ({"preset": "fast"}, "preset is 'fast': choose paper or default"),
         ({"fit_method": "guess"}, "'guess': choose joint, onset or noise"),
         ({"fit_method": "noise", "thrusts": "3"}, "fit_method noise fits one thrust: choose 1"),
