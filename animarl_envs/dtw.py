@@ -71,17 +71,9 @@ def _extend_row(row, begin, end, x, y, path, first):  # type: ignore[no-untyped-
     return lowest, aligned
 
 
-@jit
-def _closed_end(x, y):  # type: ignore[no-untyped-def]
-    row = np.empty(len(y))
-    for t in range(len(x)):
-        _extend_row(row, 0, len(y), x[t, 0], x[t, 1], y, t == 0)
-    return row[-1]
-
-
 def dtw_distance(x: NDArray[np.floating], y: NDArray[np.floating]) -> float:
     """Closed-end DTW distance of two paths ``(T, 2)`` and ``(m, 2)``, Euclidean, unnormalised."""
-    return float(_closed_end(*_paths(x, y)))
+    return dtw_alignment(x, y)[0]
 
 
 @jit

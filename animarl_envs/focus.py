@@ -39,12 +39,17 @@ def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> N
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     out = np.empty_like(points)
     for i, candidates in enumerate(foci(roles)):
-        if candidates is None:
-            out[..., i, :] = UPWIND
-        elif len(candidates) == 1:
-            out[..., i, :] = _unit(points[..., candidates[0], :] - points[..., i, :])
-        else:
-            out[..., i, :] = _towards_nearest(points, i, candidates)
+        if not candidates:
+            out[..., i, :] = UPWIND if candidates is None else FALLBACK
+            continue
+        offset = points[..., candidates, :] - points[..., i, None, :]
+        distance = np.hypot(offset[..., 0], offset[..., 1])
+        nearest = np.argmin(distance, axis=-1)[..., None]  # the first of equals
+        apart = np.take_along_axis(distance, nearest, axis=-1)
+        towards = np.take_along_axis(offset, nearest[..., None], axis=-2)[..., 0, :]
+        out[..., i, :] = np.where(
+            apart > 0, towards / np.where(apart > 0, apart, 1.0), np.array(FALLBACK)
+        )
     return out
 
 
@@ -82,20 +87,3 @@ def distances_to_target(
     if "searcher" in roles:
         return np.asarray(np.linalg.norm(positions, axis=2))
     return np.full((len(positions), 1), np.inf)
-
-
-def _towards_nearest(
-    positions: NDArray[np.float64], individual: int, others: Sequence[int]
-) -> NDArray[np.float64]:
-    if not others:
-        return np.broadcast_to(np.array(FALLBACK), positions[..., individual, :].shape)
-    offset = positions[..., list(others), :] - positions[..., individual, None, :]
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    nearest = np.argmin(distance, axis=-1)  # the first of equals
-    return _unit(np.take_along_axis(offset, nearest[..., None, None], axis=-2)[..., 0, :])
-
-
-def _unit(offset: NDArray[np.float64]) -> NDArray[np.float64]:
-    distance = np.hypot(offset[..., 0], offset[..., 1])[..., None]
-    apart = distance > 0
-    return np.where(apart, offset / np.where(apart, distance, 1.0), np.array(FALLBACK))

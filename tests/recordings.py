@@ -15,6 +15,7 @@ from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT, SILKMOTH, SPECIES, ChaseSpecies
 from animarl_envs.worlds.chase.world import ChaseWorld
+from tools.packaged_data import demonstrations_of
 
 CHASER, PREY = Locomotion(0.2, 2.2), Locomotion(0.3, 2.8)
 SPLITS = ("train", "train", "train", "train", "val", "test")
@@ -44,7 +45,7 @@ def scripted_chase(
         "provenance": SYNTHETIC,
     }
     paths = [positions[:n, e] for e, n in enumerate(lengths)]
-    return Demonstrations.of_species(species, paths, {}, **several | what)
+    return demonstrations_of(species, paths, {}, **several | what)
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
@@ -32,7 +32,6 @@ from animarl_envs.demos.resolution import Resolution, find_resolution
 from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions, lone_pursuer
 from animarl_envs.locomotion import velocities
-from animarl_envs.species.base import Species
 
 __all__ = [
     "PURSUER_OUT", "SPLITS", "TARGET_OUT", "TIME_OUT", "UNFINISHED", "Demonstrations", "Episode",
@@ -106,32 +105,6 @@ class Demonstrations(Episodes):
     @property
     def label(self) -> str:
         return self.name
-
-    @classmethod
-    def of_species(
-        cls,
-        species: Species,
-        paths: Sequence[NDArray[np.float64]],
-        signals: Mapping[str, Sequence[NDArray[Any]]],
-        **more: Any,
-    ) -> Demonstrations:
-        """Return episodes of all individuals of a species.
-
-        ``paths`` are ``(frames, individuals, 2)`` of each episode [arena unit], ``signals`` by name
-        ``(frames, ...)`` of each, ``more`` the other fields; by default everybody starts at rest.
-        """
-        at_rest = np.zeros((len(paths), species.num_individuals, 2))
-        return cls(
-            species=species.name,
-            individuals=species.individuals,
-            roles=species.roles,
-            dt=species.dt,
-            arena=species.arena,
-            positions=np.concatenate(paths),
-            lengths=np.array([len(path) for path in paths]),
-            signals={name: np.concatenate(series) for name, series in signals.items()},
-            **{"initial_velocity": at_rest} | more,
-        )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Demonstrations:
         return self  # immutable

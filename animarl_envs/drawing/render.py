@@ -46,7 +46,7 @@ WIDEST_BOUNDARY = 1.5  # a boundary is in view up to this many arena sizes
 BODY_LENGTH = (0.042, 0.060)  # a body is as long as the contact radius, within these bounds
 LEAST_BODY = 0.03  # of a searcher, whose antennae stand out
 RIM = 0.05  # white around a body [body length]
-TRAIL_WIDTH, RECORDED_WIDTH, LINE_WIDTH, DASH = 0.0055, 0.0035, 0.0032, 0.011
+TRAIL_WIDTH, LINE_WIDTH, DASH = 0.0055, 0.0032, 0.011
 TRAIL_FADE = 25.0  # [frames] over which a trail fades, from and to these opacities
 TRAIL_OPACITY = 0.85, 0.16
 PLUME_OPACITY = 0.55  # at concentration 1
@@ -80,8 +80,6 @@ def view_of(scene: Scene) -> View:
             half *= ZOOM_STEP
         return View(0.0, 0.0, half)
     known = np.concatenate([scene.trails[:1].reshape(-1, 2), np.zeros((1, 2))])
-    if scene.demonstration is not None:
-        known = np.concatenate([known, scene.demonstration[0]])
     middle, reach = _middle(known)
     half = max(reach * 1.35, arena.size * 0.6) * MARGIN
     if float(np.abs(seen - middle).max()) * 1.02 > half:
@@ -305,15 +303,9 @@ class Renderer:
     # -- the animals ------------------------------------------------------------------------------
 
     def _draw_paths(self, scene: Scene) -> None:
-        """The recorded paths, faintly, and over them the trails, fading with age."""
-        colours = [colour_of(role, i) for i, role in enumerate(scene.species.roles)]
-        if scene.demonstration is not None:
-            for recorded, own in zip(scene.demonstration.swapaxes(0, 1), colours, strict=True):
-                hue = palette.mix(palette.DEMONSTRATION, own, 0.35)
-                faint = [palette.mix(palette.ARENA, hue, 0.55)] * (len(recorded) - 1)
-                self._path(self._at(recorded), faint, self._width(RECORDED_WIDTH))
-        for trail, own in zip(scene.trails.swapaxes(0, 1), colours, strict=True):
-            pieces = max(len(trail) - 1, 0)
+        """The trails, fading with age."""
+        for i, trail in enumerate(scene.trails.swapaxes(0, 1)):
+            own, pieces = colour_of(scene.species.roles[i], i), max(len(trail) - 1, 0)
             young = _fading_colours(own)[:pieces]
             faded = [*[young[-1]] * (pieces - len(young)), *young[::-1]] if young else []
             self._path(self._at(trail), faded, self._width(TRAIL_WIDTH))

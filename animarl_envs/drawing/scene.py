@@ -39,9 +39,9 @@ class Scene:
         Decisions taken.
     unit
         Of the scale bar.
-    plume, demonstration, antennae, odour
-        Optional: an odour field; recorded paths ``(frames, K, 2)`` to show faintly; positions
-        ``(2, 2)`` of a searcher's left and right antenna and what they smell ``(2,)`` in [0, 1].
+    plume, antennae, odour
+        Optional: an odour field; positions ``(2, 2)`` of a searcher's left and right antenna and
+        what they smell ``(2,)`` in [0, 1].
     """
 
     species: Species
@@ -54,7 +54,6 @@ class Scene:
     step: int = 0
     unit: Unit = RECORDED_SCALE
     plume: PlumeField | None = None
-    demonstration: NDArray[np.floating] | None = None
     antennae: NDArray[np.floating] | None = None
     odour: tuple[float, float] = (0.0, 0.0)
 
@@ -106,8 +105,8 @@ class SceneRecorder:
         self._headings = np.where(moving, direction, self._headings)
         self._trail.append(self.world.position[self.copy].copy())
 
-    def scene(self, *, demonstration: bool = False) -> Scene:
-        """Return the scene now; ``demonstration=True`` adds the paired recorded paths."""
+    def scene(self) -> Scene:
+        """Return the scene now."""
         if not self._trail:
             raise InputError("there is nothing to see before the first episode: call reset first")
         world, b = self.world, self.copy
@@ -115,8 +114,6 @@ class SceneRecorder:
         shown: dict[str, Any] = {"headings": self._headings.copy()} | world.scene_details(b)
         if self._glow is not None:
             shown["plume"] = self._glow.plume()
-        if demonstration and world.demos is not None and world.demo[b] >= 0:
-            shown["demonstration"] = world.demos.path(int(world.demo[b]))
         if species.conditions:
             shown["condition"] = f"condition {number}: {species.conditions[number]}"
         if world.truncated[b]:

@@ -8,7 +8,7 @@ rules of :func:`species_of`. Every number can be replaced by the option of its n
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -37,8 +37,7 @@ from animarl_envs.species.turning import Turning
 SMALLEST_CONTACT = 0.001  # share of the arena's size
 CONTACT_QUANTILE = 0.9  # of the distances at which recorded contacts ended
 
-_FITS: dict[tuple[str, int], tuple[Locomotion, ...]] = {}
-_TURNINGS: dict[tuple[str, int], Turning | None] = {}
+_FITS: dict[tuple[str, str, int], Any] = {}
 
 
 def species_of(
@@ -91,7 +90,11 @@ def species_of(
     _check_roles(demos, numbers)
     longest = int(demos.lengths.max()) - 1
     locomotion = fitted_locomotion(demos, thrusts) if fit is None else tuple(fit)
-    conditions = numbers.conditions or _conditions(demos)
+    conditions = numbers.conditions
+    if not conditions and (demos.condition == 1).any():
+        named = demos.provenance.get("conditions")
+        known = isinstance(named, list | tuple) and len(named) == 2
+        conditions = tuple(map(str, named)) if known else ("condition 0", "condition 1")
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
@@ -100,12 +103,14 @@ def species_of(
         own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
         own["senses_past"] = locomotion[0].thrusts > 1
-        own["senses_time"] = _begin_alike(demos)
+        cutting = _cutting(demos)  # do all episodes begin at the same event?
+        apart = (cutting.get("mode"), cutting.get("start")) == ("approach", "separation")
+        own["senses_time"] = apart and _seconds(cutting.get("keep_last")) == math.inf
     return with_options(
         numbers,
         individuals=demos.individuals,
         dt=demos.dt,
-        arena=_arena(demos, numbers),
+        arena=arena_of(demos, name),
         locomotion=locomotion,
         time_limit=max(numbers.time_limit, longest, numbers.warmup + 1),
         conditions=conditions,
@@ -114,9 +119,15 @@ def species_of(
 
 
 def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
-    """Return the arena of :func:`species_of`: the recorded field, with walls if its world has."""
+    """Return the arena of :func:`species_of`: the recorded field, with walls if its world has.
+
+    Open for a searcher.
+    """
+    if "searcher" in demos.roles:
+        return Arena("open", demos.arena.size)
     name = base or demos.species
-    return _arena(demos, get_species(name) if name in SPECIES else _plain_species(demos))
+    walled = get_species(name).arena.rebound if name in SPECIES else True
+    return replace(demos.arena, rebound=walled)
 
 
 def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotion, ...]:
@@ -124,13 +135,11 @@ def fitted_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomoti
 
     Fitted once per content of the demonstrations, number of magnitudes and process.
     """
-    check_thrusts(thrusts)
-    key = demos.fingerprint(), thrusts
-    if key not in _FITS:
-        from animarl_envs.fitting.joint import joint_locomotion
+    from animarl_envs.fitting.joint import joint_locomotion
 
-        _FITS[key] = joint_locomotion(_training(demos), thrusts)
-    return _FITS[key]
+    check_thrusts(thrusts)
+    fit: tuple[Locomotion, ...] = _fitted_once(joint_locomotion, demos, thrusts)
+    return fit
 
 
 def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None:
@@ -138,15 +147,16 @@ def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None
 
     ``None`` where its body points where it walks, or no headings are recorded.
     """
-    key = demos.fingerprint(), individual
-    if key not in _TURNINGS:
-        _TURNINGS[key] = fit_turning(_training(demos), individual)
-    return _TURNINGS[key]
+    turning: Turning | None = _fitted_once(fit_turning, demos, individual)
+    return turning
 
 
-def _training(demos: Demonstrations) -> Demonstrations:
-    """The training episodes; all, if there are none."""
-    return demos.select(split="train") if (demos.split == "train").any() else demos
+def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:
+    key = fit.__name__, demos.fingerprint(), number
+    if key not in _FITS:
+        trained = (demos.split == "train").any()
+        _FITS[key] = fit(demos.select(split="train") if trained else demos, number)
+    return _FITS[key]
 
 
 def contact_radius_of(demos: Demonstrations) -> float:
@@ -204,20 +214,6 @@ def _plain_species(demos: Demonstrations) -> Species:
     )
 
 
-def _begin_alike(demos: Demonstrations) -> bool:
-    """Return whether all episodes begin at the same event, so that the time since then matters."""
-    cutting = _cutting(demos)
-    kept = _seconds(cutting.get("keep_last")) < math.inf
-    return cutting.get("mode") == "approach" and cutting.get("start") == "separation" and not kept
-
-
-def _arena(demos: Demonstrations, species: Species) -> Arena:
-    """The recorded field, with walls where the species has them; open for a searcher."""
-    if "searcher" in species.roles:
-        return Arena("open", demos.arena.size)
-    return replace(demos.arena, rebound=species.arena.rebound)
-
-
 def _check_roles(demos: Demonstrations, species: Species) -> None:
     searching = "searcher" in demos.roles
     if searching and demos.num_individuals > 1:
@@ -236,16 +232,6 @@ def _check_roles(demos: Demonstrations, species: Species) -> None:
             f"{demos.name}: nobody is pursued (its roles are {', '.join(demos.roles)}): import it "
             "with --target NAME, --target auto or --pursuer NAME, and at least one other individual"
         )
-
-
-def _conditions(demos: Demonstrations) -> tuple[str, ...]:
-    """Names of the conditions, as the provenance has them; none if all episodes are alike."""
-    if not (demos.condition == 1).any():
-        return ()
-    named = demos.provenance.get("conditions")
-    if isinstance(named, list | tuple) and len(named) == 2:
-        return (str(named[0]), str(named[1]))
-    return ("condition 0", "condition 1")
 
 
 def _cutting(demos: Demonstrations) -> dict[str, Any]:

@@ -145,12 +145,9 @@ def best_of(
     Thrusts are ``(M,)`` [arena unit / s^2]; ``tolerance`` is the relative change of d and of the
     thrusts at which the search ends.
     """
-    best, best_loss = starts[0], math.inf
-    for start in starts:
-        damping, thrusts, loss = _alternate(data, *start, least_speed, tolerance, far)
-        if loss < best_loss:
-            best, best_loss = (damping, thrusts), loss
-    return best
+    found = [_alternate(data, *start, least_speed, tolerance, far) for start in starts]
+    damping, thrusts, loss = min(found, key=lambda one: one[2])
+    return (damping, thrusts) if loss < math.inf else starts[0]
 
 
 def bootstrap_joint(
@@ -173,10 +170,16 @@ def bootstrap_joint(
     bound = math.isclose(fitted.terminal_speed(data.dt), least_speed, rel_tol=1e-6)
     free = np.array([[data.dt / least_speed], [1.0]]) if bound else np.eye(2)
     slope = slope @ free
-    held = free.T @ _fixed_curvature(data, point) @ free
-    moved = -np.linalg.solve(held, slope.T).T
-    curvature = _curvature(data, point, CURVATURE_STEP * np.array([1.0, fitted.thrust]))
-    curvature = free.T @ curvature @ free
+    # Half the Hessian: with all actions held fixed, and as a difference quotient.
+    impulse = data.dt * nearest_actions(data, point[0], point[1:])[1]
+    mixed = -np.sum(data.velocity * impulse)
+    fixed = np.array([[np.sum(data.velocity**2), mixed], [mixed, np.sum(impulse**2)]])
+    moved = -np.linalg.solve(free.T @ fixed @ free, slope.T).T
+    rows = []
+    for shift in np.diag(CURVATURE_STEP * np.array([1.0, fitted.thrust])):
+        rise = _gradients(data, point + shift) - _gradients(data, point - shift)
+        rows.append(rise.sum(axis=0) / (2 * shift.sum()))
+    curvature = free.T @ (0.5 * (np.array(rows) + np.array(rows).T)) @ free
     if (np.linalg.eigvalsh(curvature) > 0).all():
         moved = -np.linalg.solve(curvature, slope.T).T
     return np.asarray(np.maximum(point + moved @ free.T, 0.0))
@@ -293,22 +296,6 @@ def _gradients(data: Transitions, point: Floats) -> Floats:
     terms = np.sum(miss * data.velocity, axis=1), -np.sum(miss * impulse, axis=1)
     each = [np.bincount(data.episode, term * kept, data.num_episodes) for term in terms]
     return np.stack(each, axis=1)
-
-
-def _curvature(data: Transitions, point: Floats, step: Floats) -> Floats:
-    """Half the Hessian of the loss by (d, u), as a difference quotient over ``step``."""
-    rows = []
-    for shift in np.diag(step):
-        rise = _gradients(data, point + shift) - _gradients(data, point - shift)
-        rows.append(rise.sum(axis=0) / (2 * shift.sum()))
-    return np.asarray(0.5 * (np.array(rows) + np.array(rows).T))
-
-
-def _fixed_curvature(data: Transitions, point: Floats) -> Floats:
-    """Half the Hessian of the loss with all actions held fixed, ``(2, 2)``."""
-    impulse = data.dt * nearest_actions(data, point[0], point[1:])[1]
-    mixed = -np.sum(data.velocity * impulse)
-    return np.array([[np.sum(data.velocity**2), mixed], [mixed, np.sum(impulse**2)]])
 
 
 def _with_multiples(data: Transitions, one: Locomotion, multiples: Sequence[float]) -> Locomotion:

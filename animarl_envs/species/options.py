@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, get_args
 
 from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.species import ChaseSpecies, Species
-from animarl_envs.species.scales import Reading, check_reading
+from animarl_envs.species.scales import Reading
 
 MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
 """Options that set how many individuals of a role there are; of the other role there is one."""
@@ -46,7 +46,7 @@ def with_options(species: Species, **options: Any) -> Species:
     if "individuals" in options:
         species = _with_individuals(species, tuple(options.pop("individuals")), counts)
     else:
-        species = _with_counts(species, **counts)
+        species = _with_counts(species, counts)
     if isinstance(species, ChaseSpecies) and is_number(options.get("arena")):
         scaled = species.start_half_side * float(options["arena"]) / species.arena.size
         options.setdefault("start_half_side", scaled)
@@ -74,7 +74,8 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
     InputError
         If an option is not valid, or there is no such reading.
     """
-    check_reading(reading)
+    if reading not in get_args(Reading):
+        raise InputError(f"reading is {reading!r}: choose 'habit' or 'knows'")
     changed = with_options(replace(species, sense_scales=species.scales), **options)
     if reading == "knows":
         return replace(
@@ -102,23 +103,31 @@ def _with_individuals(
     return replace(species, individuals=names)
 
 
-def _with_counts(species: Species, num_pursuers: Any, num_targets: Any) -> Species:
-    for key, count in (("num_pursuers", num_pursuers), ("num_targets", num_targets)):
+def _with_counts(species: Species, counts: Mapping[str, Any]) -> Species:
+    for key, count in counts.items():
         if count is not None and not isinstance(species, ChaseSpecies):
             raise InputError(f"{key} does not apply to {species.name}, which has none: drop it")
         if count is not None and not (is_whole(count) and count >= 1):
             raise InputError(f"{key} is {count!r}: it must be a whole number, 1 or more")
-    if not isinstance(species, ChaseSpecies):
+    pursuers, targets = counts["num_pursuers"], counts["num_targets"]
+    if not isinstance(species, ChaseSpecies) or (pursuers is None and targets is None):
         return species
-    flock = species.lone_pursuer if num_targets in (None, 1) else True
-    if flock and num_pursuers not in (None, 1):
+    if not (species.lone_pursuer if targets in (None, 1) else True):
+        return species if pursuers is None else _with_many(species, int(pursuers))
+    if pursuers not in (None, 1):
         raise InputError(
-            f"num_pursuers is {num_pursuers} but several targets have one pursuer: leave one of "
+            f"num_pursuers is {pursuers} but several targets have one pursuer: leave one of "
             "num_pursuers and num_targets out"
         )
-    if flock:
-        return species if num_targets is None else _with_targets(species, int(num_targets))
-    return species if num_pursuers is None else _with_many(species, int(num_pursuers))
+    return species if targets is None else _with_targets(species, int(targets))
+
+
+def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
+    """Return the species with ``count`` targets and one pursuer, the first, who comes last."""
+    if not species.lone_pursuer:
+        names = (f"{species.individuals[-1]}_0", species.individuals[0])
+        species = _select(species, (-1, 0), names, lone_pursuer=True)
+    return _with_many(species, count)
 
 
 def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
@@ -126,13 +135,12 @@ def _with_many(species: ChaseSpecies, count: int) -> ChaseSpecies:
     kind = species.individuals[0].rpartition("_")[0] or species.roles[0]
     last = species.num_individuals - 1
     names = (*(f"{kind}_{i}" for i in range(count)), species.individuals[last])
-    return _select_individuals(species, [*(i % last for i in range(count)), last], names)
+    return _select(species, [*(i % last for i in range(count)), last], names)
 
 
-def _select_individuals(
+def _select(
     species: ChaseSpecies, chosen: Sequence[int], names: tuple[str, ...], **changes: Any
 ) -> ChaseSpecies:
-    """The species with these of its individuals under new names."""
     return replace(
         species,
         individuals=names,
@@ -141,14 +149,6 @@ def _select_individuals(
         sense_scales=species.sense_scales and species.sense_scales.select(chosen),
         **changes,
     )
-
-
-def _with_targets(species: ChaseSpecies, count: int) -> ChaseSpecies:
-    """Return the species with ``count`` targets and one pursuer, the first, who comes last."""
-    if not species.lone_pursuer:
-        names = (f"{species.individuals[-1]}_0", species.individuals[0])
-        species = _select_individuals(species, (-1, 0), names, lone_pursuer=True)
-    return _with_many(species, count)
 
 
 def _arena(arena: Arena, options: dict[str, Any]) -> Arena:

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
-from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
 
 Reading = Literal["habit", "knows"]
@@ -66,9 +65,3 @@ class SenseScales:
             locomotion=tuple(self.locomotion[i] for i in individuals),
             own_velocity=tuple(self.own_velocity[i] for i in individuals),
         )
-
-
-def check_reading(reading: str) -> None:
-    """Raise InputError if there is no such reading."""
-    if reading not in get_args(Reading):
-        raise InputError(f"reading is {reading!r}: choose 'habit' or 'knows'")

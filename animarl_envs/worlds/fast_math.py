@@ -66,15 +66,8 @@ def angle_of(x, y):  # type: ignore[no-untyped-def]
     up = abs(y)
     z = min(across, up) / (max(across, up) + _TINY)
     s = z * z
-    p = _C7
-    p = p * s + _C6
-    p = p * s + _C5
-    p = p * s + _C4
-    p = p * s + _C3
-    p = p * s + _C2
-    p = p * s + _C1
-    p = p * s + _C0
-    angle = z * p
+    high = _C4 + s * (_C5 + s * (_C6 + s * _C7))
+    angle = z * (_C0 + s * (_C1 + s * (_C2 + s * (_C3 + s * high))))
     angle = _HALF_PI - angle if up > across else angle
     angle = _PI - angle if x < _ZERO else angle
     return math.copysign(angle, y)

@@ -13,7 +13,7 @@ import pytest
 
 import animarl_algos
 from animarl_envs.compiling import _folder, _kernel_sources, source_key
-from animarl_envs.dtw import _closed_end
+from animarl_envs.dtw import _aligned
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNEL = """
@@ -110,7 +110,7 @@ def test_the_key_is_of_the_kernels_of_the_package_and_of_the_environments() -> N
 def test_numbas_own_setting_is_left_as_it_was() -> None:
     import numba
 
-    assert str(_folder("animarl_envs", numba.config.CACHE_DIR)) in _closed_end._cache.cache_path
+    assert str(_folder("animarl_envs", numba.config.CACHE_DIR)) in _aligned._cache.cache_path
     assert "kernels-" not in (numba.config.CACHE_DIR or "")
 
 

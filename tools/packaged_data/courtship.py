@@ -28,6 +28,7 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.demos.splits import assign_splits
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies, get_species
+from tools.packaged_data import demonstrations_of
 from tools.packaged_data.courtship_episodes import Episode, make_episodes
 from tools.packaged_data.courtship_published import BEHAVIOURS, PUBLISHED, STARTS, Published
 from tools.packaged_data.courtship_shapes import fit
@@ -78,7 +79,7 @@ def _demonstrations(
         actions.append(acted)
         first.append(each.pool.velocity[each.index])
     shares = tuple(n / published.episodes for n in published.splits)
-    return Demonstrations.of_species(
+    return demonstrations_of(
         species,
         paths,
         signals={"actions": actions},

@@ -23,6 +23,7 @@ from animarl_envs.scenario import Scenario
 from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.worlds.search.programmed_moth import MothProgramme, ProgrammedMoth
 from animarl_envs.worlds.search.world import SearchWorld
+from tools.packaged_data import demonstrations_of
 
 TRIALS = 6  # per plume pattern and condition (paper, "Silkmoth dataset")
 SEED = 10  # of the packaged file: of 1 to 12 the one with the published success rates
@@ -146,7 +147,7 @@ def generate(
             signals["plume_step"].append((one.step[i] + np.arange(frames)).astype(np.int32))
             acted = np.append(one.actions[: frames - 1, i], np.int8(-1))
             signals["actions"].append(acted[:, None])
-    return Demonstrations.of_species(
+    return demonstrations_of(
         SILKMOTH,
         paths=[track[:, None] for _, _, one in parts for track in one.tracks()],
         signals=signals,

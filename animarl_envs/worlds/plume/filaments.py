@@ -27,7 +27,7 @@ from __future__ import annotations
 import functools
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
@@ -40,6 +40,10 @@ REACH = 3.0  # a filament is followed this many radii R from its centre
 TAIL = 3  # degrees of freedom of Student's t
 SHAPE = 3.0  # of the gamma distribution of release times: a quick rise and a longer tail
 LATEST = 2.0  # no filament is released later than this within its puff [s]
+POSITIVE = {
+    "puff_rate", "filaments_per_puff", "advection_speed", "initial_radius", "threshold", "extent",
+    "half_width", "cell", "frame_rate", "period", "meander_time",
+}  # fmt: skip
 SLOWEST = 0.2  # no filament travels slower than this share of the advection speed
 
 
@@ -73,17 +77,12 @@ class FilamentModel:
     period: float  # the sequence repeats after this time [s]
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name, value in vars(self).items():
             if not (math.isfinite(value) and value >= 0):
                 raise InputError(
-                    f"plume constant {field.name} is {value}: it must be a number, 0 or more"
+                    f"plume constant {name} is {value}: it must be a number, 0 or more"
                 )
-        for name in (
-            "puff_rate", "filaments_per_puff", "advection_speed", "initial_radius", "threshold",
-            "extent", "half_width", "cell", "frame_rate", "period", "meander_time",
-        ):  # fmt: skip
-            if getattr(self, name) == 0:
+            if value == 0 and name in POSITIVE:
                 raise InputError(f"plume constant {name} is 0: it must be positive")
         if abs(self.period * self.puff_rate - self.num_puffs) > 1e-9:
             raise InputError(
@@ -110,6 +109,7 @@ class FilamentModel:
         rows = 2 * (math.ceil(self.half_width / self.cell) + margin) + 1
         return rows, columns, -margin * self.cell, -(rows // 2) * self.cell
 
+    @functools.lru_cache(maxsize=16)  # noqa: B019
     def release(self, pattern: int) -> NDArray[np.float64]:
         """The filaments of one pattern, ``(puffs, filaments, 6)``.
 
@@ -117,10 +117,6 @@ class FilamentModel:
         the same filaments, one array that is not to be changed; the sequence joins up with itself
         after ``period``.
         """
-        return _released(self, pattern)
-
-    def _draw(self, pattern: int) -> NDArray[np.float64]:
-        """The filaments of :meth:`release`, drawn anew."""
         rng = np.random.default_rng([pattern, 0x706C756D65])
         puffs, each = self.num_puffs, self.filaments_per_puff
         shared = np.stack([self._meander(rng), self._meander(rng)], axis=-1)
@@ -159,11 +155,6 @@ class FilamentModel:
             self.puff_rate, math.ceil(oldest * self.puff_rate) + 1, self.initial_radius,
             self.growth, self.extent, self.cell, x0, y0,
         )  # fmt: skip
-
-
-@functools.lru_cache(maxsize=16)
-def _released(model: FilamentModel, pattern: int) -> NDArray[np.float64]:
-    return model._draw(pattern)
 
 
 @jit

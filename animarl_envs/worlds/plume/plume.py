@@ -87,30 +87,14 @@ def over_steps(frames: Iterable[NDArray[np.bool_]], per_step: float) -> Iterator
         yield union
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class PlumeField:
-    """A concentration field.
+class PlumeField(NamedTuple):
+    """A concentration field: ``values`` ``(rows, columns)`` in [0, 1], row 0 at ``y_low``.
 
-    Parameters
-    ----------
-    values
-        ``(rows, columns)`` in [0, 1]; row 0 lies at ``y_low``, column 0 at ``x_low``.
-    extent
-        ``(x_low, x_high, y_low, y_high)``, outer edges in the arena frame [arena unit].
+    ``extent`` is ``(x_low, x_high, y_low, y_high)``, outer edges in the arena frame [arena unit].
     """
 
     values: NDArray[np.floating]
     extent: tuple[float, float, float, float]
-
-    def __post_init__(self) -> None:
-        x_low, x_high, y_low, y_high = self.extent
-        if self.values.ndim != 2 or self.values.size == 0:
-            raise InputError(f"the plume field has shape {self.values.shape}: give (rows, columns)")
-        if not (x_low < x_high and y_low < y_high):
-            raise InputError(
-                f"the plume extent is {self.extent}: give (x_low, x_high, y_low, y_high), "
-                "each low below its high"
-            )
 
 
 class Plume(ABC):

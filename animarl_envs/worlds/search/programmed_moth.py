@@ -67,16 +67,17 @@ class MothProgramme:
     pause: float = 1.39  # how long it then stands, on average [s]
 
     def __post_init__(self) -> None:
-        for name in ("surge", "yaw_rate", "surge_speed", "turn_speed"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InputError(f"{name} is {getattr(self, name)}: it must be a positive number")
-        if not all(0 < t < math.inf for t in self.turns):
-            raise InputError(f"turns are {self.turns}: give positive durations in seconds")
-        if not 0 < self.careful <= 1:
-            raise InputError(f"careful is {self.careful}: it must lie between 0 and 1")
-        for name in ("motor_noise", "slip", "pace_spread", "pause_rate", "pause"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise InputError(f"{name} is {getattr(self, name)}: it must be zero or positive")
+        for name, value in vars(self).items():
+            least = name in ("motor_noise", "slip", "pace_spread", "pause_rate", "pause")
+            if name == "turns":
+                if not all(0 < t < math.inf for t in value):
+                    raise InputError(f"turns are {value}: give positive durations in seconds")
+            elif name in ("careful", "odour_turn", "wind_turn"):
+                if name == "careful" and not 0 < value <= 1:
+                    raise InputError(f"careful is {value}: it must lie between 0 and 1")
+            elif not (value >= 0 if least else value > 0) or not value < math.inf:
+                allowed = "zero or positive" if least else "a positive number"
+                raise InputError(f"{name} is {value}: it must be {allowed}")
 
 
 @dataclass(eq=False)

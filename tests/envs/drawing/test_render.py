@@ -157,16 +157,6 @@ def test_plume_fades_out_before_its_field_ends(renderer):
         assert odour(x, y) < 5
 
 
-def test_demonstration_is_drawn_and_fainter_than_the_trail(renderer):
-    path = np.linspace((-0.9, 0.8), (0.9, 0.8), 30)[:, None].repeat(2, axis=1)
-    scene = make_scene()
-    at = pixel_of(scene, (0.0, 0.8))
-    empty = darkness(renderer.draw(scene), at)
-    recorded = darkness(renderer.draw(make_scene(demonstration=path)), at)
-    trail = darkness(renderer.draw(make_scene(trails=path[:16])), at)
-    assert empty < recorded < trail
-
-
 def test_view_widens_to_show_who_is_far_out():
     usual = view_of(make_scene())
     far = make_scene(positions=np.array([(2.5, 0.0), (0.0, 0.0)]))
@@ -258,11 +248,6 @@ def test_many_individuals_fit_the_strip(renderer):
     picture = renderer.draw(crowd)
     margin = round(0.02 * SIZE)
     assert colour_distance(picture[SIZE:, -margin:].min(axis=(0, 1)), palette.BACKGROUND) == 0
-
-
-def test_plume_field_refuses_an_inverted_extent():
-    with pytest.raises(InputError, match="extent"):
-        PlumeField(values=np.zeros((2, 2)), extent=(1.0, 0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize("arguments", [("svg",), ("rgb_array", 50), ("rgb_array", 600, 0.0)])

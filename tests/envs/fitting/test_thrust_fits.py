@@ -45,25 +45,21 @@ from animarl_envs.species import FLY
 # -- fits -----------------------------------------------------------------------------------------
 
 
-def test_several_magnitudes_of_exact_tracks_are_found() -> None:
-    demos, _ = walk(TRUTH, 4, episodes=60)
+@pytest.mark.parametrize(
+    ("seed", "episodes", "noise", "damping", "thrust"),
+    [(4, 60, 0.0, 1e-6, 1e-5), (5, 100, 5e-4, 0.02, 0.05)],
+    ids=["exact", "noisy"],
+)
+def test_several_magnitudes_are_found(
+    seed: int, episodes: int, noise: float, damping: float, thrust: float
+) -> None:
+    demos, _ = walk(TRUTH, seed, episodes=episodes, noise=noise)
     for found, truth in zip(joint_locomotion(demos, 3), TRUTH, strict=True):
-        assert found.damping == pytest.approx(truth.damping, abs=1e-6)
+        assert found.damping == pytest.approx(truth.damping, abs=damping)
         np.testing.assert_allclose(
             found.thrust * np.array(found.magnitudes),
             truth.thrust * np.array(truth.magnitudes),
-            rtol=1e-5,
-        )
-
-
-def test_noise_moves_the_magnitudes_little() -> None:
-    demos, _ = walk(TRUTH, 5, episodes=100, noise=5e-4)
-    for found, truth in zip(joint_locomotion(demos, 3), TRUTH, strict=True):
-        assert found.damping == pytest.approx(truth.damping, abs=0.02)
-        np.testing.assert_allclose(
-            found.thrust * np.array(found.magnitudes),
-            truth.thrust * np.array(truth.magnitudes),
-            rtol=0.05,
+            rtol=thrust,
         )
 
 

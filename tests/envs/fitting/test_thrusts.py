@@ -42,7 +42,6 @@ from animarl_envs.species import AGENT, FLY, SILKMOTH, ChaseSpecies
 from animarl_envs.species.options import with_options
 from animarl_envs.views.common import scenario_as_data
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.rules import LOOKAHEAD, decide
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
 # -- the actions ----------------------------------------------------------------------------------
@@ -138,36 +137,6 @@ def test_the_searcher_and_numpy_move_alike() -> None:
         )
         world.step(actions[:, None])
         np.testing.assert_allclose(world.velocity[:, 0], expected, rtol=1e-12, atol=1e-15)
-
-
-def test_the_scripted_target_looks_ahead_with_the_same_transition() -> None:
-    rng = np.random.default_rng(3)
-    own = Locomotion(0.2, 3.0, MULTIPLES)
-    copies, target = 40, 2
-    position = rng.uniform(-0.9, 0.9, (3, 2, copies))
-    velocity = rng.normal(0, 0.5, (3, 2, copies))
-    towards = focus_directions(position.transpose(2, 0, 1), ROLES)
-    actions = np.zeros((3, copies), dtype=np.uint64)
-    pushes = np.stack([np.ascontiguousarray(own.action_vectors.T)] * 3)
-    decide(
-        target, position, velocity, np.ascontiguousarray(towards.transpose(1, 2, 0)), own.damping,
-        own.thrust, pushes, DT, 2, 1.0, False, actions,
-    )  # fmt: skip
-    # In the open (shape 2) only the distance from pursuers counts; see animarl_envs.worlds.rules.
-    costs = np.empty((37, copies))
-    for k in range(37):
-        place, speed = position[target].T, velocity[target].T
-        for _ in range(LOOKAHEAD):
-            speed = apply_actions(speed, np.full(copies, k), towards[:, target], own, DT)
-            place = place + speed * DT
-        gaps = [
-            np.linalg.norm(position[j].T + velocity[j].T * LOOKAHEAD * DT * 0.5 - place, axis=1)
-            for j in range(2)
-        ]
-        costs[k] = sum(1.0 / (gap + 0.05) for gap in gaps)
-    chosen = costs[actions[target].astype(int), np.arange(copies)]
-    np.testing.assert_allclose(chosen, costs.min(axis=0), rtol=1e-12)
-    assert len(set(actions[target].tolist())) > 5 and (actions[target] < 12).all()
 
 
 def test_the_fit_rebuilds_velocities_with_the_same_transition() -> None:

@@ -29,6 +29,7 @@ from animarl_envs.species.options import with_options
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
 from animarl_envs.wrappers import DTWRewardParallel
+from tools.packaged_data import demonstrations_of
 
 ID = "AnimaRL/Custom-v0"
 COAST = NUM_ACTIONS - 1
@@ -216,7 +217,7 @@ def ended(outcome: int, last: list[list[float]]) -> Demonstrations:
     first = [[0.5, 0.0], [0.0, 0.5], [-0.5, -0.5]]
     species = with_options(AGENT, num_targets=2)
     path = np.array([first, first, last], dtype=float)
-    return Demonstrations.of_species(
+    return demonstrations_of(
         species, [path], {}, condition=np.zeros(1), outcome=np.array([outcome]),
         split=np.array(["train"]), recording=np.array(["r"]),
         provenance={"source": "made by the test", "licence": "none", "synthetic": True},

@@ -70,14 +70,6 @@ def test_closeness_is_paid_as_the_textbook_says_and_only_while_the_recording_las
     assert outlived > 50
 
 
-def test_cumulative_penalty_is_the_row_minimum() -> None:
-    env = DTWReward(gym.make("AnimaRL/Agent-v0"), penalty="cumulative")
-    env.reset(seed=1)
-    for _ in range(4):
-        info = env.step(6)[4]
-        assert info["dtw_penalty"] == info["dtw_distance"]
-
-
 @pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
 def test_in_a_vector_each_copy_resets_its_own_rows(mode: str) -> None:
     copies = 6

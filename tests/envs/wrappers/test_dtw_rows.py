@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from textbook_dtw import closeness, textbook
 
-from animarl_envs.dtw import WINDOW, DTWTracker, dtw_distance
+from animarl_envs.dtw import WINDOW, DTWTracker, dtw_alignment, dtw_distance
 from animarl_envs.errors import InputError
 
 
@@ -33,12 +33,6 @@ def test_closed_end_equals_an_independent_library() -> None:
         assert dtw_distance(x, y) == pytest.approx(theirs, abs=1e-9)
 
 
-def test_a_path_has_no_distance_to_itself_nor_to_its_slow_twin() -> None:
-    x = np.random.default_rng(0).normal(size=(20, 2))
-    assert dtw_distance(x, x) == 0.0
-    assert dtw_distance(np.repeat(x, 3, axis=0), x) == 0.0
-
-
 @pytest.mark.parametrize(
     ("x", "y"),
     [
@@ -51,13 +45,6 @@ def test_misshapen_paths_are_refused(x: tuple[int, ...], y: tuple[int, ...]) -> 
         dtw_distance(np.zeros(x), np.zeros(y))
 
 
-def test_a_path_of_one_frame_is_compared_with_all_of_the_other() -> None:
-    """By hand: distances 5, 0 and 1 along the path add up."""
-    x, y = np.array([[0.0, 0.0]]), np.array([[3.0, 4.0], [0.0, 0.0], [0.0, -1.0]])
-    assert dtw_distance(x, y) == dtw_distance(y, x) == 6.0
-    assert dtw_distance(x, x) == 0.0
-
-
 def test_one_who_follows_late_is_close_and_one_who_stands_is_not() -> None:
     """What the band is for: with free warping, standing at the start would cost nothing."""
     t = np.arange(30.0)[:, None]
@@ -67,6 +54,46 @@ def test_one_who_follows_late_is_close_and_one_who_stands_is_not() -> None:
     np.testing.assert_allclose(closeness(late, recorded, WINDOW, scale=1.0), 1.0)
     assert closeness(standing, recorded, WINDOW, scale=1.0)[WINDOW:].max() < 0.5
     assert closeness(standing, recorded, 30, scale=1.0).min() == 1.0
+
+
+# -- how many pairs of frames a warping path aligns ------------------------------------------------
+
+
+def traced(x: np.ndarray, y: np.ndarray) -> tuple[float, int]:
+    """The whole table of distances, then back from its end along the smallest predecessors."""
+    cost = np.linalg.norm(x[:, None] - y[None], axis=-1)
+    total = np.full((len(x) + 1, len(y) + 1), np.inf)
+    total[0, 0] = 0.0
+    for t in range(len(x)):
+        for j in range(len(y)):
+            before = min(total[t, j], total[t, j + 1], total[t + 1, j])
+            total[t + 1, j + 1] = cost[t, j] + before
+    t, j, pairs = len(x), len(y), 1
+    while (t, j) != (1, 1):
+        steps = [(t - 1, j - 1), (t - 1, j), (t, j - 1)]
+        t, j = min(steps, key=lambda step: total[step])
+        pairs += 1
+    return float(total[-1, -1]), pairs
+
+
+def test_alignment_equals_a_path_traced_back() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        x, y = (rng.normal(size=(int(rng.integers(1, 15)), 2)) for _ in range(2))
+        distance, pairs = dtw_alignment(x, y)
+        assert (distance, pairs) == pytest.approx(traced(x, y))
+        assert distance == dtw_distance(x, y)
+        assert max(len(x), len(y)) <= pairs < len(x) + len(y)
+
+
+def test_equal_paths_align_frame_by_frame_and_one_frame_with_all() -> None:
+    path = np.random.default_rng(1).normal(size=(9, 2))
+    assert dtw_alignment(path, path) == (0.0, 9)
+    still = np.zeros((9, 2))
+    assert dtw_alignment(still, still) == (0.0, 9)
+    assert dtw_alignment(path[:1], path)[1] == 9
+    with pytest.raises(InputError, match="frames, 2"):
+        dtw_alignment(path, path[:, :1])
 
 
 # -- the tracker, told of episodes by a world that is made up --------------------------------------

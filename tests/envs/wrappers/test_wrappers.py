@@ -52,24 +52,6 @@ def test_the_shaped_reward_is_the_task_reward_less_the_weighted_penalty() -> Non
     assert total < 0.0  # closeness is a payment
 
 
-def test_vector_and_single_pay_the_same_cumulative_penalty() -> None:
-    """That of closeness is compared in test_registry.py, with everything else."""
-    vector = DTWRewardVector(gym.make_vec("AnimaRL/Agent-v0", num_envs=3), penalty="cumulative")
-    singles = [DTWReward(agent(), penalty="cumulative") for _ in range(3)]
-    vector.reset(seed=7)
-    for b, env in enumerate(singles):
-        env.reset(seed=7 + b)
-    running = np.ones(3, dtype=bool)
-    for t in range(40):
-        actions = np.array([t % 13, (t + 4) % 13, 12])
-        _, rewards, terminated, truncated, _ = vector.step(actions)
-        for b in np.flatnonzero(running).tolist():
-            _, reward, *_ = singles[b].step(int(actions[b]))
-            assert rewards[b] == pytest.approx(reward, abs=1e-12)
-        running &= ~(terminated | truncated)
-    assert running.any()
-
-
 def test_the_order_of_the_wrappers_does_not_matter() -> None:
     one, other = DTWReward(ConditionFlag(agent())), ConditionFlag(DTWReward(agent()))
     np.testing.assert_array_equal(one.reset(seed=2)[0], other.reset(seed=2)[0])

@@ -17,6 +17,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
 from animarl_envs.worlds.chase.world import ChaseWorld
+from tools.packaged_data import demonstrations_of
 from tools.packaged_data.trained_chase.training import (
     TRAINED,
     weights_file,
@@ -79,7 +80,7 @@ def generate(folder: Path, seed: int, episodes: int, epsilon: float = EPSILON) -
         policy = make_policy(weights, epsilon=epsilon, seed=seed)
         parts.append(chase(policy, c, episodes, seed))
     condition = np.repeat(np.arange(len(parts), dtype=np.int8), episodes)
-    return Demonstrations.of_species(
+    return demonstrations_of(
         AGENT,
         paths=[path for part in parts for path in part.paths],
         signals={"actions": [acted for part in parts for acted in part.actions]},
