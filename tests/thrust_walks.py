@@ -36,8 +36,12 @@ def walk(
     episodes: int = 40,
     steps: int = 50,
     noise: float = 0.0,
+    jumps: float = 0.0,
 ) -> tuple[Demonstrations, NDArray[np.int64]]:
-    """Sticky random actions of three individuals in the open, and the actions."""  # fmt: skip
+    """Sticky random actions of three individuals in the open, and the actions.
+
+    ``noise`` and a share of ``jumps`` are errors of the tracking.
+    """
     rng = np.random.default_rng(seed)
     count = truth[0].num_actions
     position = rng.uniform(-0.5, 0.5, (episodes, 3, 2))
@@ -60,14 +64,16 @@ def walk(
         path.append(position)
         taken.append(action)
     frames = np.stack(path, axis=1).reshape(-1, 3, 2)
+    frames = frames + noise * rng.standard_normal(frames.shape)
+    jumping = rng.random(frames.shape[:2]) < jumps
+    frames[jumping] += rng.uniform(-0.5, 0.5, (int(jumping.sum()), 2))
     actions = np.stack([*taken, np.full((episodes, 3), -1)], axis=1).reshape(-1, 3)
     recording = np.array([f"r{i:03d}" for i in range(episodes)])
     demos = Demonstrations(
         species="custom", individuals=("a", "b", "c"), roles=ROLES, dt=DT, arena=Arena("open"),
-        positions=frames + noise * rng.standard_normal(frames.shape),
-        lengths=np.full(episodes, steps + 1), initial_velocity=np.zeros((episodes, 3, 2)),
-        condition=np.zeros(episodes, np.int8), outcome=np.zeros(episodes, np.int8),
-        split=assign_splits(recording, 0), recording=recording,
+        positions=frames, lengths=np.full(episodes, steps + 1),
+        initial_velocity=np.zeros((episodes, 3, 2)), condition=np.zeros(episodes, np.int8),
+        outcome=np.zeros(episodes, np.int8), split=assign_splits(recording, 0), recording=recording,
         provenance={"source": "test", "licence": "none", "synthetic": True},
     )  # fmt: skip
     return demos, actions

@@ -81,6 +81,8 @@ class SceneRecorder:
     def __init__(self, world: Any, copy: int = 0) -> None:
         self.world, self.copy = world, copy
         self._trail: list[NDArray[np.float64]] = []
+        self._glow: NDArray[np.float32] | None = None  # the plume, last drawn at this time [s]
+        self._drawn = -np.inf
         unit = RECORDED_SCALE if world.demos is None else unit_of(world.demos)
         self._unit = METRES if hasattr(world, "plume") else unit
 
@@ -90,7 +92,7 @@ class SceneRecorder:
         towards = position[-1] - position if len(position) > 1 else -position
         self._headings = np.arctan2(towards[:, 1], towards[:, 0])
         self._trail, self._returns = [], np.zeros(len(position))
-        self._glow = Afterglow(self.world, self.copy) if hasattr(self.world, "plume") else None
+        self._glow, self._drawn = None, -np.inf
         self._look()
 
     def follow(self) -> None:
@@ -112,8 +114,8 @@ class SceneRecorder:
         world, b = self.world, self.copy
         species, number = world.scenario.species, int(world.condition[b])
         shown: dict[str, Any] = {"headings": self._headings.copy()} | world.scene_details(b)
-        if self._glow is not None:
-            shown["plume"] = self._glow.plume()
+        if hasattr(world, "plume"):
+            shown["plume"] = self._plume()
         if species.conditions:
             shown["condition"] = f"condition {number}: {species.conditions[number]}"
         if world.truncated[b]:
@@ -131,33 +133,22 @@ class SceneRecorder:
             **shown,
         )
 
+    def _plume(self) -> PlumeField:
+        """The plume at the end of the step that led to the present state, fading with age.
 
-class Afterglow:
-    """The plume of the last moments, fading with age.
-
-    Puffs cross the field faster than pictures follow each other, so an instant alone would flicker;
-    what is drawn is the greatest of the recent fields, each faded over :data:`GLOW_TIME`.
-    """
-
-    def __init__(self, world: Any, copy: int) -> None:
-        self.world, self.copy = world, copy
-        self._drawn: float = -np.inf  # time of the last field in ``_values`` [s]
-        self._values: NDArray[np.float32] | None = None
-        self._extent: tuple[float, ...] = ()
-
-    def plume(self) -> PlumeField:
-        """Return the field at the end of the step that led to the world's present state."""
-        world, b = self.world, self.copy
-        now = (int(world.phase[b] + world.step_count[b]) + 1) * world.scenario.species.dt
-        pattern, wait = world.patterns[world.pattern[b]], 1.0 / GLOW_RATE
+        Puffs cross the field faster than pictures follow each other, so an instant alone would
+        flicker; what is drawn is the greatest of the recent fields, each faded over
+        :data:`GLOW_TIME`.
+        """
+        world, b, wait = self.world, self.copy, 1.0 / GLOW_RATE
+        species, pattern = world.scenario.species, world.patterns[world.pattern[b]]
+        now = (int(world.phase[b] + world.step_count[b]) + 1) * species.dt
         # Only what is new since the last picture, and nothing that has faded already.
         time = max(self._drawn + wait, now - 3.0 * GLOW_TIME)
-        while time <= now + 1e-9 or self._values is None:
+        while time <= now + 1e-9 or self._glow is None:
             fresh, self._extent = world.plume.field(pattern, time)
-            if self._values is None:
-                self._values = fresh
-            self._values = np.maximum(self._values * np.exp(-wait / GLOW_TIME), fresh)
+            old = fresh if self._glow is None else self._glow
+            self._glow = np.maximum(old * np.exp(-wait / GLOW_TIME), fresh)
             self._drawn, time = time, time + wait
-        scale = world.scenario.species.metres_per_unit
-        left, right, low, high = (edge / scale for edge in self._extent)
-        return PlumeField(values=self._values, extent=(left, right, low, high))
+        left, right, low, high = (edge / species.metres_per_unit for edge in self._extent)
+        return PlumeField(values=self._glow, extent=(left, right, low, high))

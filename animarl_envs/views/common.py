@@ -77,6 +77,17 @@ class View:
         """Close the window, if any."""
         self._pictures.close()
 
+    def _restart(self, seed: int | None, fresh: Any, options: Any, *, strict: bool = True) -> None:
+        """Begin an episode of a single copy; ``fresh`` draws the first seed where none is given."""
+        given = reset_options(options, "demo", strict=strict)
+        if seed is not None:
+            self.world.seed([stream_seed(seed)])
+        elif not self._started:
+            self.world.seed(fresh())
+        self._started = True
+        self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
+        self._follow([True])
+
     def _shared_info(self, warming: bool) -> dict[str, Any]:
         """What the infos of all individuals of a single copy share."""
         world = self.world

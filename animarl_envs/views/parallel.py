@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from operator import index
 from typing import Any
 
@@ -19,11 +20,8 @@ from animarl_envs.views.common import (
     View,
     action_space,
     checked_limit,
-    chosen_demos,
     cut_after,
     observation_space,
-    reset_options,
-    stream_seed,
 )
 
 Observations = dict[str, NDArray[np.float32]]
@@ -94,15 +92,9 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
         """Start a new episode of all; ``options={"demo": i}`` chooses the demonstration."""
-        if seed is not None:
-            self.world.seed([stream_seed(seed)])
-        elif not self._started:
-            self.world.seed(np.random.SeedSequence().generate_state(1, np.uint64))
-        self._started = True
-        given = reset_options(options, "demo", strict=False)  # PettingZoo's own test gives others
-        self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
+        fresh = partial(np.random.SeedSequence().generate_state, 1, np.uint64)
+        self._restart(seed, fresh, options, strict=False)  # PettingZoo's own test gives others
         self.agents = list(self.possible_agents)
-        self._follow([True])
         infos = self._infos(warming=False)
         for info in infos.values():
             info["scenario"] = json.loads(self._description)

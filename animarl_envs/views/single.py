@@ -16,10 +16,7 @@ from animarl_envs.views.common import (
     FocalView,
     Others,
     action_space,
-    chosen_demos,
     observation_space,
-    reset_options,
-    stream_seed,
 )
 
 KEYS = {
@@ -104,16 +101,9 @@ class AnimalEnv(FocalView, gym.Env[NDArray[np.float32], np.int64]):  # type: ign
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start a new episode; ``options={"demo": i}`` chooses the demonstration."""
-        given = reset_options(options, "demo")
-        fresh = self._np_random is None
         super().reset(seed=seed)
-        if seed is not None:
-            self.world.seed([stream_seed(seed)])
-        elif fresh:
-            self.world.seed(self.np_random.integers(2**63, size=1))
-        self.world.reset(demo=chosen_demos(given.get("demo"), self.scenario, 1))
+        self._restart(seed, lambda: self.np_random.integers(2**63, size=1), options)
         self._running = True
-        self._follow([True])
         return self._observation(), {**self._info(), "scenario": json.loads(self._description)}
 
     def step(

@@ -128,26 +128,21 @@ class AnimalVectorEnv(  # type: ignore[misc]
 
     def _seed(self, seed: int | list[int | None] | None) -> None:
         """Start the random streams: before the first episode, and whenever a seed is given."""
+        listed = seed if isinstance(seed, list) else None
         if seed is None and self._started:
             return
-        if not isinstance(seed, list):
-            super().reset(seed=seed)  # Gymnasium's own generator
-            if seed is not None:
-                self.world.seed(np.arange(self.num_envs, dtype=np.uint64) + stream_seed(seed))
-            else:
-                self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
-            return
-        if len(seed) != self.num_envs:
-            raise InputError(f"seed lists {len(seed)} seeds: give {self.num_envs}, one per copy")
-        first = next((s for s in seed if s is not None), None)
-        super().reset(seed=first)
-        kept = np.array([s is None for s in seed])
-        streams = self.world.random_state.copy()
-        if not self._started:
+        if listed is not None and len(listed) != self.num_envs:
+            raise InputError(f"seed lists {len(listed)} seeds: give {self.num_envs}, one per copy")
+        one = seed if listed is None else next((s for s in listed if s is not None), None)
+        super().reset(seed=one)  # type: ignore[arg-type]  # Gymnasium's own generator
+        if seed is None or (listed is not None and not self._started):
             self.world.seed(self.np_random.integers(2**63, size=self.num_envs))
-            streams = self.world.random_state.copy()
-        self.world.seed(np.array([stream_seed(s or 0) for s in seed]))
-        self.world.random_state[kept] = streams[kept]
+        if isinstance(seed, int | np.integer):
+            self.world.seed(np.arange(self.num_envs, dtype=np.uint64) + stream_seed(int(seed)))
+        elif listed is not None:
+            streams, kept = self.world.random_state.copy(), np.array([s is None for s in listed])
+            self.world.seed(np.array([stream_seed(s or 0) for s in listed]))
+            self.world.random_state[kept] = streams[kept]
 
     def step(
         self, actions: NDArray[np.int64]

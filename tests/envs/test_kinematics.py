@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
@@ -23,40 +25,38 @@ def held(
     return places.transpose(0, 2, 1), speeds.transpose(0, 2, 1)
 
 
-@pytest.mark.parametrize("shape", [SQUARE, DISC, OPEN])
-def test_who_stands_inside_keeps_place_and_velocity(shape: int) -> None:
-    position = [[[0.0, 0.0], [1.2, -1.3]], [[-1.99, 0.0], [0.0, 1.99]]]
-    velocity = [[[3.0, -4.0], [1.0, -1.0]], [[-5.0, 0.5], [0.5, 5.0]]]
-    places, speeds = held(shape, position, velocity)
-    np.testing.assert_array_equal(places, position)
-    np.testing.assert_array_equal(speeds, velocity)
+INSIDE = [[[0.0, 0.0], [1.2, -1.3]], [[-1.99, 0.0], [0.0, 1.99]]]
+MOVING = [[[3.0, -4.0], [1.0, -1.0]], [[-5.0, 0.5], [0.5, 5.0]]]
+FAR, ON_DISC = [[[50.0, -50.0]]], [[[2.0, 0.0], [0.0, -2.0]]]
+SLOW, OUT = [[[0.1, -0.1], [-0.1, 0.1]]], [[[1.0, 0.5], [0.5, -1.0]]]
+CORNERS, BACK = [[[2.0, -2.0], [2.0, -2.0]]], [[[1.0, -1.0], [-0.7, 0.7]]]
+BY_HAND: dict[str, tuple[Any, ...]] = {
+    "in a square": (SQUARE, INSIDE, MOVING, INSIDE, MOVING),
+    "in a disc": (DISC, INSIDE, MOVING, INSIDE, MOVING),
+    "in the open": (OPEN, INSIDE, MOVING, INSIDE, MOVING),
+    "far in the open": (OPEN, FAR, [[[1.0, -1.0]]], FAR, [[[1.0, -1.0]]]),
+    "a straight wall holds each axis by itself": (
+        SQUARE,
+        [[[2.5, 1.0], [-2.5, -1.0], [0.3, 7.0], [-3.0, -3.0]]],
+        [[[1.0, 0.5], [-1.0, 0.5], [-0.2, 0.4], [-1.0, -2.0]]],
+        [[[2.0, 1.0], [-2.0, -1.0], [0.3, 2.0], [-2.0, -2.0]]],
+        [[[0.0, 0.5], [0.0, 0.5], [-0.2, 0.0], [0.0, 0.0]]],
+    ),
+    "slow ones are judged as fast ones are": (
+        SQUARE, [[[2.1, -2.1], [2.1, -2.1]]], SLOW, CORNERS, [[[0.0, 0.0], [-0.1, 0.1]]],
+    ),
+    "on a round wall is not beyond it": (DISC, ON_DISC, OUT, ON_DISC, OUT),
+    "on a straight wall neither, and who moves back inside keeps the velocity": (
+        SQUARE, [[[2.0, -2.0], [2.5, -2.5]]], BACK, CORNERS, BACK,
+    ),
+}  # fmt: skip
 
 
-def test_a_straight_wall_holds_each_axis_by_itself() -> None:
-    position = [[[2.5, 1.0], [-2.5, -1.0], [0.3, 7.0], [-3.0, -3.0]]]
-    velocity = [[[1.0, 0.5], [-1.0, 0.5], [-0.2, 0.4], [-1.0, -2.0]]]
-    places, speeds = held(SQUARE, position, velocity)
-    assert places.tolist() == [[[2.0, 1.0], [-2.0, -1.0], [0.3, 2.0], [-2.0, -2.0]]]
-    assert speeds.tolist() == [[[0.0, 0.5], [0.0, 0.5], [-0.2, 0.0], [0.0, 0.0]]]
-
-
-def test_slow_ones_are_judged_as_fast_ones_are() -> None:
-    places, speeds = held(SQUARE, [[[2.1, -2.1], [2.1, -2.1]]], [[[0.1, -0.1], [-0.1, 0.1]]])
-    assert places.tolist() == [[[2.0, -2.0], [2.0, -2.0]]]
-    assert speeds.tolist() == [[[0.0, 0.0], [-0.1, 0.1]]]
-
-
-def test_who_stands_on_a_round_wall_is_not_beyond_it() -> None:
-    places, speeds = held(DISC, [[[2.0, 0.0], [0.0, -2.0]]], [[[1.0, 0.5], [0.5, -1.0]]])
-    assert places.tolist() == [[[2.0, 0.0], [0.0, -2.0]]]
-    assert speeds.tolist() == [[[1.0, 0.5], [0.5, -1.0]]]
-
-
-def test_who_stands_on_a_straight_wall_is_not_beyond_it() -> None:
-    """Nor is one who moves back inside robbed of the velocity."""
-    places, speeds = held(SQUARE, [[[2.0, -2.0], [2.5, -2.5]]], [[[1.0, -1.0], [-0.7, 0.7]]])
-    assert places.tolist() == [[[2.0, -2.0], [2.0, -2.0]]]
-    assert speeds.tolist() == [[[1.0, -1.0], [-0.7, 0.7]]]
+@pytest.mark.parametrize("case", BY_HAND)
+def test_walls_hold_by_hand(case: str) -> None:
+    shape, position, velocity, places, speeds = BY_HAND[case]
+    found = held(shape, position, velocity)
+    assert (found[0].tolist(), found[1].tolist()) == (places, speeds)
 
 
 def test_a_round_wall_takes_the_outward_velocity_alone() -> None:
@@ -77,8 +77,3 @@ def test_nobody_held_by_a_round_wall_counts_as_beyond_it() -> None:
     radius = np.hypot(places[..., 0], places[..., 1])
     assert (radius <= 2.0).all()
     np.testing.assert_allclose(radius, 2.0, rtol=1e-9)
-
-
-def test_an_open_field_holds_nobody() -> None:
-    places, speeds = held(OPEN, [[[50.0, -50.0]]], [[[1.0, -1.0]]])
-    assert places.tolist() == [[[50.0, -50.0]]] and speeds.tolist() == [[[1.0, -1.0]]]

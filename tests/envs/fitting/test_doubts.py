@@ -15,12 +15,12 @@ from animarl_envs.fitting.result import doubts
 
 
 def test_a_good_fit_is_not_doubted() -> None:
-    demos, _ = simulate(np.random.default_rng(2), episodes=120, noise=5e-4)
+    demos, _ = simulate(2, episodes=120, noise=5e-4)
     assert doubts(fit_locomotion(demos, bootstrap=200), demos) == []
 
 
 def test_a_fit_that_hangs_on_the_left_out_steps_is_told_both_ways() -> None:
-    demos, _ = simulate(np.random.default_rng(2), episodes=60, noise=5e-4, jumps=0.002)
+    demos, _ = simulate(2, episodes=60, noise=5e-4, jumps=0.002)
     fit = fit_locomotion(demos, bootstrap=200)
     found = [sentence for sentence in doubts(fit, demos) if "tracking jumps" in sentence]
     assert len(found) == 3
@@ -34,7 +34,7 @@ def changed(fit: LocomotionFit, **fields: object) -> LocomotionFit:
 
 
 def test_terminal_speeds_and_intervals_are_doubted_beyond_their_limits() -> None:
-    demos, _ = simulate(np.random.default_rng(1))
+    demos, _ = simulate(1)
     fit = fit_locomotion(demos, bootstrap=0)
     top = fit.individuals[0].top_speed
     assert not any("top speed" in s for s in doubts(changed(fit, terminal_speed=1.9 * top), demos))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from thrust_walks import DT, ROLES, walk
 
-from animarl_envs.arena import Arena
-from animarl_envs.demos import Demonstrations, assign_splits
+from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import (
     LocomotionFit,
@@ -24,55 +24,20 @@ from animarl_envs.fitting.joint import bootstrap_joint
 from animarl_envs.fitting.onset import bootstrap_onset, onset_data
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
-from animarl_envs.locomotion import COAST, Locomotion, apply_actions
+from animarl_envs.locomotion import COAST, Locomotion
 
 TRUTH = (Locomotion(0.3, 2.0), Locomotion(0.15, 1.2), Locomotion(0.25, 3.0))
-ROLES = ("pursuer", "pursuer", "target")
-DT = 0.1
 
 
 def simulate(
-    rng: np.random.Generator,
-    *,
-    episodes: int = 60,
-    steps: int = 40,
-    noise: float = 0.0,
-    jumps: float = 0.0,
-) -> tuple[Demonstrations, NDArray[np.int8]]:
-    """Sticky random actions under the true parameters, in the open, with tracking errors added."""
-    positions, actions = [], []
-    for _ in range(episodes):
-        position, velocity = rng.uniform(-0.5, 0.5, (3, 2)), np.zeros((3, 2))
-        path, taken = [position], []
-        action = rng.integers(13, size=3)
-        for _ in range(steps):
-            action = np.where(rng.random(3) < 0.3, rng.integers(13, size=3), action)
-            focus = focus_directions(position, ROLES)
-            velocity = np.stack(
-                [apply_actions(velocity[i], action[i], focus[i], TRUTH[i], DT) for i in range(3)]
-            )
-            position = position + velocity * DT
-            path.append(position)
-            taken.append(action)
-        positions.append(np.stack(path))
-        actions.append(np.stack([*taken, np.full(3, -1)]))
-    flat = np.concatenate(positions)
-    flat = flat + noise * rng.standard_normal(flat.shape)
-    jumping = rng.random(flat.shape[:2]) < jumps
-    flat[jumping] += rng.uniform(-0.5, 0.5, (int(jumping.sum()), 2))
-    recording = np.array([f"r{i:03d}" for i in range(episodes)])
-    demos = Demonstrations(
-        species="custom", individuals=("a", "b", "c"), roles=ROLES, dt=DT, arena=Arena("open"),
-        positions=flat, lengths=np.full(episodes, steps + 1),
-        initial_velocity=np.zeros((episodes, 3, 2)), condition=np.zeros(episodes, np.int8),
-        outcome=np.zeros(episodes, np.int8), split=assign_splits(recording, 0), recording=recording,
-        provenance={"source": "test", "licence": "none", "synthetic": True},
-    )  # fmt: skip
-    return demos, np.concatenate(actions).astype(np.int8)
+    seed: int, episodes: int = 60, steps: int = 40, **errors: float
+) -> tuple[Demonstrations, NDArray[np.int64]]:
+    """Walks under the true parameters, with tracking errors added, and the actions."""
+    return walk(TRUTH, seed, episodes=episodes, steps=steps, **errors)
 
 
 def test_the_joint_fit_returns_the_true_parameters_of_exact_tracks() -> None:
-    demos, _ = simulate(np.random.default_rng(1))
+    demos, _ = simulate(1)
     for found, truth in zip(fit_locomotion(demos).individuals, TRUTH, strict=True):
         assert found.damping == pytest.approx(truth.damping, abs=1e-9)
         assert found.thrust == pytest.approx(truth.thrust, abs=1e-8)
@@ -80,14 +45,14 @@ def test_the_joint_fit_returns_the_true_parameters_of_exact_tracks() -> None:
 
 
 def test_the_joint_fit_withstands_noise_and_tracking_jumps() -> None:
-    demos, _ = simulate(np.random.default_rng(2), episodes=120, noise=5e-4, jumps=0.002)
+    demos, _ = simulate(2, episodes=120, noise=5e-4, jumps=0.002)
     for found, truth in zip(fit_locomotion(demos).individuals, TRUTH, strict=True):
         assert found.damping == pytest.approx(truth.damping, abs=0.01)
         assert found.thrust == pytest.approx(truth.thrust, rel=0.01)
 
 
 def test_inverse_dynamics_returns_the_actions_taken() -> None:
-    demos, actions = simulate(np.random.default_rng(3))
+    demos, actions = simulate(3)
     inferred = demonstrated_actions(demos, TRUTH)
     np.testing.assert_array_equal(inferred, actions)
     last = demos.offsets[1:] - 1
@@ -95,7 +60,7 @@ def test_inverse_dynamics_returns_the_actions_taken() -> None:
 
 
 def test_the_rmse_of_exact_parameters_is_zero_and_of_wrong_ones_is_not() -> None:
-    demos, _ = simulate(np.random.default_rng(4))
+    demos, _ = simulate(4)
     assert velocity_rmse(demos, 0, TRUTH[0]) < 1e-12
     # With d wrong by 0.01 the nearest action does not change, so the miss is exactly 0.01 |v|.
     speed = np.linalg.norm(transitions(demos, 0).velocity, axis=1)
@@ -105,7 +70,7 @@ def test_the_rmse_of_exact_parameters_is_zero_and_of_wrong_ones_is_not() -> None
 
 
 def test_the_joint_fit_is_a_minimum_of_the_squared_error() -> None:
-    demos, _ = simulate(np.random.default_rng(5), noise=2e-3)
+    demos, _ = simulate(5, noise=2e-3)
     data = transitions(demos, 0)
     found = fit_joint(data)
 
@@ -126,7 +91,7 @@ def test_the_joint_fit_is_a_minimum_of_the_squared_error() -> None:
 
 
 def test_joint_bootstrap_spreads_like_refitting_each_resample() -> None:
-    demos, _ = simulate(np.random.default_rng(6), episodes=40, steps=30, noise=1e-3)
+    demos, _ = simulate(6, episodes=40, steps=30, noise=1e-3)
     data = transitions(demos, 1)
     fitted = fit_joint(data)
     rng = np.random.default_rng(7)
@@ -146,7 +111,7 @@ def test_joint_intervals_cover_the_truth() -> None:
     """Nominal 95 %; percentile intervals of 25 episodes fall a little short of it."""
     covered = 0
     for seed in range(32):
-        demos, _ = simulate(np.random.default_rng(100 + seed), episodes=25, steps=20, noise=2e-5)
+        demos, _ = simulate(100 + seed, episodes=25, steps=20, noise=2e-5)
         data = transitions(demos, 0)
         drawn = np.random.default_rng(seed).integers(25, size=(200, 25))
         weights = np.stack([np.bincount(row, minlength=25) for row in drawn]).astype(float)
@@ -159,7 +124,7 @@ def test_joint_intervals_cover_the_truth() -> None:
 
 
 def test_onset_bootstrap_equals_numpy_on_each_resample() -> None:
-    demos, _ = simulate(np.random.default_rng(8), episodes=12)
+    demos, _ = simulate(8, episodes=12)
     data = onset_data(demos, 0, onset_threshold=1.5)
     rng = np.random.default_rng(9)
     draws = [rng.integers(12, size=12) for _ in range(20)]
@@ -172,7 +137,7 @@ def test_onset_bootstrap_equals_numpy_on_each_resample() -> None:
 
 
 def test_onset_fit_without_an_onset_says_so() -> None:
-    demos, _ = simulate(np.random.default_rng(10), episodes=5)
+    demos, _ = simulate(10, episodes=5)
     for threshold, mend in ((1e-6, "raise"), (1e6, "lower")):
         words = rf"never crosses .*: {mend} onset_threshold or use method 'joint'"
         with pytest.raises(InputError, match=words):
@@ -180,7 +145,7 @@ def test_onset_fit_without_an_onset_says_so() -> None:
 
 
 def test_an_individual_that_never_moves_is_refused() -> None:
-    demos, _ = simulate(np.random.default_rng(11), episodes=5)
+    demos, _ = simulate(11, episodes=5)
     still = demos.positions.copy()
     still[:, 1] = 0.25
     demos = Demonstrations(**{**vars(demos), "positions": still})
@@ -189,7 +154,7 @@ def test_an_individual_that_never_moves_is_refused() -> None:
 
 
 def test_a_single_episode_has_no_interval() -> None:
-    demos, _ = simulate(np.random.default_rng(12), episodes=1, steps=200)
+    demos, _ = simulate(12, episodes=1, steps=200)
     fit = fit_locomotion(demos, split=None)
     assert fit.validated_on == "all"
     assert all(one.damping_interval is None for one in fit.individuals)
@@ -198,7 +163,7 @@ def test_a_single_episode_has_no_interval() -> None:
 
 
 def test_fits_survive_json(tmp_path: Path) -> None:
-    demos, _ = simulate(np.random.default_rng(13), episodes=12)
+    demos, _ = simulate(13, episodes=12)
     fit = fit_locomotion(demos, bootstrap=50)
     assert LocomotionFit.load(fit.save(tmp_path / "fit.json")) == fit
     (tmp_path / "other.json").write_text(json.dumps({"a": 1}))
@@ -207,7 +172,7 @@ def test_fits_survive_json(tmp_path: Path) -> None:
 
 
 def test_same_seed_same_intervals() -> None:
-    demos, _ = simulate(np.random.default_rng(14), episodes=12, noise=1e-3)
+    demos, _ = simulate(14, episodes=12, noise=1e-3)
     assert fit_locomotion(demos, seed=3) == fit_locomotion(demos, seed=3)
     assert fit_locomotion(demos, seed=3).individuals != fit_locomotion(demos, seed=4).individuals
 

@@ -208,24 +208,6 @@ def test_leaving_ends_it_with_a_penalty(start: Any, who: int, code: int) -> None
     assert made.components[0, :, 2].sum() == -10.0
 
 
-def test_the_time_limit_truncates_and_never_terminates() -> None:
-    made = world(start=APART, time_limit=5)
-    for _ in range(5):
-        assert not made.truncated[0]
-        made.step(np.full((1, 3), COAST))
-        assert not made.terminated[0]
-    assert made.truncated[0] and made.step_count[0] == 5 and made.outcome[0] == TIME_OUT
-
-
-def test_components_sum_to_the_reward_whatever_happens() -> None:
-    made = ChaseWorld(make_scenario("agent", demos=None, condition=1), 200)
-    made.reset()
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        made.step(rng.integers(13, size=(200, 3)))
-        assert np.array_equal(made.components.sum(axis=2), made.reward)
-
-
 # -- options --------------------------------------------------------------------------------------
 
 
@@ -335,20 +317,6 @@ def test_starts_without_demonstration_are_uniform_and_not_in_contact() -> None:
     assert made.position.mean(axis=(0, 1)) == pytest.approx([0.0, 0.0], abs=0.01)
     apart = np.linalg.norm(made.position[:, :2] - made.position[:, 2:], axis=2)
     assert apart.min() >= AGENT.contact_radius
-
-
-def test_a_copy_does_not_depend_on_its_neighbours() -> None:
-    rng = np.random.default_rng(0)
-    many, one = ChaseWorld(make_scenario("agent"), 9), ChaseWorld(make_scenario("agent"), 1)
-    many.seed(np.arange(9) + 40)
-    one.seed([45])
-    many.reset()
-    one.reset()
-    for _ in range(20):
-        actions = rng.integers(13, size=(9, 3))
-        many.step(actions)
-        one.step(actions[5:6])
-        assert np.array_equal(many.observation[5], one.observation[0])
 
 
 def test_faster_by_a_factor_is_one_keyword() -> None:

@@ -166,11 +166,6 @@ def test_invariance_mirroring_mirrors_the_paths(
     assert_seen_alike(one, two, np.where(odd, -1.0, 1.0), np.ones(len(odd), dtype=bool))
 
 
-def test_invariance_mirrored_actions_are_mirrored_vectors() -> None:
-    assert np.array_equal(ACTION_VECTORS[MIRRORED], ACTION_VECTORS * [1.0, -1.0])
-    assert np.array_equal(MIRRORED[MIRRORED], np.arange(ACTIONS))
-
-
 @often
 @given(seeds, st.integers(2, 4), st.randoms(use_true_random=False),
        st.sampled_from(["agent", "fly", "newt"]), st.booleans())  # fmt: skip

@@ -53,14 +53,6 @@ def test_a_round_wall_keeps_the_velocity_along_it() -> None:
     assert made.velocity[0, 2] == pytest.approx(along * (along @ (0.75 * np.array([0.8, 0.4]))))
 
 
-def test_who_moves_away_from_a_wall_is_not_held_back() -> None:
-    made = world(start=[*FAR, [0.9, 0.0]])
-    put(made, 2, [1.0, 0.0], [-0.4, 0.0])
-    made.step(np.full((1, 3), COAST))
-    assert made.velocity[0, 2] == pytest.approx([-0.3, 0.0])
-    assert made.position[0, 2] == pytest.approx([0.97, 0.0])
-
-
 @pytest.mark.parametrize("shape", ["square", "disc"])
 def test_nobody_leaves_a_field_with_walls(shape: str) -> None:
     made = world(50, arena=shape)
