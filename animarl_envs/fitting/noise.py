@@ -236,24 +236,10 @@ def log_likelihood(  # type: ignore[no-untyped-def]
 ):
     """Sum over episodes, each of which is also written to ``episodes``.
 
-    Parameters
-    ----------
-    positions, focus
-        ``(frames, 2)``, read positions and unit vectors towards the focus.
-    first
-        ``(episodes + 1,)``, first frames.
-    directions
-        ``(A, 2)``, of the actions in the egocentric frame; zero for coasting.
-    dt, spread
-        Time step [s]; standard deviation of velocities at the start of an episode.
-    parameters
-        Damping d, impulse u dt, noise (of positions), and the probability that an action is kept;
-        otherwise the next one is drawn by ``shares`` ``(A,)``.
-    hypotheses
-        Scratch: means ``(2, A, 2, 2)``, variances ``(2, A, 2, 3)``, weights ``(4, A)``, and
-        predictions ``(A, 2, 9)``.
-    taken
-        ``(A,)``, gets the expected number of steps of each action.
+    ``spread`` is the standard deviation of velocities at the start of an episode, ``directions``
+    ``(A, 2)`` those of the actions, of which the next is drawn by ``shares``, where it is not kept;
+    ``hypotheses`` are means, variances, weights and predictions, ``taken`` ``(A,)`` gets the
+    expected number of steps of each action.
     """
     damping, impulse, noise, kept = parameters
     means, variances, weights, _ = hypotheses
