@@ -92,7 +92,7 @@ def species_of(
     locomotion = fitted_locomotion(demos, thrusts) if fit is None else tuple(fit)
     conditions = numbers.conditions
     if not conditions and (demos.condition == 1).any():
-        named = demos.provenance.get("conditions")
+        named: Any = demos.provenance.get("conditions")
         known = isinstance(named, list | tuple) and len(named) == 2
         conditions = tuple(map(str, named)) if known else ("condition 0", "condition 1")
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}

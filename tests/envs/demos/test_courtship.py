@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import animarl_envs
 from animarl_algos.cli.main import app
 from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
@@ -118,15 +116,6 @@ def test_inferred_actions_are_those_taken_and_replay_the_positions(name):
         ended = going[steps[going] == t + 1]
         np.testing.assert_array_equal(world.outcome[ended], demos.outcome[ended])
         assert (world.terminated[ended] == (demos.outcome[ended] > 0)).all()
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_environments_start_from_it(name):
-    env = gym.make(animarl_envs.environment_id(name))
-    _, info = env.reset(seed=0)
-    train = load_packaged(name).select(split="train")
-    first = env.unwrapped.world.position[0]
-    np.testing.assert_array_equal(first, train.episode(info["demo"]).positions[0])
 
 
 # -- the generator --------------------------------------------------------------------------------

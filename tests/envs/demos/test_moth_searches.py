@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -12,13 +11,11 @@ from typer.testing import CliRunner
 
 import animarl_envs  # noqa: F401  (registers the ids)
 from animarl_algos.cli.main import app
-from animarl_envs.demos.demonstrations import TIME_OUT, Demonstrations
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import FOLDER, load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import infer_actions
-from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SILKMOTH
-from animarl_envs.worlds.search.world import SearchWorld, demonstration_observations
 from tools.packaged_data.moth_comparison import comparison, rates
 from tools.packaged_data.moth_published import PUBLISHED
 from tools.packaged_data.moth_searches import SPLIT_OF_PATTERN, generate, search
@@ -64,17 +61,6 @@ def test_no_split_shares_a_plume_with_another(packaged: Demonstrations) -> None:
         assert len(set(packaged.recording[of_one])) == 1
 
 
-def test_outcomes_are_those_of_the_last_frame(packaged: Demonstrations) -> None:
-    for episode in packaged:
-        distance = np.linalg.norm(episode.positions[:, 0], axis=1)
-        assert distance[0] == SILKMOTH.start_distance
-        assert (distance[:-1] >= SILKMOTH.contact_radius).all()
-        if episode.outcome == TIME_OUT:
-            assert episode.num_steps == SILKMOTH.time_limit
-        else:
-            assert episode.outcome == 1 and distance[-1] < SILKMOTH.contact_radius
-
-
 def test_actions_are_those_of_the_inverse_dynamics(packaged: Demonstrations) -> None:
     for episode in packaged:
         velocity = episode.velocities[:, 0]
@@ -83,79 +69,6 @@ def test_actions_are_those_of_the_inverse_dynamics(packaged: Demonstrations) -> 
         )
         np.testing.assert_array_equal(found, episode.signals["actions"][:-1, 0])
         assert episode.signals["actions"][-1, 0] == -1
-
-
-# -- the plume of an episode is really its own ----------------------------------------------------
-
-
-def replayed(demos: Demonstrations, shift: int = 0) -> tuple[int, int]:
-    """Frames after warm-up, and those of them where replaying the actions gives other hits."""
-    if shift:
-        signals = {**demos.signals, "plume_step": demos.signals["plume_step"] + shift}
-        demos = replace(demos, signals=signals)
-    world = SearchWorld(make_scenario("silkmoth", demos=demos, split=None), demos.num_episodes)
-    world.reset(demo=np.arange(demos.num_episodes))
-    first, last = demos.offsets[:-1], demos.offsets[1:] - 1
-    hits = np.stack([demos.signals["odour_left"], demos.signals["odour_right"]], axis=-1)
-    compared = different = 0
-    for step in range(1, SILKMOTH.time_limit + 1):
-        before = np.minimum(first + step - 1, last - 1)
-        world.step(demos.signals["actions"][before].astype(np.int64))
-        within = first + step <= last
-        frame = np.where(within, first + step, last)
-        np.testing.assert_allclose(
-            world.position[within], demos.positions[frame][within], atol=1e-12
-        )
-        if step <= SILKMOTH.warmup:
-            continue
-        compared += 2 * int(within.sum())
-        different += int(((world.odour >= 1.0) != hits[frame])[within].sum())
-        ended = within & (frame == last)
-        np.testing.assert_array_equal(world.terminated[ended], demos.outcome[ended] == 1)
-        np.testing.assert_array_equal(world.truncated[ended], demos.outcome[ended] == TIME_OUT)
-    return compared, different
-
-
-def test_replayed_actions_meet_the_demonstrated_odour(packaged: Demonstrations) -> None:
-    """Pattern and phase of the pairing are right: every hit comes again, 60 episodes through."""
-    compared, different = replayed(packaged)
-    assert compared > 10_000
-    assert different == 0
-
-
-def test_another_moment_of_the_plume_brings_other_odour(packaged: Demonstrations) -> None:
-    """So the test above can fail."""
-    _, different = replayed(packaged.select(split="test"), shift=1)
-    assert different > 100
-
-
-@pytest.mark.parametrize("condition", [0, 1])
-def test_env_from_a_demonstration_shows_what_it_showed(
-    packaged: Demonstrations, condition: int
-) -> None:
-    """Through ``gym.make``: observations under the recorded actions equal the offline ones."""
-    demos = packaged.select(split="val")
-    chosen = int(np.flatnonzero(demos.condition == condition)[-1])
-    env = gym.make("AnimaRL/Silkmoth-v0", split="val")
-    seen, info = env.reset(seed=0, options={"demo": chosen})
-    assert info["condition"] == condition
-    wanted = demonstration_observations(SILKMOTH, demos)[:, 0]
-    wanted = wanted[demos.offsets[chosen] : demos.offsets[chosen + 1]]
-    shown, over = [seen], False
-    for action in demos.episode(chosen).signals["actions"][:-1, 0]:
-        assert not over
-        seen, _, terminated, truncated, info = env.step(int(action))
-        shown.append(seen)
-        over = terminated or truncated
-    assert over and info["outcome"] == demos.outcome[chosen]
-    np.testing.assert_allclose(np.array(shown), wanted, atol=1e-6)
-
-
-def test_env_starts_from_training_demonstrations_by_default(packaged: Demonstrations) -> None:
-    env = gym.make("AnimaRL/Silkmoth-v0")
-    _, info = env.reset(seed=4)
-    assert 0 <= info["demo"] < 36
-    assert env.unwrapped.scenario.demos.synthetic  # type: ignore[attr-defined]
 
 
 # -- how moth-like they are -----------------------------------------------------------------------

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from search_worlds import DOWNWIND, STRAIGHT_UPWIND, random_actions, rollout, search_world
+from search_worlds import STRAIGHT_UPWIND, random_actions, rollout, search_world
 
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import COAST, apply_actions
@@ -123,15 +123,6 @@ def test_no_component_of_the_full_observation_is_dead() -> None:
     assert (seen >= low).all() and (seen <= high).all()
 
 
-def test_time_limit_truncates_and_never_terminates() -> None:
-    world = search_world(3, time_limit=20)
-    for step in range(1, 21):
-        world.step(np.full((3, 1), DOWNWIND))
-        assert not world.terminated.any()
-        assert world.truncated.all() == (step == 20)
-    assert (world.outcome == 0).all() and (world.reward == 0).all()
-
-
 def test_reaching_the_source_terminates_with_reward_one() -> None:
     world = search_world(plume="off")
     total = 0.0
@@ -142,27 +133,6 @@ def test_reaching_the_source_terminates_with_reward_one() -> None:
         assert world.step_count[0] < 40
     assert np.linalg.norm(world.position[0, 0]) < 0.05
     assert total == 1.0 and world.outcome[0] == 1 and not world.truncated[0]
-
-
-def test_a_copy_does_not_depend_on_its_neighbours() -> None:
-    actions = random_actions(80, 5)
-    many = search_world(5)
-    many.seed(np.arange(5) + 10)
-    many.reset()
-    alone = search_world(1)
-    alone.seed([13])
-    alone.reset()
-    np.testing.assert_array_equal(
-        rollout(many, actions)[:, 3], rollout(alone, actions[:, 3:4])[:, 0]
-    )
-
-
-def test_saved_state_goes_on_alike() -> None:
-    world, other = search_world(3), search_world(3)
-    rollout(world, random_actions(30, 3))
-    other.set_state(world.get_state())
-    actions = random_actions(50, 3, seed=9)
-    np.testing.assert_array_equal(rollout(world, actions), rollout(other, actions))
 
 
 def test_position_is_not_observed() -> None:
