@@ -269,10 +269,3 @@ def test_disabled_autoreset_wants_a_mask() -> None:
         vector.step(np.full(4, 12))
     vector.reset(options={"reset_mask": over})
     vector.step(np.full(4, 12))
-
-
-def test_gymnasiums_step_limit_holds_in_vectors_too() -> None:
-    vector = gym.make_vec("AnimaRL/Fly-v0", num_envs=2, demos=None, max_episode_steps=4)
-    vector.reset(seed=0)
-    ends = [vector.step(np.full(2, 12))[3].all() for _ in range(4)]
-    assert ends == [False, False, False, True]
