@@ -128,6 +128,10 @@ def sentence(model: type[BaseModel], error: ErrorDetails) -> str:
     if error["type"] == "extra_forbidden":
         return f"{name!r} is unknown: choose among {', '.join(sorted(model.model_fields))}"
     shown = model.model_json_schema()["properties"][name]
+    inside = shown.get("additionalProperties"), shown.get("items")
+    if len(error["loc"]) > 1 and any(isinstance(one, dict) for one in inside):
+        name = f"{name} of {error['loc'][1]}" if inside[0] else f"one of {name}"
+        shown = inside[0] or inside[1]
     given = "missing" if error["type"] == "missing" else repr(error["input"])
     return f"{name} is {given}: {described(shown)}"
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,8 +22,8 @@ import numpy as np
 import pandas as pd
 import typer
 
-from animarl_algos.benchmark.cells import Cell
 from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.pieces import Cell
 from animarl_algos.benchmark.plan import plan
 from animarl_algos.evaluation.comparison import comparison_table, interval, pair_table
 from animarl_algos.evaluation.metrics import DTW, DURATION, measure, measure_recordings
@@ -212,7 +211,7 @@ def main(
     """Draw and tabulate what there is; train nothing."""
     matrix = read_matrix("paper", config)
     if species:
-        matrix = replace(matrix, species=tuple(n for n in matrix.species if n in species))
+        matrix = matrix.changed(species=tuple(n for n in matrix.species if n in species))
     cells = [cell for cell in plan(matrix).cells if cell.method in LEARNERS]
     by_species = {
         name: measured([cell for cell in cells if cell.data == name], bench)

@@ -12,46 +12,32 @@ import csv
 import resource
 import tempfile
 import time
-from collections import deque
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean
 
-from animarl_algos.benchmark.engine import Workers
+from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.pieces import Done, Piece, attempt, write_json
 
 PROCESSES, FEW = 2, 10
 
 
-@dataclass(frozen=True)
-class Nothing:
+class Nothing(Piece):
     """A piece of work that writes a result and does nothing else."""
 
-    name: str
-    key: str = "0"
-    needs: tuple[str, ...] = ()
+    STAGE = "nothing"
+    key = "0"
 
-    def folder(self, out: Path) -> Path:
-        return out / self.name
+    name = ""
 
-    def finished(self, out: Path) -> bool:
-        return (self.folder(out) / "cost.json").exists()
-
-    def lacks(self, out: Path) -> str:
-        return ""
+    def __init__(self, name: str) -> None:
+        self.name = name
 
     def perform(self, out: Path) -> None:
         write_json(self.folder(out) / "cost.json", {"processor_seconds": 0.0})
 
 
-class Failing:
-    """Nobody watches; a piece that fails ends it."""
-
-    def at_once(self, number: int) -> None:
-        pass
-
-    def started(self, piece: Piece) -> None:
-        pass
+class Failing(Watch):
+    """A piece that fails ends it."""
 
     def ended(self, piece: Piece, done: Done) -> None:
         if done.error:
@@ -74,7 +60,8 @@ def of_all(number: int, out: Path) -> float:
     """Processor seconds of new processes and this one for so many pieces."""
     begun = processor_time()
     with Workers(PROCESSES) as workers:
-        workers.perform(deque(Nothing(f"{number}-{i}") for i in range(number)), out, Failing())
+        pieces = [Nothing(f"{number}-{i}") for i in range(number)]
+        perform_all(pieces, out, workers, Failing())
     return processor_time() - begun
 
 

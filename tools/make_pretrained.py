@@ -17,10 +17,9 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from animarl_algos.benchmark.cells import Cell
-from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.matrix import read_matrix
-from animarl_algos.benchmark.pieces import Done, Piece
+from animarl_algos.benchmark.pieces import Cell, Done, Piece
 from animarl_algos.benchmark.plan import claim_folder, plan
 from animarl_algos.evaluation.acting_choice import compared
 from animarl_algos.evaluation.collect import collect_rollouts
@@ -36,14 +35,11 @@ PRESET = "short"
 REPETITIONS = 5
 
 
-class Printed:
+class Printed(Watch):
     """What is done, line by line."""
 
     def __init__(self) -> None:
         self.failed: list[str] = []
-
-    def at_once(self, number: int) -> None:
-        pass
 
     def started(self, piece: Piece) -> None:
         print(f"{piece.name} begins", flush=True)
@@ -79,7 +75,8 @@ def make(
     asked = plan(read_matrix(PRESET)).only(wanted)
     claim_folder(out)
     printed = Printed()
-    perform_all(asked, out, processes, printed)
+    with Workers(processes) as workers:
+        perform_all(asked.pieces, out, workers, printed)
     if printed.failed:
         raise InputError(printed.failed[0])
     by_species: dict[str, list[Cell]] = {}

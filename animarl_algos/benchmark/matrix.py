@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, field_validator, model_validator
 
+from animarl_algos.checked import Checked
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs.run_settings import RunSettings, pipeline_settings
 from animarl_envs import environment_id
@@ -32,82 +32,72 @@ REFERENCES = (
 AROUND = ("acting", "fit_method", "thrusts")
 WORLD_ALGO = "bc"  # any: the world of those who learned nothing is that of its preset
 WORLD_COPIES = 16  # side by side, of the environment that others' methods train in
+Names = Annotated[tuple[str, ...], Field(strict=False)]
+Count = Annotated[int, Field(ge=1)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Matrix:
+class Matrix(Checked):
     """Species times methods times seeds, and how each is trained and rolled out.
 
-    Parameters
-    ----------
-    species
-        Names of packaged species.
-    files
-        Further demonstrations: path by name of the row; no name of a packaged species.
-    recipes, seeds, references
-        The learners, the seeds of each, and the rows beside them (:data:`REFERENCES`).
-    preset
-        Of ``zoo_configs``, for all recipes.
-    steps
-        World steps of recipes that learn online; by default their preset's.
-    acting, fit_method, thrusts
-        As in :class:`~animarl_algos.runs.run_settings.RunSettings`; by default the preset's.
-    settings
-        Settings of single recipes of the matrix, over those of the preset.
-    episodes
-        At most so many of each split, drawn once; by default all.
-    folds
-        Into how many folds a set of ``species`` or ``files`` is cross-validated, by its name: every
-        episode is tested once, by what was trained without its recording. By default its own split
-        is taken.
-    repetitions
-        Rollouts from each test start.
-    resamples
-        Of the intervals.
+    Raises
+    ------
+    InputError
+        If a value is wrong, or does not go with another.
     """
 
-    species: tuple[str, ...] = ()
-    files: Mapping[str, str] = field(default_factory=dict)
-    recipes: tuple[str, ...] = ()
-    seeds: tuple[int, ...] = (0,)
-    references: tuple[str, ...] = REFERENCES
-    preset: str = "default"
-    steps: int | None = None
+    species: Names = ()
+    """Names of packaged species."""
+    files: dict[str, str] = Field(default_factory=dict)
+    """Further demonstrations: path by name of the row; no name of a packaged species."""
+    recipes: Names = ()
+    """The learners."""
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(strict=False)] = (0,)
+    """Of each learner."""
+    references: Names = REFERENCES
+    """The rows beside them."""
+    preset: Literal["default", "paper"] = "default"
+    """Of ``zoo_configs``, for all recipes."""
+    steps: Count | None = None
+    """World steps of recipes that learn online; by default their preset's."""
     acting: str | None = None
+    """How trained policies act, as ``animarl run --acting``; by default the preset's."""
     fit_method: str | None = None
+    """As ``animarl run --fit-method``; by default the preset's."""
     thrusts: str | None = None
-    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    episodes: Mapping[str, int] = field(default_factory=dict)
-    folds: Mapping[str, int] = field(default_factory=dict)
-    repetitions: int = 5
-    resamples: int = RESAMPLES
+    """As ``animarl run --thrusts``; by default the preset's."""
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """Settings of single recipes of the matrix, over those of the preset."""
+    episodes: dict[str, Count] = Field(default_factory=dict)
+    """At most so many of each split, drawn once; by default all."""
+    folds: dict[str, int] = Field(default_factory=dict)
+    """Into how many folds a set of ``species`` or ``files`` is cross-validated, by its name: every
+    episode is tested once, by what was trained without its recording. By default its own split is
+    taken."""
+    repetitions: Count = 5
+    """Rollouts from each test start."""
+    resamples: Count = RESAMPLES
+    """Of the intervals."""
 
-    def __post_init__(self) -> None:
-        for key in ("species", "recipes", "references"):
-            _listed(self, key, str, "names")
-        _listed(self, "seeds", int, "whole numbers")
-        for key, kind in (
-            ("files", str), ("settings", Mapping), ("episodes", int), ("folds", int),
-        ):  # fmt: skip
-            table = getattr(self, key)
-            if not isinstance(table, Mapping) or not all(isinstance(k, str) for k in table):
-                raise InputError(f"{key} is {table!r}: give a table")
-            if wrong := [name for name, one in table.items() if not isinstance(one, kind)]:
-                raise InputError(
-                    f"{key} of {wrong[0]} is {table[wrong[0]]!r}: see what belongs there"
-                )
-        for key in AROUND:
-            value = getattr(self, key)
-            if type(value) is int:  # 3 thrusts are "3" of them
-                object.__setattr__(self, key, str(value))
-            elif not isinstance(value, str | None):
-                raise InputError(f"{key} is {value!r}: give a text")
-        if not (self.species or self.files):
+    @field_validator("thrusts", mode="before")
+    @classmethod
+    def _as_text(cls, thrusts: Any) -> Any:
+        return str(thrusts) if type(thrusts) is int else thrusts
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Matrix:
+        there = (*self.species, *self.files)
+        if not there:
             raise InputError("species is empty: name one at least")
-        for name in self.species:
-            if name not in packaged_names():
-                known = ", ".join(packaged_names())
-                raise InputError(f"species {name!r} is unknown: choose among {known}")
+        for key in ("species", "recipes", "references", "seeds"):
+            listed = list(getattr(self, key))
+            if twice := [one for one in listed if listed.count(one) > 1]:
+                raise InputError(f"{key} names {twice[0]!r} twice: name it once")
+        if not self.seeds:
+            raise InputError("seeds is empty: give one at least")
+        _refuse_unknown("species", self.species, packaged_names())
+        _refuse_unknown("references", self.references, REFERENCES)
+        _refuse_unknown("episodes", self.episodes, SPLITS)
+        _refuse_unknown("folds", self.folds, there)
         for name in self.files:
             if name in packaged_names() or not name.replace("-", "").replace("_", "").isalnum():
                 raise InputError(
@@ -121,29 +111,12 @@ class Matrix:
                 f"settings are given for {beside[0]!r}, which is not among the recipes: add it "
                 "there, or leave its settings out"
             )
-        if unknown := [name for name in self.references if name not in REFERENCES]:
-            raise InputError(
-                f"reference {unknown[0]!r} is unknown: choose among {', '.join(REFERENCES)}"
-            )
-        if self.preset not in PRESETS:
-            raise InputError(f"preset {self.preset!r} is unknown: choose {' or '.join(PRESETS)}")
-        if not self.seeds or min(self.seeds) < 0:
-            raise InputError(f"seeds is {list(self.seeds)}: give one at least, none negative")
-        for key in ("steps", "repetitions", "resamples"):
-            if (value := getattr(self, key)) is not None:
-                _positive(key, value)
-        for split, number in self.episodes.items():
-            if split not in SPLITS:
-                raise InputError(f"episodes names {split!r}: choose among {', '.join(SPLITS)}")
-            _positive(f"episodes of {split}", number)
-        there = (*self.species, *self.files)
-        if unknown := [name for name in self.folds if name not in there]:
-            raise InputError(f"folds names {unknown[0]!r}: choose among {', '.join(there)}")
         if self.folds and self.episodes:
             raise InputError("folds and episodes are both given: folds need all episodes")
+        return self
 
     def recorded(self) -> dict[str, tuple[Demonstrations, ...]]:
-        """The demonstrations of every row group, by name, as many as are asked for.
+        """Return the demonstrations of every row group, by name, as many as are asked for.
 
         Split as they are, or as often as there are folds.
         """
@@ -174,7 +147,7 @@ class Matrix:
         return demos.select(episodes=np.sort(np.concatenate(kept)))
 
     def run_settings(self, name: str, demos: Demonstrations, algo: str, seed: int) -> RunSettings:
-        """Of one training."""
+        """Return the settings of one training."""
         species = demos.species if demos.species in SPECIES else CUSTOM
         around = pipeline_settings(environment_id(species), self.preset)
         around |= {"preset": self.preset}
@@ -190,14 +163,19 @@ class Matrix:
         return asked.changed(steps=steps, copies=learner.n_envs)
 
     def world_settings(self, name: str, demos: Demonstrations) -> RunSettings:
-        """Of the world that all methods share, and that those without training act in."""
+        """Return those of the world that all share, and that those without training act in."""
         asked = self.run_settings(name, demos, WORLD_ALGO, 0)
         seen = {"env_kwargs": {"observation": "full"}}
         return asked.changed(overrides=seen, copies=WORLD_COPIES)
 
 
+def _refuse_unknown(key: str, names: Iterable[str], known: Iterable[str]) -> None:
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"{key} names {unknown[0]!r}: choose among {', '.join(known)}")
+
+
 def read_matrix(preset: str, config: Path | None = None) -> Matrix:
-    """A preset of ``zoo_configs/benchmark``, or the file ``config``.
+    """Read a preset of ``zoo_configs/benchmark``, or the file ``config``.
 
     Raises
     ------
@@ -215,9 +193,6 @@ def read_matrix(preset: str, config: Path | None = None) -> Matrix:
         content = read_yaml(config)
     if not isinstance(content, dict):
         raise InputError(f"{place}: it holds no table: give species, recipes and seeds")
-    known = [one.name for one in fields(Matrix)]
-    if unknown := [key for key in content if key not in known]:
-        raise InputError(f"{place}: key {unknown[0]!r} is unknown: choose among {', '.join(known)}")
     try:
         return Matrix(**content)
     except InputError as error:
@@ -230,20 +205,5 @@ def matrix_file(preset: str, config: Path | None = None) -> str:
 
 
 def matrix_names() -> list[str]:
-    """The presets that are there."""
+    """Return the presets that are there."""
     return sorted(f.name.removesuffix(".yml") for f in FOLDER.iterdir() if f.name.endswith(".yml"))
-
-
-def _listed(matrix: Matrix, key: str, kind: type, words: str) -> None:
-    """Make a tuple of a list; refuse anything else, and what is in it twice."""
-    value = getattr(matrix, key)
-    if not isinstance(value, list | tuple) or not all(type(one) is kind for one in value):
-        raise InputError(f"{key} is {value!r}: give a list of {words}")
-    if twice := [one for one in value if list(value).count(one) > 1]:
-        raise InputError(f"{key} names {twice[0]!r} twice: name it once")
-    object.__setattr__(matrix, key, tuple(value))
-
-
-def _positive(key: str, value: Any) -> None:
-    if type(value) is not int or value < 1:
-        raise InputError(f"{key} is {value!r}: give a whole number of at least 1")

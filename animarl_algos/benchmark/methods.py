@@ -16,13 +16,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.pieces import TERMINATED, one_line
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_world import training_options
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
+
+TERMINATED = 143  # a worker ends with it where it was told to end
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,14 +100,15 @@ class Checked:
         episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[NDArray[np.int64], Any]:
-        """One action per slot.
+        """Return one action per slot.
 
         Raises
         ------
         InputError
             If the method raises, or answers anything but one action per slot.
         """
-        with foreign(f"method {self._name}: its predict raised", "mend it"):
+        slots, most = len(observation), self._num_actions - 1
+        with foreign(f"method {self._name}: its predict raised", "fix it"):
             if hasattr(self._policy, "predict"):
                 actions, state = self._policy.predict(
                     observation, state=state, episode_start=episode_start,
@@ -115,29 +117,25 @@ class Checked:
             else:
                 actions = self._policy(observation)
             found = np.asarray(actions)
-        return self._checked(found, len(observation)), state
-
-    def _checked(self, found: NDArray[Any], slots: int) -> NDArray[np.int64]:
-        wrong = ""
-        if found.shape != (slots,) or found.dtype.kind not in "iuf":
-            wrong = f"{found.dtype} of shape {found.shape}"
-        elif not np.isfinite(found).all():
-            wrong = "NaN or infinity"
-        elif (found != np.floor(found)).any():
-            wrong = f"{found[found != np.floor(found)][0]:g}"
-        elif found.min() < 0 or found.max() >= self._num_actions:
-            beyond = found[(found < 0) | (found >= self._num_actions)]
-            wrong = f"action {int(beyond[0])}"
+        wrong = f"{found.dtype} of shape {found.shape}"
+        if found.shape == (slots,) and found.dtype.kind in "iuf":
+            bad = found[~((found == np.floor(found)) & (found >= 0) & (found <= most))]
+            wrong = f"action {bad[0]:g}" if len(bad) else ""
         if wrong:
             raise InputError(
                 f"method {self._name}: its predict gave {wrong}: give {slots} whole numbers from 0 "
-                f"to {self._num_actions - 1}"
+                f"to {most}"
             )
-        return found.astype(np.int64)
+        return found.astype(np.int64), state
+
+
+def one_line(text: object) -> str:
+    """Return what somebody else's code said without line ends: they would end a table or a list."""
+    return " ".join(str(text).split())
 
 
 @contextmanager
-def foreign(said: str, mend: str) -> Iterator[None]:
+def foreign(said: str, fix: str) -> Iterator[None]:
     """Whatever somebody else's code raises, or ends the process with, becomes one sentence.
 
     Ctrl-C and a signal to end go through.
@@ -145,7 +143,7 @@ def foreign(said: str, mend: str) -> Iterator[None]:
     Raises
     ------
     InputError
-        ``said``, what was raised, and the ``mend``.
+        ``said``, what was raised, and the ``fix``.
     """
     try:
         yield
@@ -153,7 +151,7 @@ def foreign(said: str, mend: str) -> Iterator[None]:
         if isinstance(error, SystemExit) and error.code == TERMINATED:
             raise
         raised = f"{type(error).__name__} ({one_line(error)})"
-        raise InputError(f"{said} {raised}: {mend}") from error
+        raise InputError(f"{said} {raised}: {fix}") from error
 
 
 def parameters_of(policy: Any) -> int | None:

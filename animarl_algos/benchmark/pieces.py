@@ -1,74 +1,67 @@
-"""A piece of work: keyed by what determines it, attempted, its error recorded."""
+"""The pieces of work of a benchmark, each keyed by a hash of everything that determines it.
+
+A piece has a folder of its own, named by its key: what is there is never made again, and a changed
+setting, recording, version or kernel makes another key and so another folder. The order is worlds
+(the fitted locomotion of a species), clones (an offline phase that several cells begin with), cells
+(a method with a seed: trained, rolled out), scores (a method over its seeds, measured).
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import time
 import traceback
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from filelock import FileLock
 from threadpoolctl import threadpool_limits
 
+from animarl_algos.benchmark.methods import (
+    Checked,
+    MethodSetting,
+    foreign,
+    load_factory,
+    one_line,
+    parameters_of,
+    source_of,
+)
+from animarl_algos.benchmark.references import reference_rollouts
+from animarl_algos.benchmark.scores import Score, crossed_score, score
+from animarl_algos.evaluation.collect import Cue, collect_rollouts
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.learner.presets import constructed
+from animarl_algos.losses.terms import OfflineLoss
+from animarl_algos.recipes.registry import SoftBC, named_recipe
+from animarl_algos.runs import pipeline
+from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_files import versions
+from animarl_algos.runs.run_settings import RunSettings
 from animarl_envs.compiling import source_key
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
+from animarl_envs.worlds import make_world
 
-ERROR, LOCK = "error.json", ".piece.lock"
-TERMINATED = 143  # a worker ends with it where it was told to end
-
-
-class Piece(Protocol):
-    """A piece of work; it may be sent to another process."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def key(self) -> str: ...
-
-    def folder(self, out: Path) -> Path:
-        """Where everything of it lies."""
-        ...
-
-    def finished(self, out: Path) -> bool:
-        """Whether its result is there."""
-        ...
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Names of the pieces that come first."""
-        ...
-
-    def lacks(self, out: Path) -> str:
-        """What it needs and is not there; empty if it can be done."""
-        ...
-
-    def perform(self, out: Path) -> None:
-        """Make the result, going on from what an earlier attempt left."""
-        ...
+COMMAND = "animarl benchmark"
+ERROR, LOCK, COST = "error.json", ".piece.lock", "cost.json"
+DETERMINING = (
+    "policy", "policy_kwargs", "offline_epochs", "offline_patience", "offline_learning_rate",
+    "offline_batch_size", "offline_max_grad_norm", "offline_kwargs",
+)  # fmt: skip
+"""Settings of a learner that cloning hangs on; weights of other loss terms are none of them."""
+ONLINE_ONLY = ("dtw",)
+"""Options of its environment that nothing offline reads."""
 
 
-def hashed(determining: Mapping[str, Any]) -> str:
-    """A key of 16 hexadecimal digits."""
-    text = json.dumps(determining, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-def code() -> dict[str, Any]:
-    """What decides a result beside settings and recordings: versions, and the kernels' sources."""
-    return {"versions": versions(), "kernels": source_key("animarl_algos")}
-
-
-@dataclass(frozen=True)
-class Done:
+class Done(NamedTuple):
     """How an attempt ended, and after how many seconds; ``error`` is empty where it succeeded."""
 
     name: str
@@ -76,16 +69,320 @@ class Done:
     error: str = ""
 
 
-class Watch(Protocol):
-    """Is told what happens."""
+class Piece:
+    """A piece of work; it may be sent to another process."""
 
-    def at_once(self, number: int) -> None:
-        """So many pieces are done side by side."""
-        ...
+    STAGE: ClassVar[str]
+    RESULT: ClassVar[str] = COST
 
-    def started(self, piece: Piece) -> None: ...
+    @property
+    def name(self) -> str:
+        raise NotImplementedError
 
-    def ended(self, piece: Piece, done: Done) -> None: ...
+    @property
+    def key(self) -> str:
+        raise NotImplementedError
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of the pieces that come first."""
+        return ()
+
+    def folder(self, out: Path) -> Path:
+        """Return where everything of it lies."""
+        return out / self.STAGE / f"{self.name.replace('/', '-')}-{self.key}"
+
+    def finished(self, out: Path) -> bool:
+        """Whether its result is there."""
+        return (self.folder(out) / self.RESULT).exists()
+
+    def lacks(self, out: Path) -> str:
+        """Return what it needs and is not there; empty if it can be done."""
+        return ""
+
+    def perform(self, out: Path) -> None:
+        """Make the result, going on from what an earlier attempt left."""
+        raise NotImplementedError
+
+    def error(self, out: Path) -> str:
+        """Return what the last attempt failed with; empty if it did not."""
+        file = self.folder(out) / ERROR
+        return str(json.loads(file.read_text())["error"]) if file.exists() else ""
+
+    def record_error(self, out: Path, said: str, where: str = "") -> None:
+        write_json(self.folder(out) / ERROR, {"error": said, "traceback": where})
+
+    def cost(self, out: Path) -> dict[str, Any]:
+        """Return what it cost: processor time, parameters, its clone; empty if not finished."""
+        file = self.folder(out) / COST
+        return json.loads(file.read_text()) if file.exists() else {}
+
+    def _write_cost(
+        self, out: Path, began: float, parameters: int | None, clone: str | None = None
+    ) -> None:
+        spent = {"clone": clone, "processor_seconds": time.process_time() - began}
+        write_json(self.folder(out) / COST, spent | {"parameters": parameters})
+
+
+@dataclass(frozen=True, eq=False)
+class World(Piece):
+    """The fitted world of one set of demonstrations, or of a fold of it, where everybody acts."""
+
+    STAGE, RESULT = "worlds", "locomotion.json"
+    data: str
+    settings: RunSettings
+    demos: Demonstrations
+    fold: int | None = None
+
+    @property
+    def name(self) -> str:
+        return _world_name(self.data, self.fold)
+
+    @cached_property
+    def key(self) -> str:
+        return _hashed(_resolved(self.settings) | {"demonstrations": self.demos.fingerprint()})
+
+    def perform(self, out: Path) -> None:
+        pipeline.fit(pipeline.open_run(self.settings, self.folder(out), COMMAND, self.demos))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InWorld(Piece):
+    """What is done in a world that is fitted, whose key ``world`` is."""
+
+    data: str
+    seed: int
+    world: str
+    fold: int | None = None
+
+    def world_run(self, out: Path) -> Run:
+        name = _world_name(self.data, self.fold).replace("/", "-")
+        return Run(out / "worlds" / f"{name}-{self.world}")
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (_world_name(self.data, self.fold),)
+
+    def lacks(self, out: Path) -> str:
+        there = (self.world_run(out).path / World.RESULT).exists()
+        return "" if there else f"the world of {self.data} could not be fitted"
+
+    def _opened(self, settings: RunSettings, out: Path) -> Run:
+        world = self.world_run(out)
+        run = pipeline.open_run(settings, self.folder(out) / "run", COMMAND, world.demos)
+        shutil.copyfile(world.path / World.RESULT, run.path / World.RESULT)
+        return run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clone(InWorld):
+    """The offline phase that several cells begin with, done once.
+
+    Recipes that clone soft labels differ in what follows: where the settings that cloning hangs on
+    are the same, so are networks, labels and draws, and the phase gives the same weights to the
+    bit. A cell that finds its clone unfinished trains by itself, to the same bytes.
+    """
+
+    STAGE = "clones"
+    method = kind = "clone"
+    settings: RunSettings
+    cells: tuple[Cell, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return f"{self.data}/clone/{self.seed}-{self.key}"
+
+    @cached_property
+    def key(self) -> str:
+        return _hashed(_resolved(self.settings) | {"world": self.world})
+
+    def finished(self, out: Path) -> bool:
+        """Also where no cell is left that would begin with it."""
+        return super().finished(out) or all(cell.finished(out) for cell in self.cells)
+
+    def perform(self, out: Path) -> None:
+        began, run = time.process_time(), self._opened(self.settings, out)
+        model = pipeline.learn(run, self.settings.algo, progress_bar=False)
+        self._write_cost(out, began, model.policy.q_net.num_parameters)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(InWorld):
+    """A method with a seed: trained if it learns, and rolled out from the test starts.
+
+    ``settings`` are those of a recipe; without them it is a reference, or, with a ``factory``
+    (``module:factory``), somebody's own method.
+    """
+
+    STAGE = "cells"
+    method: str
+    repetitions: int
+    settings: RunSettings | None = None
+    factory: str | None = None
+
+    @property
+    def name(self) -> str:
+        fold = "" if self.fold is None else f"/fold{self.fold}"
+        return f"{self.data}/{self.method}/{self.seed}{fold}"
+
+    @property
+    def kind(self) -> str:
+        if self.settings is not None:
+            return "recipe"
+        return "reference" if self.factory is None else "method"
+
+    @cached_property
+    def key(self) -> str:
+        own: dict[str, Any] = {
+            "method": self.method, "seed": self.seed, "repetitions": self.repetitions,
+            "world": self.world, "factory": self.factory and source_of(self.factory),
+        }  # fmt: skip
+        return _hashed(own | (_resolved(self.settings) if self.settings else {}))
+
+    @cached_property
+    def clone(self) -> Clone | None:
+        """What its training begins with, if that is soft-label cloning; others may share it."""
+        own = None if self.settings is None else cloning(self.settings)
+        if own is None:
+            return None
+        return Clone(data=self.data, seed=self.seed, world=self.world, fold=self.fold, settings=own)
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return (*super().needs, *([self.clone.name] if self.clone else []))
+
+    def perform(self, out: Path) -> None:
+        began = time.process_time()
+        begun = self.clone if self.clone is not None and self.clone.cost(out) else None
+        rollouts, parameters = self._rolled_out(out, begun)
+        rollouts.save(self.folder(out) / "rollouts.npz")
+        self._write_cost(out, began, parameters, begun.name if begun else None)
+
+    def _rolled_out(self, out: Path, begun: Clone | None) -> tuple[Rollouts, int | None]:
+        world, parameters = self.world_run(out), None
+        policy: Any
+        shared: dict[str, Any] = {
+            "method": self.method, "seed": self.seed, "repetitions": self.repetitions
+        }  # fmt: skip
+        if self.settings is not None:
+            run = self._opened(self.settings, out)
+            clone = None if begun is None else Run(begun.folder(out) / "run")
+            policy = pipeline.learn(run, self.settings.algo, clone=clone, progress_bar=False)
+            policy.policy.seed(self.seed)
+            told, scenario = policy.layout.condition_flag, run.scenario
+            parameters = policy.policy.q_net.num_parameters
+        elif self.factory is not None:
+            setting, factory = MethodSetting.of(world, self.seed), load_factory(self.factory)
+            with foreign(f"method {self.method}: its factory raised", "fix it"):
+                made = factory(setting)
+            policy = Checked(self.method, made, setting.species.num_actions)
+            told, scenario = bool(setting.environment().condition_flag), world.scenario
+            parameters = parameters_of(made)
+        else:
+            return reference_rollouts(world, **shared, fold=self.fold is not None), None
+        worlds = partial(make_world, scenario)
+        cue: Cue | None = "actual" if told else None
+        return collect_rollouts(worlds, policy, **shared, cue=cue), parameters
+
+    def rollouts(self, out: Path) -> Rollouts:
+        return Rollouts.load(self.folder(out) / "rollouts.npz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scoring(Piece):
+    """A method over all its seeds, measured against the recordings of the test split."""
+
+    STAGE, RESULT = "scores", "score.json"
+    cells: tuple[Cell, ...]
+    resamples: int
+
+    @property
+    def data(self) -> str:
+        return self.cells[0].data
+
+    @property
+    def name(self) -> str:
+        return f"{self.data}/{self.cells[0].method}/score"
+
+    @cached_property
+    def key(self) -> str:
+        return _hashed({"cells": [cell.key for cell in self.cells], "resamples": self.resamples})
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        return tuple(cell.name for cell in self.cells)
+
+    def lacks(self, out: Path) -> str:
+        lacking = [cell.name for cell in self.cells if not cell.finished(out)]
+        return f"{', '.join(lacking)} did not finish" if lacking else ""
+
+    def perform(self, out: Path) -> None:
+        first = self.cells[0]
+        made = [(cell.world_run(out).demos, cell.rollouts(out)) for cell in self.cells]
+        joined = Rollouts.concatenate([rollouts for _, rollouts in made], first.method)
+        found = (
+            score(joined, made[0][0], resamples=self.resamples)
+            if first.fold is None
+            else crossed_score(made, first.method, resamples=self.resamples)
+        )
+        labels = {"data": self.data, "kind": first.kind}
+        write_json(self.folder(out) / self.RESULT, found.to_json() | labels, allow_nan=True)
+
+    def result(self, out: Path) -> Score:
+        return Score.from_json(json.loads((self.folder(out) / self.RESULT).read_text()))
+
+
+def cloning(settings: RunSettings) -> RunSettings | None:
+    """Return the run of soft-label cloning alone that a training begins with.
+
+    Two trainings begin alike if these are equal and the world is; None: it begins otherwise.
+    """
+    algorithm = named_recipe(settings.algo).algorithm
+    own, determining = algorithm.recipe, _determining(settings)
+    if settings.learner().arguments.get("offline_loss") == OfflineLoss.CLONING:
+        own = own.cloning()
+    alike = own.offline == SoftBC.recipe.offline and own.selection is SoftBC.recipe.selection
+    if not (alike and determining["offline_epochs"]):
+        return None
+    alone = settings.changed(
+        algo="qr-soft-bc" if algorithm.quantiles else "soft-bc", preset="default",
+        config=None, overrides=determining, steps=1, copies=1, repetitions=1, acting="greedy",
+    )  # fmt: skip
+    return alone if _determining(alone) == determining else None
+
+
+def _determining(settings: RunSettings) -> dict[str, Any]:
+    asked = settings.learner()
+    whole = constructed(asked.arguments)
+    seen = {key: value for key, value in asked.env_kwargs.items() if key not in ONLINE_ONLY}
+    return {key: whole[key] for key in DETERMINING} | {"env_kwargs": seen}
+
+
+def _resolved(settings: RunSettings) -> dict[str, Any]:
+    """A run's settings with everything that they leave to presets; where the file lies is not."""
+    learner = settings.learner()
+    own = {k: v for k, v in settings.model_dump().items() if k not in ("file", "source", "config")}
+    return {"settings": own, "learner": learner.arguments, "environment": learner.env_kwargs}
+
+
+def _hashed(determining: Mapping[str, Any]) -> str:
+    """A key of 16 hexadecimal digits, of the code too."""
+    text = json.dumps({**determining, **code()}, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def code() -> dict[str, Any]:
+    """Return what decides a result besides settings and recordings: versions, kernels' sources."""
+    return {"versions": versions(), "kernels": source_key("animarl_algos")}
+
+
+def _world_name(data: str, fold: int | None) -> str:
+    return f"{data}/world" if fold is None else f"{data}/world/fold{fold}"
+
+
+def write_json(path: Path, content: Any, *, allow_nan: bool = False) -> None:
+    with write_then_rename(path) as part:
+        part.write_text(json.dumps(content, indent=1, allow_nan=allow_nan) + "\n")
 
 
 def attempt(piece: Piece, out: Path) -> Done:
@@ -102,57 +399,18 @@ def attempt(piece: Piece, out: Path) -> Done:
         if piece.finished(out):  # by another command, while this one waited
             return Done(piece.name, 0.0)
         if lacking := piece.lacks(out):
-            record_error(piece, out, lacking)
+            piece.record_error(out, lacking)
             return Done(piece.name, 0.0, lacking)
-        return _performed(piece, out)
-
-
-def _performed(piece: Piece, out: Path) -> Done:
-    folder, began = piece.folder(out), time.monotonic()
-    (folder / ERROR).unlink(missing_ok=True)
-    try:
-        with threadpool_limits(1), warnings.catch_warnings(record=True) as said_by_the_way:
-            piece.perform(out)
-    except Exception as error:  # a failing cell is one line of the results, whatever failed
-        said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-        said = one_line(said)
-        record_error(piece, out, said, traceback.format_exc())
+        began, said = time.monotonic(), ""
+        (folder / ERROR).unlink(missing_ok=True)
+        try:
+            with threadpool_limits(1), warnings.catch_warnings(record=True) as warned:
+                piece.perform(out)
+        except Exception as error:  # a failing cell is one line of the results, whatever failed
+            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+            said = one_line(f"{kind}{error}")
+            piece.record_error(out, said, traceback.format_exc())
+        else:
+            if warned:
+                write_json(folder / "warnings.json", [str(one.message) for one in warned])
         return Done(piece.name, time.monotonic() - began, said)
-    if said_by_the_way:
-        write_json(folder / "warnings.json", [str(one.message) for one in said_by_the_way])
-    return Done(piece.name, time.monotonic() - began)
-
-
-def one_line(text: object) -> str:
-    """What somebody else's code said, without its line ends: they would end a table or a list."""
-    return " ".join(str(text).split())
-
-
-def record_error(piece: Piece, out: Path, said: str, where: str = "") -> None:
-    write_json(piece.folder(out) / ERROR, {"error": said, "traceback": where})
-
-
-def recorded_error(piece: Piece, out: Path) -> str:
-    """What the last attempt failed with; empty if it did not."""
-    file = piece.folder(out) / ERROR
-    return str(json.loads(file.read_text())["error"]) if file.exists() else ""
-
-
-def write_cost(
-    folder: Path, began: float, parameters: int | None, clone: str | None = None
-) -> None:
-    """Processor time since ``began``; with it a piece, maybe begun as a ``clone``, is finished."""
-    seconds = time.process_time() - began
-    spent = {"processor_seconds": seconds, "parameters": parameters, "clone": clone}
-    write_json(folder / "cost.json", spent)
-
-
-def cost(folder: Path) -> dict[str, Any]:
-    """What :func:`write_cost` wrote; empty if the piece is not finished."""
-    file = folder / "cost.json"
-    return {"clone": None} | json.loads(file.read_text()) if file.exists() else {}
-
-
-def write_json(path: Path, content: Any) -> None:
-    with write_then_rename(path) as part:
-        part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")

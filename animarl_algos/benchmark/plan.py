@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from animarl_algos.benchmark.cells import Cell, Scoring, World
-from animarl_algos.benchmark.clones import Clone
 from animarl_algos.benchmark.matrix import Matrix
-from animarl_algos.benchmark.pieces import Piece, write_json
+from animarl_algos.benchmark.pieces import Cell, Clone, Piece, Scoring, World, write_json
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.pipeline import rehearse
@@ -40,17 +39,25 @@ class Plan:
     def stages(self) -> tuple[tuple[Piece, ...], ...]:
         return self.worlds, self.clones, self.cells, self.scorings
 
+    @property
+    def pieces(self) -> Iterator[Piece]:
+        return chain.from_iterable(self.stages)
+
     @cached_property
     def clones(self) -> tuple[Clone, ...]:
         """One for every two cells or more that begin with the same offline phase."""
         alike: dict[str, list[Cell]] = {}
         for cell in self.cells:
             if cell.clone is not None:
-                alike.setdefault(cell.clone, []).append(cell)
-        return tuple(Clone(cells=tuple(some)) for some in alike.values() if len(some) > 1)
+                alike.setdefault(cell.clone.key, []).append(cell)
+        return tuple(
+            replace(clone, cells=tuple(some))
+            for some in alike.values()
+            if len(some) > 1 and (clone := some[0].clone)
+        )
 
     def only(self, patterns: Sequence[str]) -> Plan:
-        """The rows that match a pattern, ``species/method`` or ``species/method/seed``.
+        """Return the rows that match a pattern, ``species/method`` or ``species/method/seed``.
 
         Raises
         ------
@@ -64,27 +71,25 @@ class Plan:
                 some = ", ".join(cell.name for cell in self.cells[:3])
                 raise InputError(f"--only {pattern}: no cell is called so: write as in {some}")
         kept = tuple(c for c in self.cells if any(_matches(c, p) for p in patterns))
-        needed = {cell.data for cell in kept}
-        chosen = {cell.key for cell in kept}
+        needed, chosen = {cell.data for cell in kept}, {cell.name for cell in kept}
         return Plan(
             self.matrix,
             tuple(world for world in self.worlds if world.data in needed),
             kept,
-            tuple(
-                one for one in self.scorings if chosen.issuperset(cell.key for cell in one.cells)
-            ),
+            tuple(one for one in self.scorings if chosen.issuperset(one.needs)),
         )
 
     def resolved(self) -> dict[str, Any]:
-        """The matrix, and the key of every cell."""
-        keys = {cell.name: cell.key for cell in self.cells}
-        prints = {one.name: one.demos.fingerprint() for one in self.worlds}
-        plain = asdict(self.matrix)
-        return {"settings": plain, "demonstrations": prints, "cells": keys}
+        """Return the matrix, and the key of every cell."""
+        return {
+            "settings": self.matrix.model_dump(),
+            "demonstrations": {one.name: one.demos.fingerprint() for one in self.worlds},
+            "cells": {cell.name: cell.key for cell in self.cells},
+        }
 
 
 def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = "") -> Plan:
-    """What there is to do.
+    """Return what there is to do.
 
     Parameters
     ----------
@@ -106,39 +111,36 @@ def plan(matrix: Matrix, methods: Mapping[str, str] | None = None, place: str = 
     worlds: list[World] = []
     cells: list[Cell] = []
     with _naming(place):
-        recorded = matrix.recorded()
-    dealt = [
-        (data, number if len(folds) > 1 else None, demos)
-        for data, folds in recorded.items()
-        for number, demos in enumerate(folds)
-    ]
-    for data, fold, demos in dealt:
-        with _naming(place):
-            world = World(data, matrix.world_settings(data, demos), demos, fold)
-        worlds.append(world)
-        shared: dict[str, Any] = {
-            "data": data, "repetitions": matrix.repetitions, "world": world.key, "fold": fold,
-        }  # fmt: skip
-        for algo in matrix.recipes:
-            with _naming(place):
-                settings = [matrix.run_settings(data, demos, algo, seed) for seed in matrix.seeds]
-                rehearse(settings[0], demos)
-            cells += [Cell(**shared, method=algo, seed=s.seed, settings=s) for s in settings]
-        for name, factory in methods.items():
-            cells += [Cell(**shared, method=name, seed=s, factory=factory) for s in matrix.seeds]
-        cells += [
-            Cell(**shared, method=name, seed=matrix.seeds[0])
-            for name in matrix.references
-            if name != "experts" or teams_of(demos) is not None
-        ]
-    if not cells:
-        with _naming(place):
+        for data, folds in matrix.recorded().items():
+            for number, demos in enumerate(folds):
+                fold = number if len(folds) > 1 else None
+                world = World(data, matrix.world_settings(data, demos), demos, fold)
+                worlds.append(world)
+                cells += _cells_in(world, matrix, methods)
+        if not cells:
             raise InputError("there is nothing to do: name recipes or references")
     rows: dict[tuple[str, str], list[Cell]] = {}
     for cell in cells:
         rows.setdefault((cell.data, cell.method), []).append(cell)
     scorings = [Scoring(cells=tuple(row), resamples=matrix.resamples) for row in rows.values()]
     return Plan(matrix, tuple(worlds), tuple(cells), tuple(scorings))
+
+
+def _cells_in(world: World, matrix: Matrix, methods: Mapping[str, str]) -> Iterator[Cell]:
+    demos = world.demos
+    shared: dict[str, Any] = {
+        "data": world.data, "repetitions": matrix.repetitions, "world": world.key,
+        "fold": world.fold,
+    }  # fmt: skip
+    for algo in matrix.recipes:
+        settings = [matrix.run_settings(world.data, demos, algo, seed) for seed in matrix.seeds]
+        rehearse(settings[0], demos)
+        yield from (Cell(**shared, method=algo, seed=s.seed, settings=s) for s in settings)
+    for name, factory in methods.items():
+        yield from (Cell(**shared, method=name, seed=s, factory=factory) for s in matrix.seeds)
+    for name in matrix.references:
+        if name != "experts" or teams_of(demos) is not None:
+            yield Cell(**shared, method=name, seed=matrix.seeds[0])
 
 
 def claim_folder(out: Path) -> None:
@@ -163,21 +165,19 @@ def refuse_other_results(out: Path) -> None:
         If it holds the results of another version, or something else.
     """
     file, own = out / MARK, _own_mark()
-    if file.exists():
+    others = out.is_dir() and any(not is_part(inside) for inside in out.iterdir())
+    if file.exists():  # asked last: another command may be about to mark it
         try:
-            there = json.loads(file.read_text())
-        except ValueError as error:
+            there = dict(json.loads(file.read_text()))
+        except (ValueError, TypeError) as error:
             raise InputError(f"{file}: it is damaged ({error}): name another --out") from None
         if there != own:
-            found = there.get("animarl", "none") if isinstance(there, dict) else "none"
             raise InputError(
-                f"{out}: its results are of animarl {found} (format "
-                f"{there.get('format') if isinstance(there, dict) else 'unknown'}), this is "
-                f"{own['animarl']} (format {FORMAT_VERSION}): name another --out"
+                f"{out}: its results are of animarl {there.get('animarl')} (format "
+                f"{there.get('format')}), this is {own['animarl']} (format {FORMAT_VERSION}): "
+                "name another --out"
             )
-    elif out.is_dir() and any(not is_part(inside) for inside in out.iterdir()):
-        if file.exists():  # another command has marked it meanwhile
-            return refuse_other_results(out)
+    elif others:
         raise InputError(f"{out}: it holds something that is no benchmark: name another --out")
 
 

@@ -9,7 +9,7 @@
     The artificial agents that made the demonstrations, in their own locomotion, where these are
     known: the most that any method can hope for.
 ``nearest``
-    What was done in the nearest recorded second (:mod:`.nearest`).
+    What was done in the nearest recorded second of training.
 ``scripted``
     Pursuers straight at the target, which evades; a moth that surges, zigzags and loops.
 ``constant-velocity``, ``still``, ``random``
@@ -18,15 +18,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from animarl_algos.benchmark.nearest import NearestSegment
 from animarl_algos.evaluation.classifier import followed
 from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -36,48 +35,64 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.tracking import track
+from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.locomotion import next_velocity
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies, Species
-from animarl_envs.worlds import make_world
+from animarl_envs.worlds import demonstration_observations, make_world
 from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
-Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 RECORDINGS = "recordings"
 OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", "velocity left"))
 """By what names worlds have an individual's velocity, in the frame of its actions."""
+SEGMENT = 1.0  # [s] that the nearest recording is followed for
+NEIGHBOURS = 5  # one of them is drawn, so that rollouts of a start differ
 
 
 def reference_rollouts(
-    name: str, world: Run, seed: int, repetitions: int, *, fold: bool = False
+    world: Run, *, method: str, seed: int, repetitions: int, fold: bool = False
 ) -> Rollouts:
-    """The rollouts of one row, from every test start; ``fold``: those of a cross-validation."""
-    demos = world.demos
-    test, species = demos.select(split="test"), world.species
-    if name == RECORDINGS:
+    """Return the rollouts of one row, from every test start.
+
+    ``fold``: they are those of a cross-validation.
+    """
+    demos, species, scenario = world.demos, world.species, world.scenario
+    test = demos.select(split="test")
+    if method == RECORDINGS:
         return others_as_rollouts(beside_fold(demos) if fold else learnable(demos), test, seed)
-    if name == "tracking":
+    if method == "tracking":
         tracked = followed(test, track(test, species.locomotion, species.arena))
-        return replace(tracked, method=name, seed=np.full(len(tracked), seed))
-    if name == "experts":
+        return replace(tracked, method=method, seed=np.full(len(tracked), seed))
+    if method == "experts":
         return expert_rollouts(demos, species, seed, repetitions)
-    scenario = world.scenario
-    if name == "scripted" and not isinstance(species, SearchSpecies):
+    if method == "scripted" and not isinstance(species, SearchSpecies):
         scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
     return collect_rollouts(
         partial(make_world, scenario),
-        _policy(name, scenario, seed, demos),
-        method=name,
+        _policy(method, scenario, seed, demos),
+        method=method,
         seed=seed,
         repetitions=repetitions,
-        cue="actual" if name == "nearest" else None,
+        cue="actual" if method == "nearest" else None,
     )
+
+
+def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> Policy:
+    species = scenario.species
+    if name == "nearest":
+        return NearestSegment(species, learnable(demos), seed)
+    if name == "random":
+        return RandomPolicy(seed, species.num_actions)
+    if name == "scripted":
+        return ProgrammedPolicy(species, seed) if isinstance(species, SearchSpecies) else Idle()
+    return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
 
 
 def expert_rollouts(
     demos: Demonstrations, species: Species, seed: int, repetitions: int
 ) -> Rollouts:
-    """The teams that made the demonstrations, each from the test starts of its own condition.
+    """Return rollouts of the teams that made the demonstrations, from starts of their condition.
 
     Raises
     ------
@@ -99,7 +114,7 @@ def expert_rollouts(
 
 
 def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:
-    """Each of the ``others`` as if it were a rollout from a test start of its condition.
+    """Return each of the ``others`` as if it were a rollout from a test start of its condition.
 
     They are dealt evenly and each once, so that no classifier meets one of them twice.
 
@@ -129,35 +144,62 @@ def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) 
 
 
 def beside_fold(demos: Demonstrations) -> Demonstrations:
-    """The recordings that the test episodes of a fold are compared with: its validation split.
+    """Return the recordings that a fold's test episodes are compared with: its validation split.
 
     Over all folds of a cross-validation each recording is taken once, beside another one.
     """
     return demos.select(split="val")
 
 
-def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> Policy:
-    species = scenario.species
-    if name == "nearest":
-        return NearestSegment(species, learnable(demos), seed)
-    if name == "random":
-        return RandomPolicy(seed, species.num_actions)
-    if name == "scripted":
-        return ProgrammedPolicy(species, seed) if isinstance(species, SearchSpecies) else Idle()
-    return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
-
-
 class Idle:
     """Action 0 for everybody, where the world's script decides."""
 
+    def act(self, observation: NDArray[np.floating]) -> Ints:
+        """Return one action per slot."""
+        return np.zeros(len(observation), dtype=np.int64)
+
     def predict(
         self,
-        observation: Any,
+        observation: NDArray[np.floating],
         state: Any = None,
         episode_start: Any = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
-        return np.zeros(len(observation), dtype=np.int64), state
+    ) -> tuple[Ints, Any]:
+        return self.act(observation), state
+
+
+class Steering(Idle):
+    """The action after which the velocity is nearest to ``keep`` times what it is.
+
+    Parameters
+    ----------
+    scenario
+        Whose observations hold each individual's own velocity.
+    keep
+        1 holds the velocity, 0 stops.
+    """
+
+    def __init__(self, scenario: Scenario, keep: float) -> None:
+        self._species, self._keep = scenario.species, keep
+        names = [one.name for one in make_world(scenario, 1).observation_components]
+        found = [pair for pair in OWN_VELOCITY if set(pair) <= set(names)]
+        if not found:
+            raise InputError(
+                f"{self._species.name}: what is observed holds no velocity of one's own"
+            )
+        self._columns = [names.index(name) for name in found[0]]
+
+    def act(self, observation: NDArray[np.floating]) -> Ints:
+        velocities = observation[:, self._columns].astype(np.float64)
+        actions = np.empty(len(velocities), dtype=np.int64)
+        number = self._species.num_individuals
+        for k, own in enumerate(self._species.locomotion):
+            now = velocities[k::number, None]
+            pushes = own.action_vectors[None]
+            after = next_velocity(now, pushes, own.damping, own.thrust, self._species.dt)
+            missed = np.linalg.norm(after - self._keep * now, axis=-1)
+            actions[k::number] = missed.argmin(axis=1)
+        return actions
 
 
 class ProgrammedPolicy:
@@ -172,55 +214,93 @@ class ProgrammedPolicy:
         state: ProgrammedMoth | None = None,
         episode_start: Any = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], ProgrammedMoth]:
+    ) -> tuple[Ints, ProgrammedMoth]:
         if state is None:
             state = ProgrammedMoth(len(observation), self._rng, self._species)
             state.reset()
         return state.act(observation[:, None]).ravel().astype(np.int64), state
 
 
-class Steering:
-    """The action after which the velocity is nearest to ``keep`` times what it is.
+class Library(NamedTuple):
+    """The frames of one individual and condition.
+
+    ``frames`` ``(n,)`` are their places among all, ``scale`` ``(components,)`` makes what is
+    observed comparable.
+    """
+
+    tree: cKDTree
+    frames: Ints
+    scale: NDArray[np.float64]
+
+
+class NearestSegment:
+    """The nearest recorded segment, replayed: the simulator that learns and forgets nothing.
+
+    Every individual looks up, among the training frames of its own and of the episode's condition,
+    one of the ``NEIGHBOURS`` whose observations are nearest to what it sees, and does for
+    ``SEGMENT`` seconds what was done from there. Observations end with the condition.
 
     Parameters
     ----------
-    scenario
-        Whose observations hold each individual's own velocity.
-    keep
-        1 holds the velocity, 0 stops.
+    species
+        Its locomotion tells the recorded actions.
+    demos
+        With their splits; those of the split train are looked up.
+    seed
+        Of the draws among neighbours.
     """
 
-    def __init__(self, scenario: Scenario, keep: float) -> None:
-        species = scenario.species
-        names = [one.name for one in make_world(scenario, 1).observation_components]
-        found = [pair for pair in OWN_VELOCITY if set(pair) <= set(names)]
-        if not found:
-            raise InputError(f"{species.name}: what is observed holds no velocity of one's own")
-        self._columns = [names.index(name) for name in found[0]]
-        self._keep = keep
-        self._next: list[Callable[[Floats], Floats]] = [
-            partial(
-                next_velocity,
-                acceleration=own.action_vectors[None],
-                damping=own.damping,
-                thrust=own.thrust,
-                dt=species.dt,
-            )
-            for own in species.locomotion
-        ]
+    def __init__(self, species: Species, demos: Demonstrations, seed: int) -> None:
+        train = demos.select(split="train")
+        seen = demonstration_observations(species, train).astype(np.float64)
+        self._actions = demonstrated_actions(train, species.locomotion).astype(np.int64)
+        going = self._actions[:, 0] >= 0  # no last frame
+        condition = np.repeat(train.condition, train.lengths)
+        self._libraries: dict[tuple[int, int], Library] = {}
+        for who in range(seen.shape[1]):
+            spread = seen[going, who].std(axis=0)
+            scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
+            for of in np.unique(condition).tolist():
+                frames = np.flatnonzero(going & (condition == of))
+                tree = cKDTree(seen[frames, who] * scale)
+                self._libraries[who, of] = Library(tree, frames, scale)
+        self._name, self._individuals = demos.name, seen.shape[1]
+        self._rng = np.random.default_rng(seed)
+        self._steps = max(1, round(SEGMENT / species.dt))
 
     def predict(
         self,
         observation: NDArray[np.floating],
-        state: Any = None,
+        state: tuple[Ints, Ints] | None = None,
         episode_start: Any = None,
         deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
-        own = observation[:, self._columns].astype(np.float64)
-        actions = np.empty(len(own), dtype=np.int64)
-        number = len(self._next)
-        for k, after in enumerate(self._next):
-            now = own[k::number, None]
-            missed = np.linalg.norm(after(now) - self._keep * now, axis=-1)
-            actions[k::number] = missed.argmin(axis=1)
-        return actions, state
+    ) -> tuple[Ints, tuple[Ints, Ints]]:
+        """One action per slot; the state is the frame that each is at and the steps left of it."""
+        slots = len(observation)
+        who = np.arange(slots) % self._individuals
+        if state is None:
+            frame, left = np.zeros(slots, dtype=np.int64), np.zeros(slots, dtype=np.int64)
+        else:
+            frame, left = state[0] + 1, state[1] - 1
+        anew = (left == 0) | (self._actions[frame, who] < 0)
+        if episode_start is not None:
+            anew |= np.asarray(episode_start, dtype=bool)
+        condition = observation[:, -1].astype(np.int64)
+        for own, of in {(int(w), int(c)) for w, c in zip(who[anew], condition[anew])}:
+            asking = np.flatnonzero(anew & (who == own) & (condition == of))
+            frame[asking] = self._looked_up(own, of, observation[asking, :-1])
+            left[asking] = self._steps
+        return self._actions[frame, who], (frame, left)
+
+    def _looked_up(self, who: int, condition: int, seen: NDArray[np.floating]) -> Any:
+        """A frame for each row of observations."""
+        if (who, condition) not in self._libraries:
+            raise InputError(
+                f"{self._name}: no training episode is of condition {condition}: deal the splits "
+                "anew, or leave 'nearest' out of the references"
+            )
+        tree, frames, scale = self._libraries[who, condition]
+        among = min(NEIGHBOURS, len(frames))
+        near = np.reshape(tree.query(seen * scale, k=among)[1], (len(seen), among))
+        drawn = self._rng.integers(among, size=len(seen))
+        return frames[near[np.arange(len(seen)), drawn]]

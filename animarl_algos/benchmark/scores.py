@@ -1,23 +1,22 @@
-"""What is measured of a method: value, interval and null of every measure of the leaderboard."""
+"""What is measured of a method: value, interval and null of every measure, and its rank.
+
+A method is better than another where the 95 % interval of the difference of their energy scores,
+over demonstrations and seeds, lies below zero. Its rank is then a range: from one more than the
+number of methods that are better, to the number of all less those that are worse. Nothing corrects
+the pairs for their number.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.measured import (
-    ENERGY,
-    REALISM,
-    Measured,
-    Score,
-    differences,
-    labels,
-)
 from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.distances import (
@@ -27,7 +26,12 @@ from animarl_algos.evaluation.distances import (
     pooled_score,
 )
 from animarl_algos.evaluation.exchange_test import Exchanges
-from animarl_algos.evaluation.metrics import ARENA_UNITS, dtw_alignments
+from animarl_algos.evaluation.metrics import (
+    ARENA_UNITS,
+    Metric,
+    dtw_alignments,
+    judged_metrics,
+)
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
 from animarl_algos.evaluation.realism import OTHERS
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -40,7 +44,7 @@ from animarl_algos.evaluation.statistics import (
     covers,
     single_cells,
 )
-from animarl_algos.evaluation.verdict import SUMMARY, Verdict, verdict
+from animarl_algos.evaluation.verdict import SUMMARY, verdict
 from animarl_algos.evaluation.windows import comparison_smoothing
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
@@ -50,7 +54,82 @@ from animarl_envs.species import SPECIES
 Floats = NDArray[np.float64]
 
 SEED = 0  # of all resampling
+REALISM, ENERGY = "realism", "energy"
 DISTRIBUTIONS = ("duration", "path_length")
+UNRANKED = ("recordings", "tracking")
+"""References that were told where the recordings go."""
+ROUNDING = 1e-9
+"""Differences of energy scores up to it are those of sums in another order, and rank nothing."""
+
+
+def differences() -> list[Metric]:
+    """Return the metrics whose difference to the recordings stands on the board."""
+    return [metric for metric in judged_metrics() if metric.on_board]
+
+
+def labels() -> dict[str, str]:
+    """Return the measures in their order, what a simulator is judged by first, with their names."""
+    return {
+        REALISM: "realism",
+        AUC: "classifier AUC",
+        SEQUENCE: "AUC of order in time",
+        ENERGY: "energy score",
+        "energy_duration": "energy score of duration",
+        "energy_path_length": "energy score of path length",
+        "energy_mean_speed": "energy score of speed",
+        "outcomes": "endings (chi-squared)",
+        **{one.key: one.label[:1].lower() + one.label[1:] for one in differences()},
+        "dtw_per_step": "DTW per step",
+        "dtw_first_second": "DTW per step, first second",
+        "kde_duration": "KDE distance of durations",
+        "kde_path_length": "KDE distance of path lengths",
+    }
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Score:
+    """A method on one set of demonstrations.
+
+    Parameters
+    ----------
+    covers, words
+        What intervals speak of, and the verdict.
+    measures
+        One row per measure: ``unit``, ``value`` with its interval ``low`` to ``high`` over
+        demonstrations and seeds, and the ``reason`` why there is none. ``null`` is what chance
+        alone stays below in 95 % of cases (``p``), or what recordings of other starts come to.
+        ``inside``: it is no larger than its null (realism: no smaller); an AUC of one half always
+        is. NaN is what is not defined.
+    energies
+        ``(seeds, starts)``: the joint energy score, NaN for none.
+    """
+
+    data: str = ""
+    kind: str = ""
+    method: str
+    seeds: tuple[int, ...]
+    starts: int
+    rollouts: int
+    covers: str = ""
+    words: str = ""
+    measures: pd.DataFrame
+    energies: Floats
+
+    def of(self, measure: str) -> Any:
+        """Return the row of one measure."""
+        return self.measures.loc[measure]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain values; NaN stays NaN."""
+        table = self.measures.reset_index().to_dict("records")
+        return vars(self) | {"measures": table, "energies": self.energies.tolist()}
+
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> Score:
+        """Return what :meth:`to_json` wrote."""
+        measures = pd.DataFrame(plain["measures"]).set_index("measure")
+        energies, seeds = np.array(plain["energies"], dtype=np.float64), tuple(plain["seeds"])
+        return cls(**{**plain, "measures": measures, "energies": energies, "seeds": seeds})
 
 
 def score(rollouts: Rollouts, demos: Demonstrations, *, resamples: int) -> Score:
@@ -90,9 +169,8 @@ def crossed_score(
         if int(tested[0]) not in beside:
             others = others_as_rollouts(beside_fold(demos), demos.select(split="test"), SEED)
             beside[int(tested[0])] = replace(others, demo=tested[others.demo])
-    whole = folds[0][0]
     joined = Rollouts.concatenate(made, method)
-    return _score(joined, whole, Rollouts.concatenate(list(beside.values())), None, resamples)
+    return _score(joined, folds[0][0], Rollouts.concatenate([*beside.values()]), None, resamples)
 
 
 def _score(
@@ -107,12 +185,31 @@ def _score(
     found = verdict(test, rollouts, seed=int(rng_verdict.integers(2**31)), references=others)
     prepared = Prepared(test, comparison_smoothing(test))
     counted = censored(factual(rollouts, test), test)
-    seen = prepared.filtered(counted)
-    simulated, recorded = prepared.measures(seen), prepared.measures(prepared.recorded)
+    simulated, recorded = (
+        prepared.measures(side) for side in (prepared.filtered(counted), prepared.recorded)
+    )
     draws = Draws.by(rng_draws, resamples)
-    same = others is None and rollouts.method == RECORDINGS
+    starts, number = np.arange(len(test)), len(test)
+    rows: dict[str, dict[str, Any]] = {}
+
+    def put(
+        key: str, value: Interval, null: float, *, unit: str = "", p: float = math.nan, of: str = ""
+    ) -> None:
+        inside = abs(value.estimate) <= (max(null, 0.5) if key in (AUC, SEQUENCE) else null)
+        rows[key] = {
+            "measure": key, "unit": unit, "value": value.estimate, "low": value.low,
+            "high": value.high, "null": null, "p": p, "reason": of or value.reason,
+            "inside": bool(value.estimate >= null if key == REALISM else inside),
+        }  # fmt: skip
+
+    put(REALISM, found.realism, found.realism_beside.get(OTHERS, math.nan))
+    for judge, own in ((AUC, found.auc), (SEQUENCE, found.sequence)):
+        among = found.areas[judge]["among"]
+        # Over all folds each recording stands on one side itself and on the other as another's: a
+        # classifier would learn to call it by the side on which it met it.
+        same = others is None and rollouts.method == RECORDINGS
+        put(judge, among if same else own, among.high)
     energies = {}
-    measures = [_realism(found), _area(AUC, found, same), _area(SEQUENCE, found, same)]
     for name, keys in {ENERGY: SUMMARY, **{f"energy_{key}": (key,) for key in SUMMARY}}.items():
         spread = [float(np.std(recorded[k])) or 1.0 for k in keys]
         drawn, true = (
@@ -120,39 +217,49 @@ def _score(
             for side in (simulated, recorded)
         )
         energies[name] = start_energies(drawn, counted.seed, counted.demo, true)
-        mean = _mean(energies[name], draws)
-        measures.append(_of(name, "recorded SD", mean, null=pooled_score(true)))
-    measures.append(_endings(found))
-    measures += _closeness(counted, test, beside, draws)
-    copies = counted.copies
-    exchanges = Exchanges.draw(counted.demo, len(test), rng_null, resamples, copies=copies)
+        mean = Interval(math.nan, reason=FEW_ROLLOUTS)
+        if np.isfinite(energies[name]).any():
+            mean = bootstrap_mean(single_cells(energies[name]), draws)
+        put(name, mean, pooled_score(true), unit="recorded SD")
+    row = found.row("outcomes")
+    ends = Interval(row["distance"], reason="a test: no interval")
+    put("outcomes", ends, row["null"], p=row["p"])
+    for key, measured in (("dtw_per_step", dtw_per_step), ("dtw_first_second", first_second)):
+        data = cells(measured(counted, test), counted.seed, counted.demo, number)
+        other = float(np.nanmean(measured(beside, test)))
+        put(key, bootstrap_mean(data, draws), other, unit="arena unit")
+    exchanges = Exchanges.draw(counted.demo, number, rng_null, resamples, copies=counted.copies)
     for metric in differences():
-        key = metric.key
-        gap = _difference(simulated[key], counted, recorded[key], draws, metric.share)
-        tested = exchanges.difference(np.concatenate([recorded[key], simulated[key]]))
+        many, one = simulated[metric.key], recorded[metric.key]
+        gap = bootstrap_difference(
+            cells(many, counted.seed, counted.demo, number),
+            cells(one, np.full(number, -1), starts, number),
+            draws,
+            share=metric.share,
+        )
+        tested = exchanges.difference(np.concatenate([one, many]))
         unit = metric.unit.replace(ARENA_UNITS, prepared.unit.name)
-        measures.append(_of(key, unit, gap, null=tested.null, p=tested.p))
+        put(metric.key, gap, tested.null, unit=unit, p=tested.p)
     for key in DISTRIBUTIONS:
         kde, _ = bootstrap_distances(
             simulated[key], recorded[key], counted.seed, counted.demo, rng_kde, resamples
         )
         (null, p), _ = exchanges.distances(np.concatenate([recorded[key], simulated[key]]))
-        measures.append(_of(f"kde_{key}", "", kde, null=null.high, p=p))
-    ordered = {one.measure: one for one in measures}
+        put(f"kde_{key}", kde, null.high, p=p)
     return Score(
         method=rollouts.method,
         seeds=tuple(np.unique(counted.seed).tolist()),
         starts=len(np.unique(counted.demo)),
         rollouts=len(counted),
-        covers=covers(cells(simulated["duration"], counted.seed, counted.demo, len(test))),
+        covers=covers(cells(simulated["duration"], counted.seed, counted.demo, number)),
         words=found.overall,
-        measures=tuple(ordered[key] for key in labels()),
+        measures=pd.DataFrame([rows[key] for key in labels()]).set_index("measure"),
         energies=energies[ENERGY],
     )
 
 
 def start_energies(drawn: Floats, seed: Any, demo: Any, true: Floats) -> Floats:
-    """The energy score of every seed at every start, ``(seeds, starts)``; NaN below two rollouts.
+    """Return the energy score of every seed at every start; NaN below two rollouts.
 
     Parameters
     ----------
@@ -160,23 +267,32 @@ def start_energies(drawn: Floats, seed: Any, demo: Any, true: Floats) -> Floats:
         ``(rollouts, d)`` values, and seed and start of each.
     true
         ``(starts, d)``.
+
+    Returns
+    -------
+    ``(seeds, starts)``
     """
     seeds = np.unique(seed)
     found = np.full((len(seeds), len(true)), math.nan)
     for row, one in enumerate(seeds):
-        for start in np.unique(demo):
-            chosen = (seed == one) & (demo == start)
-            if chosen.any():
-                found[row, start] = energy_score(drawn[chosen], true[start])
+        for start in np.unique(demo[seed == one]):
+            found[row, start] = energy_score(drawn[(seed == one) & (demo == start)], true[start])
     return found
 
 
-def first_second(rollouts: Rollouts, demos: Demonstrations, warmup: int) -> Floats:
-    """DTW distance per aligned pair of frames, of the first second after the warm-up.
+def dtw_per_step(rollouts: Rollouts, demos: Demonstrations) -> Floats:
+    """Return the mean DTW distance of aligned frames, ``(rollouts,)`` [arena unit].
 
-    Mean over those who move by themselves, ``(rollouts,)`` [arena unit]; NaN where either is over
-    before it begins.
+    Mean over those who move by themselves.
     """
+    distance, pairs = dtw_alignments(rollouts, demos)
+    return np.asarray((distance / pairs)[:, rollouts.movers].mean(axis=1))
+
+
+def first_second(rollouts: Rollouts, demos: Demonstrations) -> Floats:
+    """Return the same of the first second after the warm-up; NaN where either is over before."""
+    spec = SPECIES.get(demos.species)
+    warmup = spec.warmup if spec is not None else 0
     last = warmup + 1 + max(1, round(1 / rollouts.dt))
     found = np.full(len(rollouts), math.nan)
     for i, demo in enumerate(rollouts.demo.tolist()):
@@ -189,71 +305,26 @@ def first_second(rollouts: Rollouts, demos: Demonstrations, warmup: int) -> Floa
     return found
 
 
-def _closeness(
-    counted: Rollouts, test: Demonstrations, beside: Rollouts, draws: Draws
-) -> list[Measured]:
-    """DTW of whole episodes and of the first second, beside what other recordings come to."""
-    spec = SPECIES.get(test.species)
-    warmup = spec.warmup if spec is not None else 0
-
-    def per_step(rollouts: Rollouts) -> Floats:
-        distance, pairs = dtw_alignments(rollouts, test)
-        return np.asarray((distance / pairs)[:, rollouts.movers].mean(axis=1))
-
-    def early(rollouts: Rollouts) -> Floats:
-        return first_second(rollouts, test, warmup)
-
-    found = []
-    for key, of in (("dtw_per_step", per_step), ("dtw_first_second", early)):
-        data = cells(of(counted), counted.seed, counted.demo, len(test))
-        null = float(np.nanmean(of(beside)))
-        found.append(_of(key, "arena unit", bootstrap_mean(data, draws), null=null))
-    return found
-
-
-def _difference(
-    values: Floats, counted: Rollouts, recorded: Floats, draws: Draws, share: bool
-) -> Interval:
-    """Mean of the rollouts less that of the recordings."""
-    starts = np.arange(len(recorded))
-    many = cells(values, counted.seed, counted.demo, len(recorded))
-    one = cells(recorded, np.full(len(recorded), -1), starts, len(recorded))
-    return bootstrap_difference(many, one, draws, share=share)
-
-
-def _realism(found: Verdict) -> Measured:
-    """The realism score beside that of other recordings."""
-    null = found.realism_beside.get(OTHERS, math.nan)
-    return _of(REALISM, "", found.realism, null=null)
-
-
-def _area(judge: str, found: Verdict, same: bool) -> Measured:
-    """That of recordings among themselves, where the ``same`` recordings stand on both sides.
-
-    Over all folds each is on one side itself and on the other as another's: the classifier would
-    learn to call it by the side on which it met it.
-    """
-    among = found.areas[judge]["among"]
-    own = found.auc if judge == AUC else found.sequence
-    return _of(judge, "", among if same else own, null=among.high)
-
-
-def _endings(found: Verdict) -> Measured:
-    row = found.row("outcomes")
-    return Measured(
-        "outcomes",
-        value=row["distance"],
-        null=row["null"],
-        p=row["p"],
-        reason="a test: no interval",
-    )
-
-
-def _of(measure: str, unit: str, value: Interval, *, null: float, p: float = math.nan) -> Measured:
-    return Measured(measure, unit, value.estimate, value.low, value.high, null, p, value.reason)
-
-
-def _mean(energies: Floats, draws: Draws) -> Interval:
-    if not np.isfinite(energies).any():
-        return Interval(math.nan, reason=FEW_ROLLOUTS)
-    return bootstrap_mean(single_cells(energies), draws)
+def ranked(scores: Sequence[Score], resamples: int) -> dict[str, str]:
+    """Return the places that intervals allow a method of one set, such as 2-4, where it has any."""
+    energies = {
+        one.method: single_cells(one.energies)
+        for one in scores
+        if one.method not in UNRANKED and np.isfinite(one.energies).any()
+    }
+    better, worse = dict.fromkeys(energies, 0), dict.fromkeys(energies, 0)
+    names = list(energies)
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            gap = bootstrap_difference(
+                energies[first], energies[second], np.random.default_rng(SEED), resamples
+            )
+            if gap.excludes_zero and abs(gap.estimate) > ROUNDING:
+                winner, loser = (first, second) if gap.high < 0 else (second, first)
+                better[loser] += 1
+                worse[winner] += 1
+    places = {name: (1 + better[name], len(names) - worse[name]) for name in names}
+    return {
+        name: f"{best}" if best == worst else f"{best}\u2013{worst}"
+        for name, (best, worst) in places.items()
+    }

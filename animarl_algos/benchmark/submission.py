@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.measured import Score
 from animarl_algos.benchmark.pieces import write_json
-from animarl_algos.benchmark.scores import score
+from animarl_algos.benchmark.scores import Score, score
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_envs.checks import printable
@@ -32,6 +31,7 @@ from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.errors import InputError
 from animarl_envs.files import refuse_special
+from animarl_envs.locomotion import residual
 from animarl_envs.species import get_species
 
 FORMAT, VERSION = "animarl-submission", 1
@@ -209,12 +209,16 @@ def _check_moves(
         )
     steps = np.linalg.norm(np.diff(path, axis=0), axis=2)
     before = np.concatenate([np.full_like(steps[:1], fastest), np.maximum(steps[:-1], fastest)])
-    could = np.maximum(fastest, (1 - damping) * before + push)
-    if (steps > could).any():
-        frame, who = np.argwhere(steps > could)[0].tolist()
+    added = [
+        residual(steps[:, k], before[:, k], own.damping) for k, own in enumerate(species.locomotion)
+    ]
+    beyond = np.minimum(np.stack(added, axis=1) - push, steps - fastest)
+    if (beyond > 0).any():
+        frame, who = np.argwhere(beyond > 0)[0].tolist()
+        could = steps[frame, who] - beyond[frame, who]
         raise InputError(
             f"{place}: {test.individuals[who]} moves {steps[frame, who]:.3g} from frame {frame} to "
-            f"{frame + 1}, where {could[frame, who]:.3g} is the most that it could: give every "
+            f"{frame + 1}, where {could:.3g} is the most that it could: give every "
             "frame as it was simulated"
         )
 

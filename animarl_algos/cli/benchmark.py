@@ -5,8 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,15 +13,12 @@ from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 
-from animarl_algos.benchmark.cells import Cell
-from animarl_algos.benchmark.clones import Clone
-from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.engine import RayWorkers, Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
 from animarl_algos.benchmark.matrix import matrix_file, read_matrix
 from animarl_algos.benchmark.methods import parse_method
-from animarl_algos.benchmark.pieces import Done, Piece, recorded_error
+from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan, refuse_other_results
-from animarl_algos.benchmark.ray_engine import connected, perform_on_ray, refuse_other_nodes
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.shared import PlainConsole
 from animarl_envs.errors import InputError
@@ -99,8 +94,7 @@ def benchmark_command(
             known = ", ".join((*matrix.species, *matrix.files))
             raise InputError(f"--species {name}: it is not in the matrix: choose among {known}")
     if species:
-        matrix = replace(
-            matrix,
+        matrix = matrix.changed(
             species=tuple(s for s in matrix.species if s in species),
             files={name: file for name, file in matrix.files.items() if name in species},
         )
@@ -113,15 +107,12 @@ def benchmark_command(
         console.print(_listing(asked, out))
         return
     watch = LiveTable(asked, out)
-    with connected(address) if engine == "ray" else nullcontext() as ray:
+    with RayWorkers(address) if engine == "ray" else Workers(processes) as workers:
         claim_folder(out)
-        if ray is not None:
-            refuse_other_nodes(ray, out)
+        if isinstance(workers, RayWorkers):
+            workers.refuse_other_nodes(out)
         with Live(watch, console=console, refresh_per_second=1):
-            if ray is not None:
-                perform_on_ray(ray, asked, out, watch)
-            else:
-                perform_all(asked, out, processes, watch)
+            perform_all(asked.pieces, out, workers, watch)
     for name, error in watch.causes():
         console.print(f"\n{name} failed: {error}", soft_wrap=True)
     page = write_leaderboard(whole, out, shlex.join(["animarl", *sys.argv[1:]]))
@@ -154,7 +145,7 @@ def score_command(
     )
 
 
-class LiveTable:
+class LiveTable(Watch):
     """How far each stage is, what runs, and about how long it will take.
 
     The time left goes by what pieces of the same method took, or else others of the stage. A Ray
@@ -225,6 +216,6 @@ def _listing(asked: Plan, out: Path) -> Table:
     table = Table("cell", "kind", "key", "state")
     listed: list[Clone | Cell] = [*asked.clones, *asked.cells]
     for one in listed:
-        state = "finished" if one.finished(out) else recorded_error(one, out) or "to do"
+        state = "finished" if one.finished(out) else one.error(out) or "to do"
         table.add_row(one.name, one.kind, one.key, state)
     return table

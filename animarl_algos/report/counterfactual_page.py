@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,13 +13,25 @@ from animarl_algos.evaluation.metrics import PATH_LENGTH, Episodes
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.report import figures, style
 from animarl_algos.report.figures import Dots
-from animarl_algos.report.inputs import CounterfactualInputs
-from animarl_algos.report.page import Block, Gallery, Page, Section, Sentences, Text, tabulate
+from animarl_algos.report.inputs import CounterfactualInputs, PageInputs
+from animarl_algos.report.page import (
+    Block,
+    Gallery,
+    Page,
+    Section,
+    Sentences,
+    Table,
+    Text,
+    tabulate,
+)
 from animarl_algos.report.path_figures import path_panels
 from animarl_algos.report.player import changed_starts, first_from, shift_player
 from animarl_algos.report.provenance import provenance, to_paste
 from animarl_algos.report.style import Image, method_label, to_image
-from animarl_algos.report.words import ARROW, MINUS, scaled, with_interval
+from animarl_algos.report.words import ARROW, MINUS, NOTHING, pick, scaled, with_interval
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHIFTS = {
     "Predicted": effects_of.PREDICTED,
@@ -41,7 +53,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> Page:
         (method_label(name), f"seeds {', '.join(map(str, some))}")
         for name, some in inputs.seeds.items()
     ]
-    demos = inputs.demos
+    demos, table = inputs.demos, inputs.effects.table
     return Page(
         title=f"Counterfactual: {', '.join(names)}",
         kind="What if the condition had been the other one?",
@@ -55,7 +67,7 @@ def counterfactual_page(inputs: CounterfactualInputs) -> Page:
         sections=[
             Section("findings", "In short", [block for block in said if block.sentences]),
             Section("shifts", "Shifts and their truth", list(_shifts(inputs))),
-            Section("errors", "Error to the demonstrations", list(_errors(inputs))),
+            Section("errors", "Error to the demonstrations", [error_table(inputs, table)]),
             Section("episodes", "Every episode", list(_episodes(inputs))),
             Section("paths", "Factual beside flipped", list(_paths(inputs))),
             Section("provenance", "How this was made", list(provenance(inputs, "page"))),
@@ -131,31 +143,42 @@ def _shifts(inputs: CounterfactualInputs) -> Iterator[Block]:
         "where nothing of the condition was learned.",
     )
 
+    yield shift_table(inputs, inputs.effects.table)
+
+
+def shift_table(inputs: PageInputs, table: pd.DataFrame) -> Table:
+    """Return predicted shifts beside their truth and their nulls, as far as they are known."""
+    predicted = table[(table["quantity"] == effects_of.PREDICTED) & table["value"].notna()]
+    known = set(table.loc[table["value"].notna(), "quantity"])
+
     def shift(quantity: str) -> Any:
-        return lambda row: with_interval(
-            inputs.value(row["method"], quantity, row["condition"], row["counting"])
+        keys = ("method", "condition", "counting")
+        return lambda row: inputs.words.told(
+            pick(table, quantity=quantity, **{key: row[key] for key in keys}), "value", PATH_LENGTH
         )
 
-    table = inputs.effects.table
-    predicted = table[table["quantity"] == effects_of.PREDICTED]
-    yield tabulate(
+    return tabulate(
         "Shifts",
         {
             "Method": lambda row: method_label(row["method"]),
-            "Variant": lambda row: "main" if inputs.asked[row["method"]].main else "supplementary",
-            "Flip": lambda row: inputs.flip(row["condition"], 1 - row["condition"]),
-            **{heading: shift(quantity) for heading, quantity in SHIFTS.items()},
+            "Variant": lambda row: str(row["variant"]),
+            "Flip": lambda row: inputs.flip(int(row["condition"]), 1 - int(row["condition"])),
+            **{title: shift(one) for title, one in SHIFTS.items() if one in known},
         },
-        [
-            (title, (row for _, row in predicted[predicted["counting"] == counting].iterrows()))
-            for counting, title in COUNTED.items()
-        ],
-        f"Mean path length ({inputs.unit}) with the flipped cue minus that with the true one, "
-        "[95 % interval]; bold: the flip that was planned in advance. Among captures only starts "
-        "in which both answers reached the target count, so that they are paired.",
+        counted(predicted),
+        f"Mean path length ({inputs.words.unit_of(PATH_LENGTH)}) with the flipped cue minus that "
+        "with the true one, [95 % interval]; bold: the flip that was planned in advance. Among "
+        "captures only starts in which both answers reached the target count, so that they are "
+        "paired.",
         left=3,
-        strong=lambda row: (row["condition"], 1 - row["condition"]) == inputs.species.planned_flip,
+        strong=lambda row: bool(row["planned"]),
     )
+
+
+def counted(table: pd.DataFrame) -> Iterator[tuple[str, list[Any]]]:
+    """Yield the rows of all episodes and of captures, with a title."""
+    for counting, title in COUNTED.items():
+        yield title, [row for _, row in table[table["counting"] == counting].iterrows()]
 
 
 def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
@@ -180,26 +203,27 @@ def _shift_images(inputs: CounterfactualInputs) -> Iterator[Image]:
             yield to_image(figure, f"Predicted and true shifts of the path length, {flip}")
 
 
-def _errors(inputs: CounterfactualInputs) -> Iterator[Block]:
-    table = inputs.effects.table
-    rows = table[table["quantity"].isin([effects_of.ERROR, effects_of.ERROR_DIFFERENCE])]
-    yield tabulate(
+def error_table(inputs: PageInputs, table: pd.DataFrame) -> Table:
+    """Return errors to the demonstrations, and the differences of the methods' errors."""
+
+    def accuracy(row: Any) -> str:
+        found = pick(table, method=row["method"], quantity=effects_of.ACCURACY)
+        return NOTHING if found is None else with_interval(interval(found, "value"))
+
+    words = inputs.words
+    shown = table[table["quantity"].isin([effects_of.ERROR, effects_of.ERROR_DIFFERENCE])]
+    return tabulate(
         "Signed errors",
         {
-            "Method": lambda row: str(row["method"]).replace(" - ", f" {MINUS} "),
+            "Method": lambda row: method_label(str(row["method"])).replace(" - ", f" {MINUS} "),
             "Variant": lambda row: str(row["variant"]),
             "Condition": lambda row: inputs.condition(int(row["condition"])),
-            f"Simulated {MINUS} {inputs.recorded}\n({inputs.unit})": (
-                lambda row: with_interval(interval(row, "value"))
+            f"Simulated {MINUS} {inputs.recorded}\n({words.unit_of(PATH_LENGTH)})": (
+                lambda row: words.told(row, "value", PATH_LENGTH)
             ),
-            "Treatment\naccuracy": (
-                lambda row: with_interval(inputs.value(row["method"], effects_of.ACCURACY, -1))
-            ),
+            "Treatment\naccuracy": accuracy,
         },
-        [
-            (title, (row for _, row in rows[rows["counting"] == counting].iterrows()))
-            for counting, title in COUNTED.items()
-        ],
+        counted(shown[shown["value"].notna()]),
         "Mean path length of the rollouts minus that of the demonstrations they started from, in "
         "the same condition [95 % interval], and the difference of the methods' errors. Treatment "
         "accuracy: balanced, on held-out demonstrations; 0.5 is what a memory blind to the "
@@ -220,7 +244,7 @@ def _episodes(inputs: CounterfactualInputs) -> Iterator[Block]:
 
 def _dots(inputs: CounterfactualInputs) -> Iterator[Dots]:
     """A column for each condition of everybody, told the truth and then the other condition."""
-    demos, asked = inputs.demos, inputs.asked
+    demos, asked, factor = inputs.demos, inputs.asked, inputs.words.factor(PATH_LENGTH)
     recorded = Rollouts.from_demonstrations(demos)
     shown: list[tuple[str, str, Any, bool]] = [
         (inputs.recorded, RECORDED, (recorded, recorded), False),
@@ -231,7 +255,7 @@ def _dots(inputs: CounterfactualInputs) -> Iterator[Dots]:
         shown.append(("team", RECORDED, inputs.teams[::-1], True))
     for label, method, by_condition, flipped in shown:
         for c, rollouts in enumerate(by_condition):
-            lengths = PATH_LENGTH.measure(Episodes(rollouts, demos))
+            lengths = factor * PATH_LENGTH.measure(Episodes(rollouts, demos))
             own = demos.condition[rollouts.demo] == c
             told = f"{ARROW}{2 - c}" if flipped else ""
             yield Dots(f"{label} {c + 1}{told}", method, lengths[own], flipped)

@@ -35,14 +35,14 @@ REFERENCE: dict[str, Any] = {
 
 
 @contextmanager
-def one_panel(width: float, height: float, grid: str, **texts: str) -> Iterator[Any]:
-    """Hand out the axes of a new figure; ``texts`` are its title and the labels of its axes."""
+def one_panel(width: float, height: float, grid: str, **texts: str) -> Iterator[tuple[Figure, Any]]:
+    """Hand out a new figure and its axes; ``texts`` are its title and the labels of its axes."""
     with style.figure_style():
-        _, panel = style.new_figure(width, height)
+        figure, panel = style.new_figure(width, height)
         if grid:
             panel.grid(axis=grid, color=style.LINE.hex, linewidth=0.5)
         panel.set(**texts)
-        yield panel
+        yield figure, panel
 
 
 # -- distributions --------------------------------------------------------------------------------
@@ -60,7 +60,7 @@ def speed_histogram(
     edges = shared_bins(first, second)
     with one_panel(
         4.0, 2.4, "", xlabel=f"Speed ({words.speed})", ylabel="Density", title=title
-    ) as panel:
+    ) as (figure, panel):
         panel.hist(
             second, edges, density=True, color=style.FILL.hex, alpha=0.55, linewidth=0,
             label=words.say("recorded"),
@@ -71,7 +71,7 @@ def speed_histogram(
         )  # fmt: skip
         panel.set_xlim(edges[0], edges[-1])
         panel.legend(loc="best")
-    return panel.figure
+    return figure
 
 
 def shared_bins(*samples: Floats, most: int = 50) -> Floats:
@@ -107,7 +107,10 @@ def metric_distribution(
     samples = {name: _finite(value) for name, value in values.items()}
     pooled = np.concatenate(list(samples.values()))
     rule = kde_rule(*(s for s in samples.values() if len(s))) if len(pooled) else None
-    with one_panel(4.6, 0.75 + ROW_HEIGHT * len(names), "x", xlabel=axis, title=title) as panel:
+    with one_panel(4.6, 0.75 + ROW_HEIGHT * len(names), "x", xlabel=axis, title=title) as (
+        figure,
+        panel,
+    ):
         for row, name in enumerate(names):
             colour = style.method_colour(name, row)
             sample, base = samples[name], float(len(names) - 1 - row)
@@ -131,7 +134,7 @@ def metric_distribution(
         if len(pooled) and pooled.min() >= 0:
             near_zero = pooled.min() < 0.35 * pooled.max()
             panel.set_xlim(left=min(0.0, panel.get_xlim()[0]) if near_zero else None)
-    return panel.figure
+    return figure
 
 
 # -- intervals ------------------------------------------------------------------------------------
@@ -160,7 +163,7 @@ def interval_rows(
         By method, where it is not that of its recipe.
     """
     names = list(means)
-    with one_panel(4.6, 0.8 + 0.36 * len(names), "x", xlabel=axis, title=title) as panel:
+    with one_panel(4.6, 0.8 + 0.36 * len(names), "x", xlabel=axis, title=title) as (figure, panel):
         for row, name in enumerate(names):
             base = float(len(names) - 1 - row)
             band = (bands or {}).get(name)
@@ -182,7 +185,7 @@ def interval_rows(
             panel.set_xlim(limits)
         panel.xaxis.set_major_locator(_locator(5))
         panel.xaxis.set_major_formatter("{x:g}")
-    return panel.figure
+    return figure
 
 
 def draw_interval(
@@ -219,7 +222,7 @@ def episode_dots(columns: Sequence[Dots], label: str) -> Figure:
 
     Dots are spread sideways by rank within their column, the same every time.
     """
-    with one_panel(1.1 + 0.62 * len(columns), 3.6, "y", ylabel=label) as panel:
+    with one_panel(1.1 + 0.62 * len(columns), 3.6, "y", ylabel=label) as (figure, panel):
         for place, column in enumerate(columns):
             colour = style.method_colour(column.method, place)
             values = np.asarray(column.values, dtype=np.float64)
@@ -238,7 +241,7 @@ def episode_dots(columns: Sequence[Dots], label: str) -> Figure:
         panel.tick_params(axis="x", length=0)
         panel.set_xlim(-0.6, len(columns) - 0.4)
         panel.set_ylim(bottom=0)
-    return panel.figure
+    return figure
 
 
 # -- learning curves ------------------------------------------------------------------------------
@@ -299,7 +302,7 @@ def learning_curve(curves: pd.DataFrame, title: str, x_label: str) -> Figure:
     """
     from matplotlib.ticker import FuncFormatter
 
-    with one_panel(3.4, 2.3, "y", title=capitalised(title), xlabel=x_label) as panel:
+    with one_panel(3.4, 2.3, "y", title=capitalised(title), xlabel=x_label) as (figure, panel):
         methods = list(curves.groupby("method", sort=False))
         for position, (name, rows) in enumerate(methods):
             label = style.method_label(str(name)) if style.is_method(str(name)) else str(name)
@@ -320,7 +323,7 @@ def learning_curve(curves: pd.DataFrame, title: str, x_label: str) -> Figure:
         )
         if len(methods) > 1:
             panel.legend(loc="best")
-    return panel.figure
+    return figure
 
 
 # -- small things ---------------------------------------------------------------------------------

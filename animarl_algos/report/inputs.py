@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from animarl_algos.evaluation.comparison import interval
 from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.evaluation.effects import Asked, Effects
+from animarl_algos.evaluation.metrics import PATH_LENGTH
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import UNDEFINED, Interval
+from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.tables import Evaluation
 from animarl_algos.report.path_figures import Stage
 from animarl_algos.report.words import ARROW, Words, pick
@@ -169,7 +169,7 @@ class CounterfactualInputs(PageInputs):
 
     @property
     def unit(self) -> str:
-        return f"{self.species.length_unit}s"
+        return self.words.unit_of(PATH_LENGTH)
 
     @property
     def planned(self) -> tuple[int, int]:
@@ -181,7 +181,7 @@ class CounterfactualInputs(PageInputs):
         row = pick(
             self.effects.table, method=method, quantity=quantity, condition=of, counting=counting
         )
-        return UNDEFINED if row is None else interval(row, "value")
+        return self.words.interval(row, "value", PATH_LENGTH)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from animarl_algos.evaluation.comparison import BASELINE, COUNTING, factual, find_method
-from animarl_algos.evaluation.effects import ERROR, PREDICTED, TRUE
-from animarl_algos.evaluation.metrics import DTW, METRICS, PATH_LENGTH, Metric
+from animarl_algos.evaluation.metrics import DTW, METRICS, Metric
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import Interval
 from animarl_algos.evaluation.verdict import implausible
 from animarl_algos.report import figures
+from animarl_algos.report.counterfactual_page import error_table, shift_table
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.page import (
     Block,
@@ -34,7 +34,6 @@ from animarl_algos.report.provenance import provenance, to_paste
 from animarl_algos.report.style import Image, method_label, to_image
 from animarl_algos.report.verdict_section import verdict_blocks, verdict_lead
 from animarl_algos.report.words import (
-    ARROW,
     MINUS,
     NOTHING,
     cautions,
@@ -273,7 +272,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
         groups,
         f"Mean [95 % interval] and paired differences.{note}",
         strong=lambda row: row["method"] == inputs.learner,
-        folded=f"Numbers: {metric.label[:1].lower()}{metric.label[1:]} by method",
+        folded=f"{metric.label} by method",
     )
 
 
@@ -325,44 +324,16 @@ def _contrasts(inputs: ReportInputs) -> Iterator[Block]:
 
 
 def _counterfactual(inputs: ReportInputs) -> Iterator[Block]:
-    table, words = inputs.evaluation.counterfactual, inputs.words
+    table = inputs.evaluation.counterfactual
     if table.empty:
         return
-    quantities = {ERROR: "minus recorded", PREDICTED: "cue flipped", TRUE: "world changed"}
-    shown = table[table["quantity"].isin(quantities) & table["value"].notna()]
-
-    def condition(row: Any) -> str:
-        names = [inputs.condition(int(row[key])) for key in ("condition", "told")]
-        return ARROW.join(dict.fromkeys(names))
-
-    def is_planned(row: Any) -> bool:
-        return bool(row["planned"]) and row["condition"] != row["told"]
-
     yield Text(
-        "The policy is told the other condition; the world stays as it is. The shift is the path "
-        "length with the flipped cue minus that with the true one, on the same starts and the "
-        "same networks. The page of 'animarl counterfactual' shows it beside its truth and beside "
-        "networks that learned nothing."
+        "The policy is told the other condition; the world stays as it is. Shifts are those of the "
+        "path length, on the same starts and the same networks. The page of 'animarl "
+        "counterfactual' shows them beside networks that learned nothing."
     )
-    yield tabulate(
-        "Counterfactual path lengths",
-        {
-            "Method": lambda row: words.label(str(row["method"])),
-            "Quantity": lambda row: words.say(quantities[row["quantity"]]),
-            "Condition": condition,
-            f"Path length\n({words.unit_of(PATH_LENGTH)})": (
-                lambda row: words.told(row, "value", PATH_LENGTH)
-            ),
-            "": lambda row: "planned" if is_planned(row) else "",
-        },
-        [
-            (title.capitalize(), _rows(shown[shown["counting"] == counting]))
-            for counting, title in COUNTING.items()
-        ],
-        "Differences of the mean path length [95 % interval].",
-        left=3,
-        strong=is_planned,
-    )
+    yield shift_table(inputs, table)
+    yield error_table(inputs, table)
 
 
 # -- the model behind it --------------------------------------------------------------------------

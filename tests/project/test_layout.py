@@ -59,12 +59,10 @@ ROOMS = (
 )
 # (importing module, imported module): the reason.
 LAZY = "public names of the package whose code stands in a room above; given out lazily"
-TO_DIVIDE = "the type of what the function is about; goes when the two are one, or divided"
 ALLOWED: dict[tuple[str, str], str] = {
     ("animarl_algos.evaluation", "animarl_algos.runs.counterfactual"): LAZY,
     ("animarl_algos.evaluation", "animarl_algos.runs.evaluating"): LAZY,
     ("animarl_algos.evaluation", "animarl_algos.runs.inspecting"): LAZY,
-    ("animarl_algos.benchmark.clones", "animarl_algos.benchmark.cells"): TO_DIVIDE,
 }
 
 LONGEST = 600  # lines of a file: one idea, and one class, a file

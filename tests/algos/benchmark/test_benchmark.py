@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 from commands import Done as Ended
 
-from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.matrix import Matrix, matrix_names, read_matrix
-from animarl_algos.benchmark.pieces import Done, Piece, attempt, recorded_error
+from animarl_algos.benchmark.pieces import Done, Piece, attempt
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
@@ -42,7 +42,7 @@ TINY: dict[str, Any] = {
 }
 
 
-class Told:
+class Told(Watch):
     """What was started and how it ended."""
 
     def __init__(self) -> None:
@@ -74,7 +74,8 @@ def run(matrix: Matrix, out: Path, *, processes: int = 1, only: Sequence[str] = 
 def run_plan(asked: Plan, out: Path, processes: int = 1) -> Told:
     told = Told()
     claim_folder(out)
-    perform_all(asked, out, processes, told)
+    with Workers(processes) as workers:
+        perform_all(asked.pieces, out, workers, told)
     write_leaderboard(asked, out)
     return told
 
@@ -201,7 +202,7 @@ def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
     )
     assert "method ending: its predict raised SystemExit (0)" in told.errors["agent/ending/0"]
     said = told.errors["agent/nothing/0"]
-    assert "method nothing: its factory raised ValueError (bad ## fly2 second): mend it" in said
+    assert "method nothing: its factory raised ValueError (bad ## fly2 second): fix it" in said
     content = json.loads((out / "leaderboard.json").read_text())
     assert [row["method"] for row in content["rows"]] == ["still"]
     assert "\n## fly2" not in (out / "leaderboard.md").read_text()
@@ -215,9 +216,9 @@ def test_benchmark_does_not_hide_a_world_that_fails(tmp_path: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "settings.json").write_text("{")
     assert "damaged" in attempt(broken, tmp_path).error
-    assert "damaged" in recorded_error(broken, tmp_path)
+    assert "damaged" in broken.error(tmp_path)
     told = Told()
-    perform_all(replace(asked, worlds=(broken,)), tmp_path, 1, told)
+    perform_all(replace(asked, worlds=(broken,)).pieces, tmp_path, Workers(), told)
     assert "could not be fitted" in told.errors["agent/still/0"]
 
 
@@ -254,17 +255,17 @@ def test_benchmark_smoke_is_the_whole_matrix(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"species": ["cat"]}, "species 'cat' is unknown"),
+        ({"species": ["cat"]}, "species names 'cat': choose among agent"),
         ({"species": []}, "species is empty"),
         ({"recipes": ["dqnn"]}, "algorithm 'dqnn' is unknown"),
-        ({"recipes": "dqn"}, "give a list of names"),
+        ({"recipes": "dqn"}, "recipes is 'dqn': give a list"),
         ({"seeds": [0, 0]}, "names 0 twice"),
-        ({"seeds": [-1]}, "none negative"),
-        ({"references": ["dead"]}, "reference 'dead' is unknown"),
+        ({"seeds": [-1]}, "one of seeds is -1: give a whole number of at least 0"),
+        ({"references": ["dead"]}, "references names 'dead'"),
         ({"episodes": {"dev": 1}}, "episodes names 'dev'"),
         ({"repetitions": 0}, "at least 1"),
         ({"settings": {"bcc": {}}}, "algorithm 'bcc' is unknown"),
-        ({"preset": "best"}, "preset 'best' is unknown"),
+        ({"preset": "best"}, "preset is 'best': choose default or paper"),
         ({"settings": {"bc": 3}}, "settings of bc is 3"),
         ({"settings": {"dqn": {"learning_speed": 3}}}, "'dqn', which is not among the recipes"),
         ({"settings": [1]}, "give a table"),
@@ -281,7 +282,7 @@ def test_benchmark_refuses_a_wrong_matrix(changed: dict[str, Any], said: str) ->
 def test_benchmark_refuses_unknown_keys_and_settings(tmp_path: Path) -> None:
     file = tmp_path / "own.yml"
     file.write_text("species: [agent]\nlearners: [dqn]\n")
-    with pytest.raises(InputError, match="key 'learners' is unknown"):
+    with pytest.raises(InputError, match="'learners' is unknown"):
         read_matrix("smoke", file)
     with pytest.raises(InputError, match="preset 'huge' is unknown"):
         read_matrix("huge")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from test_benchmark import bytes_of, run, tiny
 
-from animarl_algos.benchmark.cells import Cell
 from animarl_algos.benchmark.matrix import Matrix, read_matrix
+from animarl_algos.benchmark.pieces import Cell
 from animarl_algos.benchmark.plan import claim_folder, plan
 from animarl_algos.learner.checkpoint import latest_checkpoint
 from animarl_algos.learner.pretraining import Pretraining
@@ -103,7 +102,7 @@ def test_a_clone_goes_on_after_an_interruption(
 
 
 def test_clones_by_two_processes_are_the_same(tmp_path: Path) -> None:
-    matrix = replace(alike(("soft-bc", "dqaas")), seeds=(0, 1))
+    matrix = alike(("soft-bc", "dqaas")).changed(seeds=(0, 1))
     for number in (1, 2):
         assert not run(matrix, tmp_path / str(number), processes=number).errors
     assert all(one.cost(tmp_path / "2") for one in plan(matrix).clones)
@@ -161,8 +160,8 @@ def test_what_a_preset_would_add_is_not_shared() -> None:
 
 def test_presets_share_where_recipes_begin_as_clones() -> None:
     few = {"species": ("agent", "silkmoth"), "seeds": (0, 1)}
-    assert plan(replace(read_matrix("paper"), **few)).clones == ()
-    short = plan(replace(read_matrix("short"), **few)).clones
+    assert plan(read_matrix("paper").changed(**few)).clones == ()
+    short = plan(read_matrix("short").changed(**few)).clones
     assert [(one.data, one.seed) for one in short] == [
         ("agent", 0), ("agent", 1), ("silkmoth", 0), ("silkmoth", 1),
     ]  # fmt: skip

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,8 @@ import pytest
 from test_benchmark import TINY, Told, bytes_of, run, said_by, tiny
 from test_benchmark_clones import alike
 
-from animarl_algos.benchmark import ray_engine
+from animarl_algos.benchmark import engine
+from animarl_algos.benchmark.engine import RayWorkers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.pieces import Done, Piece
 from animarl_algos.benchmark.plan import claim_folder, plan
@@ -28,29 +29,29 @@ from animarl_envs.errors import InputError, MissingExtraError
 
 def test_ray_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"animarl\[ray\]"), ray_engine.connected():
-        pass
+    with pytest.raises(MissingExtraError, match=r"animarl\[ray\]"):
+        RayWorkers()
 
 
 def test_a_node_says_why_it_cannot_take_part(tmp_path: Path) -> None:
-    versions = ray_engine.versions()
-    assert "does not see" in ray_engine._unfit(tmp_path, versions)
+    versions = engine.versions()
+    assert "does not see" in engine._unfit(tmp_path, versions)
     claim_folder(tmp_path)
-    assert ray_engine._unfit(tmp_path, versions) == ""
-    said = ray_engine._unfit(tmp_path, versions | {"torch": "0.1"})
+    assert engine._unfit(tmp_path, versions) == ""
+    said = engine._unfit(tmp_path, versions | {"torch": "0.1"})
     assert "has torch" in said and "this machine 0.1" in said
 
 
 def test_nobody_at_an_address_is_told_soon() -> None:
     with pytest.raises(OSError):
-        ray_engine._refuse_silence("127.0.0.1:1")
+        engine._refuse_silence("127.0.0.1:1")
 
 
 def test_who_answers_and_is_no_ray_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     pytest.importorskip("ray")
-    monkeypatch.setattr(ray_engine, "ASKING", 2.0)
+    monkeypatch.setattr(engine, "ASKING", 2.0)
     file, out = tmp_path / "tiny.yml", tmp_path / "out"
     file.write_text(json.dumps(TINY | {"recipes": [], "settings": {}}))
     with socket.create_server(("127.0.0.1", 0)) as dumb:
@@ -82,7 +83,7 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
     monkeypatch.setenv(
         "PYTHONPATH", os.pathsep.join(map(str, (here.parents[2], here.parents[1], here)))
     )
-    matrix = replace(alike(("soft-bc", "dqaas")), seeds=(0, 1))
+    matrix = alike(("soft-bc", "dqaas")).changed(seeds=(0, 1))
     alone, out = tmp_path / "local", tmp_path / "ray"
     assert not run(matrix, alone).errors
     asked, told, lost = plan(matrix), Told(), []
@@ -97,9 +98,9 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
 
     killing = threading.Thread(target=lose_a_worker, daemon=True)
     killing.start()
-    with ray_engine.connected(cluster.address) as ray:
-        ray_engine.refuse_other_nodes(ray, out)
-        ray_engine.perform_on_ray(ray, asked, out, told)
+    with RayWorkers(cluster.address) as workers:
+        workers.refuse_other_nodes(out)
+        perform_all(asked.pieces, out, workers, told)
     killing.join(60)
     write_leaderboard(asked, out)
     assert lost and lost[0] > 0  # there was something left to do
@@ -111,8 +112,8 @@ def test_ray_gives_the_same_bytes_when_a_worker_is_lost(
 def test_ray_refuses_what_it_cannot_reach() -> None:
     pytest.importorskip("ray")
     said = r"no Ray cluster can be reached at 127\.0\.0\.1:1 "
-    with pytest.raises(InputError, match=said), ray_engine.connected("127.0.0.1:1"):
-        pass
+    with pytest.raises(InputError, match=said):
+        RayWorkers("127.0.0.1:1")
 
 
 @pytest.mark.slow
@@ -127,9 +128,9 @@ def test_where_no_cluster_runs_ray_starts_one(
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     asked, told = plan(tiny()), Told()
     claim_folder(tmp_path)
-    with ray_engine.connected() as connected:
-        ray_engine.refuse_other_nodes(connected, tmp_path)
-        ray_engine.perform_on_ray(connected, asked, tmp_path, told)
+    with RayWorkers() as workers:
+        workers.refuse_other_nodes(tmp_path)
+        perform_all(asked.pieces, tmp_path, workers, told)
     assert not told.errors and all(cell.finished(tmp_path) for cell in asked.cells)
     assert not ray.is_initialized()
 
@@ -147,29 +148,34 @@ class OneNode:
 
     def remote(self, **_: Any) -> Callable[..., Any]:
         def task(function: Callable[..., Done]) -> Any:
-            return SimpleNamespace(remote=lambda *given: partial(self._do, function, *given))
+            return SimpleNamespace(remote=partial(self._promise, function))
 
         return task
 
-    def _do(
+    def _promise(
         self, function: Callable[..., Done], piece: Piece, out: Path, wanted: dict[str, str]
-    ) -> Done:
+    ) -> Any:
+        promise: Future[Done] = Future()
         if self._lost(piece):
-            raise RuntimeError("its worker died")
-        return function(piece, out, wanted | self._versions)
+            promise.set_exception(RuntimeError("its worker died"))
+        else:
+            promise.set_result(function(piece, out, wanted | self._versions))
+        return SimpleNamespace(future=lambda: promise)
 
-    def wait(self, begun: list[Any], num_returns: int) -> tuple[list[Any], list[Any]]:
-        return begun[:num_returns], begun[num_returns:]
 
-    def get(self, promised: Callable[[], Done]) -> Done:
-        return promised()
+def on(node: OneNode) -> RayWorkers:
+    """Workers of that node, which need no Ray."""
+    workers = RayWorkers.__new__(RayWorkers)
+    workers.use(node)
+    return workers
 
 
 def test_cells_whose_clone_ray_lost_train_by_themselves(tmp_path: Path) -> None:
     matrix = alike(("soft-bc", "dqaas"))
     asked, told, out = plan(matrix), Told(), tmp_path / "ray"
     claim_folder(out)
-    ray_engine.perform_on_ray(OneNode(lambda piece: "/clone/" in piece.name), asked, out, told)
+    lossy = on(OneNode(lambda piece: "/clone/" in piece.name))
+    perform_all(asked.pieces, out, lossy, told)
     assert list(told.errors) == [one.name for one in asked.clones]
     assert "Ray gave it up (RuntimeError: its worker died)" in str(told.errors)
     write_leaderboard(asked, out)
@@ -180,7 +186,8 @@ def test_cells_whose_clone_ray_lost_train_by_themselves(tmp_path: Path) -> None:
 def test_a_node_found_unfit_later_is_named_in_the_leaderboard(tmp_path: Path) -> None:
     asked, told = plan(tiny(recipes=[], references=["still"])), Told()
     claim_folder(tmp_path)
-    ray_engine.perform_on_ray(OneNode(lambda _: False, torch="0.1"), asked, tmp_path, told)
+    other = on(OneNode(lambda _: False, torch="0.1"))
+    perform_all(asked.pieces, tmp_path, other, told)
     write_leaderboard(asked, tmp_path)
     [row] = json.loads((tmp_path / "leaderboard.json").read_text())["missing"]
     assert "has torch" in row["why"] and "this machine 0.1" in row["why"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.benchmark.engine import perform_all
+from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.matrix import Matrix
 from animarl_algos.benchmark.pieces import Done, Piece
@@ -24,14 +24,8 @@ from animarl_envs.errors import InputError
 FOLDS = 3
 
 
-class Raising:
+class Raising(Watch):
     """Nothing may fail."""
-
-    def at_once(self, number: int) -> None:
-        pass
-
-    def started(self, piece: Piece) -> None:
-        pass
 
     def ended(self, piece: Piece, done: Done) -> None:
         assert not done.error, (piece.name, done.error)
@@ -71,7 +65,7 @@ def asked(recordings: Demonstrations, tmp_path_factory: pytest.TempPathFactory) 
 def finished(asked: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("crossed") / "out"
     claim_folder(out)
-    perform_all(asked, out, 1, Raising())
+    perform_all(asked.pieces, out, Workers(), Raising())
     write_leaderboard(asked, out)
     return out
 
@@ -135,7 +129,7 @@ def test_benchmark_compares_each_recording_once_with_another(
 ) -> None:
     seen = []
     for cell in asked.only(["days/recordings"]).cells:
-        demos = cell.world_folder(finished).demos
+        demos = cell.world_run(finished).demos
         made: Rollouts = cell.rollouts(finished)
         starts = np.flatnonzero(demos.split == "test")[made.demo]
         for i, start in enumerate(starts.tolist()):

@@ -32,6 +32,6 @@ def test_what_stands_still_is_farther_from_the_recordings_than_what_repeats_them
 
 
 def test_an_unfinished_benchmark_is_one_sentence(tmp_path: Path) -> None:
-    matrix = replace(read_matrix("paper"), species=("agent",), seeds=(0,))
+    matrix = read_matrix("paper").changed(species=("agent",), seeds=(0,))
     with pytest.raises(typer.BadParameter, match=r"agent/dqn/0 is not finished: run 'animarl"):
         figure4.measured(plan(matrix).cells[:1], tmp_path)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from animarl_algos.benchmark.matrix import read_matrix
 from animarl_algos.benchmark.plan import plan
 from animarl_algos.learner.presets import constructed
@@ -13,7 +11,7 @@ from benchmarks import scale
 
 def test_every_learner_has_two_sizes_in_whole_rounds() -> None:
     units = []
-    for cell in plan(replace(read_matrix("short"), seeds=(0,))).cells:
+    for cell in plan(read_matrix("short").changed(seeds=(0,))).cells:
         if cell.settings is None or not named_recipe(cell.method).algorithm.recipe.online:
             continue
         less, more = scale.few_steps(cell.settings)

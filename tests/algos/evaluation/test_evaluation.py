@@ -11,7 +11,7 @@ import pytest
 from report_inputs import make_demos, make_rollouts, rendered, report_inputs, report_page
 from rich.console import Console
 
-from animarl_algos.benchmark.measured import labels
+from animarl_algos.benchmark.scores import labels
 from animarl_algos.evaluation import Evaluation, evaluate, measure
 from animarl_algos.evaluation.metrics import METRICS, Metric, add_metric
 from animarl_algos.evaluation.verdict_rows import SAME
