@@ -31,12 +31,15 @@ def _homes() -> dict[str, str]:
     import ast
     from importlib.resources import files
 
-    recipes = f"{__name__}.recipes"
-    registry = ast.parse((files(recipes) / "registry.py").read_text(encoding="utf-8"))
+    home = f"{__name__}.recipes.registry"
+    registry = ast.parse((files(f"{__name__}.recipes") / "registry.py").read_text(encoding="utf-8"))
     learners = {
-        node.name: f"{recipes}.registry"
-        for node in registry.body
-        if isinstance(node, ast.ClassDef) and node.name != "NamedRecipe"
+        node.value: home
+        for statement in registry.body
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__"
+        for node in ast.walk(statement.value)
+        if isinstance(node, ast.Constant)
+        and node.value not in ("RECIPES", "NamedRecipe", "named_recipe")
     }
     others = {
         "EvaluateIndividuals": "learner.callbacks",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Collection, Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -95,28 +93,6 @@ def plain(value: Any, counts: bool) -> Any:
     """Return a number as Python's own, a whole one as an int if it ``counts``."""
     value = value.item() if isinstance(value, np.generic) else value
     return int(value) if counts and isinstance(value, float) and value.is_integer() else value
-
-
-def refuse_unknown(
-    name: str, given: Mapping[str, Any], callee: Callable[..., Any], taken: Collection[str] = ()
-) -> None:
-    """Refuse keywords that ``callee`` does not know, or that are ``taken``: given by the caller.
-
-    Raises
-    ------
-    InputError
-        If there is one; the sentence starts with ``name``.
-    """
-    parameters = inspect.signature(callee).parameters
-    if any(p.kind is inspect.Parameter.VAR_KEYWORD for p in parameters.values()):
-        return
-    known = [key for key in parameters if key not in taken]
-    for key in given:
-        if key not in known:
-            raise InputError(f"{name}: {key!r} is unknown: choose among {', '.join(sorted(known))}")
-
-
-# -- sentences ------------------------------------------------------------------------------------
 
 
 def sentence(model: type[BaseModel], error: ErrorDetails) -> str:

@@ -26,6 +26,7 @@ from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.distances import kde_distance
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.packaged import load_packaged, packaged_names
@@ -77,7 +78,7 @@ def main(
         model.learn(steps, progress_bar=True)
         seconds += time.process_time() - start
         for share in epsilon or [0.1]:
-            model.policy.epsilon = share
+            model.policy.acting = Acting.epsilon_greedy(share)
             model.policy.seed(number)
             rollouts = collect_rollouts(
                 world,

@@ -48,6 +48,7 @@ from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.metrics import measure
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.learner.pretraining import validation_figures
 from animarl_algos.recipes.registry import DQDIL, DQN, named_recipe
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import AGENT
@@ -147,10 +148,10 @@ def fill_with_synthetic_episodes(model: SequenceQLearning, mean_length: int) -> 
         lengths = mean_length + np.concatenate([half, -half])
         for t in range(lengths.max()):
             memory.add(
-                rng.normal(size=(*pair, model.observation_size)),
-                rng.integers(model.policy.num_actions, size=pair),
-                rng.normal(size=pair),
-                rng.normal(size=(*pair, model.observation_size)),
+                observations=rng.normal(size=(*pair, model.observation_size)),
+                actions=rng.integers(model.policy.num_actions, size=pair),
+                rewards=rng.normal(size=pair),
+                next_observations=rng.normal(size=(*pair, model.observation_size)),
                 terminated=np.asarray(t == lengths - 1),
                 truncated=np.zeros(COPIES, dtype=bool),
                 penalties=rng.random(pair),
@@ -168,7 +169,7 @@ def epoch_time(algo: str, epochs: int) -> float:
 
     def epoch() -> None:
         phase.train_epoch(data.train)
-        phase.validate(data.val)
+        validation_figures(model.demonstrated_values(data.val), model.layout.individuals)
 
     return best_time(epoch, repeats=epochs)
 

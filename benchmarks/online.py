@@ -32,6 +32,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import load_checkpoint, save_checkpoint
 from animarl_algos.learner.presets import constructed, learner_preset
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -72,7 +73,7 @@ def learner(
 def acted(model: SequenceQLearning, scenario: Scenario, seed: int) -> Rollouts:
     """Rollouts from all starts, sampled at temperatures that fit the model as it now is."""
     assert scenario.demos is not None
-    model.policy.temperature = model.fit_temperature(model.demonstration_data().val)
+    model.policy.acting = Acting.boltzmann(model.fit_temperature(model.demonstration_data().val))
     model.policy.seed(seed)
     return collect_rollouts(
         partial(make_world, scenario),

@@ -30,7 +30,7 @@ from stable_baselines3.common.logger import Logger
 from animarl_algos.cli.run import parse_settings
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.presets import LearnerPreset, constructed, learner_preset
-from animarl_algos.learner.validation import Figures
+from animarl_algos.learner.pretraining import Figures
 from animarl_algos.recipes.registry import named_recipe
 from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations

@@ -60,7 +60,7 @@ def require_finite(model: SequenceQLearning) -> None:
         for name, parameter in network.named_parameters():
             if not torch.isfinite(parameter).all():
                 raise FloatingPointError(f"{step}: weight {name} is not finite")
-    for name, (total, _) in model.updater.losses.items():
+    for name, total in model.updater.totals.items():
         if not torch.isfinite(total).all():
             raise FloatingPointError(f"{step}: loss {name} is not finite")
     for row in model.offline_progress.history:

@@ -12,6 +12,7 @@ from stable_baselines3.common.utils import LinearSchedule
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.losses.losses import mean_recall, treatment_counts, treatment_cross_entropy
+from animarl_algos.networks.acting_rule import Acting
 
 SETTINGS: dict[str, Any] = {
     "learning_rate": 3e-3,
@@ -65,7 +66,7 @@ def read_condition(model: SequenceQLearning, seed: int, copies: int = 512) -> Re
     condition = torch.tensor(env.condition).unsqueeze(0)
     previous = np.full(copies, model.policy.num_actions)
     observed, done_before = [], []
-    model.policy.epsilon = 0.5
+    model.policy.acting = Acting.epsilon_greedy(0.5)
     for _ in range(env.time_limit):
         observed.append(observation.copy())
         done_before.append(previous.copy())

@@ -127,7 +127,7 @@ def log_draws(model: SequenceQLearning, env: ScriptedPair) -> None:
 
     def logged(batch_size: int, progress: float = 0.0) -> SequenceBatch:
         batch = sample(batch_size, progress)
-        env.log.append(batch.indices.copy())
+        env.log.append(batch.indices)
         return batch
 
     buffer.sample = logged  # type: ignore[method-assign]

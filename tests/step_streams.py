@@ -59,9 +59,8 @@ class Stream:
 
 
 def make_buffer(stream: Stream, capacity: int, **options: Any) -> SequenceReplayBuffer:
-    return SequenceReplayBuffer(
-        capacity, stream.dim, stream.individuals, NUM_ACTIONS, stream.max_steps, **options
-    )
+    sizes = (capacity, stream.dim, stream.individuals, NUM_ACTIONS, stream.max_steps)
+    return SequenceReplayBuffer(*sizes, stream.copies, **options)
 
 
 def fill(buffer: SequenceReplayBuffer, stream: Stream, count: int = 60) -> SequenceReplayBuffer:

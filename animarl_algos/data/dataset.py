@@ -4,146 +4,42 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 
-from animarl_algos.replay.store import BatchBuffers, Frames, SequenceBatch, Sequences
+from animarl_algos.replay.store import Frames, SequenceBatch, Sequences, gather
 from animarl_envs.errors import InputError
 from animarl_envs.worlds import Mirror
 
 
-def checked_array(
-    source: str, name: str, value: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
-) -> NDArray[Any]:
-    """``value`` as the kernels want it, zeros if it is not given; finite and of this shape."""
-    if value is None:
-        return np.zeros(shape, dtype=dtype)
-    array = np.ascontiguousarray(value, dtype=dtype)
-    if array.shape != shape:
-        raise InputError(
-            f"{source}: {name} have shape {array.shape}, not {shape}: "
-            "make them from the same episodes"
-        )
-    if not np.isfinite(array).all():
-        place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InputError(
-            f"{source}: {name} at {place} is not a finite number: "
-            "look for a gap in the recording there"
-        )
-    return array if array.flags.writeable else array.copy()
+def mirror_columns(batch: SequenceBatch, mirror: Mirror, chosen: torch.Tensor) -> SequenceBatch:
+    """Return the batch with the ``chosen`` (K, B) columns mirrored; padding stays padding."""
+    per_step = chosen.unsqueeze(1)
+    order, actions = torch.from_numpy(mirror.order), torch.from_numpy(mirror.actions)
+    table = torch.cat([actions, torch.tensor([len(actions), -1])])  # no action yet, and no label
 
+    def images(numbers: torch.Tensor) -> torch.Tensor:
+        return torch.where(per_step, table[numbers], numbers)
 
-def check_actions(
-    source: str,
-    names: Sequence[str],
-    actions: NDArray[np.int16],
-    first: NDArray[np.int64],
-    lengths: NDArray[np.int64],
-    num_actions: int,
-) -> None:
-    """Every frame but each episode's last needs an action of each individual."""
-    bad = (actions < 0) | (actions >= num_actions)
-    bad[first + lengths - 1] = False
-    if bad.any():
-        frame, k = (int(i) for i in np.argwhere(bad)[0])
-        episode = int(np.searchsorted(first, frame, side="right") - 1)
-        raise InputError(
-            f"{source}: episode {episode}, frame {frame - first[episode]}, "
-            f"{names[k]}: action {actions[frame, k]} is not one of 0 .. "
-            f"{num_actions - 1}: infer the actions of the recording first"
-        )
+    def per_action(values: torch.Tensor | None) -> torch.Tensor | None:
+        if values is None:
+            return None
+        return torch.where(per_step.unsqueeze(-1), values[..., actions], values)
 
-
-def leading_warmup(
-    warmup: NDArray[np.bool_], first: NDArray[np.int64], lengths: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Count the steps at the start of each episode that enter no loss, at most all of them."""
-    counted = [np.append(warmup[f : f + n - 1], False) for f, n in zip(first, lengths, strict=True)]
-    return np.array([int(np.argmin(steps)) for steps in counted], dtype=np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class Reflection:
-    """Mirrors minibatches.
-
-    Parameters
-    ----------
-    order, sign
-        ``(n,)``: the mirrored observation has component ``order[c]``, times ``sign[c]``, in place
-        c.
-    actions
-        ``(actions,)``, the mirror image of each action.
-
-    Raises
-    ------
-    InputError
-        If mirroring twice does not give back what was there.
-    """
-
-    order: NDArray[np.int64]
-    sign: NDArray[np.float32]
-    actions: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        for key, dtype in (("order", np.int64), ("sign", np.float32), ("actions", np.int64)):
-            object.__setattr__(self, key, np.array(getattr(self, key), dtype=dtype))
-        n, a = np.arange(len(self.order)), np.arange(len(self.actions))
-        once = len(self.sign) == len(n) and np.array_equal(np.sort(self.order), n)
-        if not (
-            once
-            and np.array_equal(self.order[self.order], n)
-            and np.allclose(self.sign[self.order] * self.sign, 1.0)
-            and np.array_equal(np.sort(self.actions), a)
-            and np.array_equal(self.actions[self.actions], a)
-        ):
-            raise InputError(
-                "the mirror image of the mirror image is another: give order, sign and actions of "
-                "one reflection"
-            )
-
-    @classmethod
-    def of(cls, mirror: Mirror, *, flag: bool = False) -> Reflection:
-        """Return a world's mirror as a reflection; ``flag`` adds the condition, which stays."""
-        order, sign = np.asarray(mirror.order), np.asarray(mirror.sign)
-        if flag:
-            order, sign = np.append(order, len(order)), np.append(sign, 1.0)
-        return cls(order, sign, np.asarray(mirror.actions))
-
-    def observations(self, seen: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Mirrored observations ``(..., n)``."""
-        mirrored: NDArray[np.floating] = seen[..., self.order] * self.sign
-        return mirrored
-
-    def mirror_columns(self, batch: SequenceBatch, chosen: torch.Tensor) -> SequenceBatch:
-        """The batch with the ``chosen`` (K, B) columns mirrored; padding stays padding."""
-        per_step = chosen.unsqueeze(1)
-        order, actions = torch.from_numpy(self.order), torch.from_numpy(self.actions)
-        none = len(actions)
-        table = torch.cat([actions, torch.tensor([none, -1])])  # no action yet, and no label
-
-        def images(numbers: torch.Tensor) -> torch.Tensor:
-            return torch.where(per_step, table[numbers], numbers)
-
-        def per_action(values: torch.Tensor | None) -> torch.Tensor | None:
-            if values is None:
-                return None
-            return torch.where(per_step.unsqueeze(-1), values[..., actions], values)
-
-        mirrored = batch.observations[..., order] * torch.from_numpy(self.sign)
-        return replace(
-            batch,
-            observations=torch.where(per_step.unsqueeze(-1), mirrored, batch.observations),
-            previous_actions=images(batch.previous_actions),
-            actions=images(batch.actions),
-            labels=images(batch.labels),
-            action_penalties=per_action(batch.action_penalties),
-            label_shares=per_action(batch.label_shares),
-        )
+    mirrored = batch.observations[..., order] * torch.from_numpy(mirror.sign)
+    return replace(
+        batch,
+        observations=torch.where(per_step.unsqueeze(-1), mirrored, batch.observations),
+        previous_actions=images(batch.previous_actions),
+        actions=images(batch.actions),
+        labels=images(batch.labels),
+        action_penalties=per_action(batch.action_penalties),
+        label_shares=per_action(batch.label_shares),
+    )
 
 
 class OfflineDataset:
@@ -163,14 +59,13 @@ class OfflineDataset:
         ``(episodes,)``, frames per episode.
     num_actions
         Number of actions.
-    rewards, penalties
-        ``(frames, K)``; ``None``: zeros. ``penalties`` default to those of the demonstrated action
-        if ``action_penalties`` are given.
+    rewards
+        ``(frames, K)``; ``None``: zeros.
     action_penalties
         ``(frames, K, num_actions)``, what each action would have been penalised with.
     label_shares
         ``(frames, K, num_actions)``, soft labels; ``None``: the demonstrated action is the label.
-    reflection
+    mirror
         Its mirror image is as likely as what was recorded: half of the windows are mirrored.
     terminated
         ``(episodes,)`` bool, the last step terminated the episode; ``None``: none did, so that the
@@ -181,8 +76,6 @@ class OfflineDataset:
         ``(frames,)`` bool, steps that enter no loss; ``None``: none.
     names
         Names of the individuals; they enter the shuffling. Default ``individual_0`` and so on.
-    device
-        Where batches go.
     source
         For messages: where the demonstrations come from.
 
@@ -205,18 +98,16 @@ class OfflineDataset:
         num_actions: int,
         *,
         rewards: NDArray[np.floating] | None = None,
-        penalties: NDArray[np.floating] | None = None,
         action_penalties: NDArray[np.floating] | None = None,
         label_shares: NDArray[np.floating] | None = None,
-        reflection: Reflection | None = None,
+        mirror: Mirror | None = None,
         terminated: NDArray[np.bool_] | None = None,
         condition: NDArray[Any] | None = None,
         warmup: NDArray[np.bool_] | None = None,
         names: Sequence[str] | None = None,
-        device: torch.device | str = "cpu",
         source: str = "demonstrations",
     ) -> None:
-        self.source = source
+        self.source, self.num_actions = source, num_actions
         if np.ndim(observations) != 3:
             raise InputError(
                 f"{source}: observations have shape {np.shape(observations)}: give one vector per "
@@ -227,7 +118,6 @@ class OfflineDataset:
         self.names = tuple(names or (f"individual_{i}" for i in range(k)))
         if len(set(self.names)) != k:
             raise InputError(f"{source}: names {self.names} do not name {k} individuals")
-        self.device = torch.device(device)
         size: NDArray[np.int64] = np.array(lengths, dtype=np.int64)
         if size.size == 0 or size.min() < 2 or size.sum() != frames:
             raise InputError(
@@ -235,65 +125,79 @@ class OfflineDataset:
                 f"{frames} observations: give at least two frames per episode, end to end"
             )
         first = np.cumsum(size) - size
-        checked = partial(checked_array, source)
-        labels = checked("actions", actions, np.int16, (frames, k))
-        check_actions(source, self.names, labels, first, size, num_actions)
-        each, flat = (len(size),), (frames, k)
-        scored = checked(
-            "action_penalties",
-            action_penalties,
-            np.float32,
-            (frames, k, 0 if action_penalties is None else num_actions),
-        )
-        if penalties is None and action_penalties is not None:
+        each, per_action = (len(size),), (frames, k, num_actions)
+        labels = self._checked("actions", actions, np.int16, (frames, k))
+        self._check_actions(labels, first, size)
+        penalties = np.zeros((frames, k), np.float32)
+        self._per_action: dict[str, NDArray[np.float32]] = {}
+        if action_penalties is not None:
+            scored = self._checked("action_penalties", action_penalties, np.float32, per_action)
             taken = np.maximum(labels, 0).astype(np.int64)[..., None]
             penalties = np.take_along_axis(scored, taken, axis=2)[..., 0]
-        shares = checked(
-            "label_shares",
-            label_shares,
-            np.float32,
-            (frames, k, 0 if label_shares is None else num_actions),
-        )
-        self._num_scored, self.soft = scored.shape[2], label_shares is not None
-        self._per_action = np.concatenate([scored, shares], axis=2)
-        if reflection is not None and (
-            (len(reflection.order), len(reflection.actions)) != (dim, num_actions)
-        ):
-            raise InputError(
-                f"{source}: the reflection is of {len(reflection.order)} components and "
-                f"{len(reflection.actions)} actions, not of {dim} and {num_actions}: make it for "
-                "this world"
-            )
-        self.reflection = reflection
+            self._per_action["action_penalties"] = scored
+        if label_shares is not None:
+            shares = self._checked("label_shares", label_shares, np.float32, per_action)
+            self._per_action["label_shares"] = shares
+        together = list(self._per_action.values()) or [np.zeros((frames, k, 0), np.float32)]
+        self._scored = np.concatenate(together, axis=2)
+        self.mirror = mirror
         self._frames = Frames(
-            observations=checked("observations", observations, np.float32, (*flat, dim)),
+            observations=self._checked("observations", observations, np.float32, (frames, k, dim)),
             actions=labels,
-            rewards=checked("rewards", rewards, np.float32, flat),
-            penalties=checked("penalties", penalties, np.float32, flat),
+            rewards=self._checked("rewards", rewards, np.float32, (frames, k)),
+            penalties=penalties,
             labels=labels,
-            warmup=checked("warmup", warmup, np.bool_, (frames,)),
+            warmup=self._checked("warmup", warmup, np.bool_, (frames,)),
         )
-        self._sequences = Sequences(
+        self._sequences = Sequences.zeros(len(size), k, 0)._replace(
             first=first,
-            prefix=np.zeros(each, dtype=np.int64),
             trained=size - 1,
             at_start=np.ones(each, dtype=np.bool_),
-            terminated=checked("terminated", terminated, np.bool_, each),
-            condition=checked("condition", condition, np.float32, each),
+            terminated=self._checked("terminated", terminated, np.bool_, each),
+            condition=self._checked("condition", condition, np.float32, each),
             frames=size,
-            initial_state=np.zeros((len(size), k, 0), dtype=np.float32),
         )
-        self._masked = leading_warmup(self._frames.warmup, first, size)
+        # Steps at the start of each episode that enter no loss.
+        warm = [np.append(self._frames.warmup[f : f + n - 1], False) for f, n in zip(first, size)]
+        self._masked = np.array([int(np.argmin(steps)) for steps in warm], dtype=np.int64)
         self._episodes = np.flatnonzero(self._masked < size - 1)
         if not len(self._episodes):
             raise InputError(f"{source}: all episodes end within the warm-up: shorten the warm-up")
-        self._batch = BatchBuffers(
-            k, dim, num_actions, 0, self._per_action.shape[2], pinned=self.device.type == "cuda"
-        )
 
-    @property
-    def num_individuals(self) -> int:
-        return len(self.names)
+    def _checked(
+        self, name: str, value: NDArray[Any] | None, dtype: DTypeLike, shape: tuple[int, ...]
+    ) -> NDArray[Any]:
+        """Copy ``value``, zeros if it is not given; finite and of this shape."""
+        if value is None:
+            return np.zeros(shape, dtype=dtype)
+        array = np.array(value, dtype=dtype, order="C")
+        if array.shape != shape:
+            raise InputError(
+                f"{self.source}: {name} have shape {array.shape}, not {shape}: "
+                "make them from the same episodes"
+            )
+        if not np.isfinite(array).all():
+            place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+            raise InputError(
+                f"{self.source}: {name} at {place} is not a finite number: "
+                "look for a gap in the recording there"
+            )
+        return array
+
+    def _check_actions(
+        self, actions: NDArray[np.int16], first: NDArray[np.int64], lengths: NDArray[np.int64]
+    ) -> None:
+        """Every frame but each episode's last needs an action of each individual."""
+        bad = (actions < 0) | (actions >= self.num_actions)
+        bad[first + lengths - 1] = False
+        if bad.any():
+            frame, k = (int(i) for i in np.argwhere(bad)[0])
+            episode = int(np.searchsorted(first, frame, side="right") - 1)
+            raise InputError(
+                f"{self.source}: episode {episode}, frame {frame - first[episode]}, "
+                f"{self.names[k]}: action {actions[frame, k]} is not one of 0 .. "
+                f"{self.num_actions - 1}: infer the actions of the recording first"
+            )
 
     @property
     def num_episodes(self) -> int:
@@ -305,63 +209,50 @@ class OfflineDataset:
         """Steps of all episodes, warm-up included."""
         return int(self._sequences.trained[self._episodes].sum())
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the frames and of the minibatch."""
-        arrays: list[NDArray[Any]] = [*self._frames, *self._sequences, self._per_action]
-        return sum(array.nbytes for array in arrays) + self._batch.nbytes
+    def _generators(self, root: np.random.Generator) -> list[np.random.Generator]:
+        """One for each individual, from one number drawn of ``root`` and its name.
+
+        So individuals trained together see what each would see alone.
+        """
+        seed = int(root.integers(2**63))
+        return [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in self.names]
 
     def batches(
         self, batch_size: int, generator: np.random.Generator | None = None
     ) -> Iterator[SequenceBatch]:
-        """All episodes once, in minibatches; each batch is overwritten by the next one.
+        """All episodes once, in minibatches; ``SequenceBatch.indices`` are episode numbers.
 
-        ``SequenceBatch.indices`` are episode numbers.
-
-        Parameters
-        ----------
-        generator
-            Shuffles. One number is drawn from it; with that and its name each individual gets an
-            order of its own, so that individuals trained together see what each would see alone.
-            ``None``: longest first, the same episodes for every individual; for validation.
+        ``generator`` shuffles, for each individual by itself. ``None``: longest first, the same
+        episodes for every individual; for validation.
         """
-        order = np.empty((self.num_individuals, self.num_episodes), dtype=np.int64)
+        steps = self._sequences.trained
         if generator is None:
-            steps = self._sequences.trained[self._episodes]
-            order[:] = self._episodes[np.argsort(-steps, kind="stable")]
+            longest = self._episodes[np.argsort(-steps[self._episodes], kind="stable")]
+            order = np.tile(longest, (len(self.names), 1))
         else:
-            seed = int(generator.integers(2**63))
-            for k, name in enumerate(self.names):
-                own = np.random.default_rng([seed, zlib.crc32(name.encode())])
-                order[k] = own.permutation(self._episodes)
-        return self._batches(order, batch_size)
-
-    def _batches(self, order: NDArray[np.int64], batch_size: int) -> Iterator[SequenceBatch]:
+            own = self._generators(generator)
+            order = np.stack([each.permutation(self._episodes) for each in own])
         for begin in range(0, order.shape[1], batch_size):
             chosen = order[:, begin : begin + batch_size]
-            by_length = np.argsort(-self._sequences.trained[chosen], axis=1, kind="stable")
+            by_length = np.argsort(-steps[chosen], axis=1, kind="stable")
             chosen = np.take_along_axis(chosen, by_length, axis=1)
-            yield self._filled(self._sequences, chosen, chosen).to(self.device)
+            yield self._gathered(self._sequences, chosen, chosen)
 
-    def _filled(
+    def _gathered(
         self, sequences: Sequences, slots: NDArray[np.int64], indices: NDArray[np.int64]
     ) -> SequenceBatch:
-        batch = self._batch.fill(
-            self._frames,
-            self._per_action,
-            sequences,
-            slots,
-            indices,
-            np.ones(slots.shape, dtype=np.float32),
+        batch = gather(
+            *(self._frames, sequences, slots),
+            indices=indices,
+            num_actions=self.num_actions,
+            per_action=self._scored,
         )
-        both = batch.action_penalties
-        if both is None:
-            return batch
-        return replace(
-            batch,
-            action_penalties=both[..., : self._num_scored] if self._num_scored else None,
-            label_shares=both[..., self._num_scored :] if self.soft else None,
-        )
+        scored, batch.action_penalties = batch.action_penalties, None
+        if scored is not None:
+            for place, name in enumerate(self._per_action):
+                part = slice(place * self.num_actions, (place + 1) * self.num_actions)
+                setattr(batch, name, scored[..., part])
+        return batch
 
     def windows(
         self,
@@ -374,33 +265,31 @@ class OfflineDataset:
     ) -> Iterator[SequenceBatch]:
         """``count`` minibatches of windows, drawn independently and with replacement.
 
-        Every step that enters a loss is as likely. Each batch is overwritten by the next one;
-        ``SequenceBatch.indices`` are episode numbers.
+        Every step that enters a loss is as likely. ``SequenceBatch.indices`` are episode numbers.
 
         Parameters
         ----------
         batch_size
             Windows of each individual.
         generator
-            As in :meth:`batches`: individuals trained together draw what each would draw alone.
+            As in :meth:`batches`.
         length
             Trained steps of a window, fewer at an episode's end; 1 draws single steps.
         burn_in
             Steps before them that only rebuild a memory, as many as the episode has.
         """
-        seed = int(generator.integers(2**63))
-        own = [np.random.default_rng([seed, zlib.crc32(name.encode())]) for name in self.names]
+        own = self._generators(generator)
         slots = np.arange(len(own) * batch_size).reshape(len(own), batch_size)
         for _ in range(count):
             drawn = [self._draw_windows(g, batch_size, length, burn_in) for g in own]
             windows = [np.concatenate(parts) for parts in zip(*(w for _, w in drawn), strict=True)]
-            batch = self._filled(
+            batch = self._gathered(
                 Sequences(*windows), slots, np.stack([episodes for episodes, _ in drawn])
             )
-            if self.reflection is not None:
+            if self.mirror is not None:
                 coins = np.stack([g.random(batch_size) < 0.5 for g in own])
-                batch = self.reflection.mirror_columns(batch, torch.from_numpy(coins))
-            yield batch.to(self.device)
+                batch = mirror_columns(batch, self.mirror, torch.from_numpy(coins))
+            yield batch
 
     def _draw_windows(
         self, generator: np.random.Generator, count: int, length: int, burn_in: int
@@ -409,14 +298,7 @@ class OfflineDataset:
 
         A window may hang over either end of its episode and is cut there, so that the first and
         the last steps are drawn as often as those between them; every window holds a step that
-        enters a loss.
-
-        Returns
-        -------
-        episodes : ndarray (count,)
-            Where each window lies.
-        windows : Sequences
-            In decreasing length.
+        enters a loss. Returns the episodes ``(count,)`` of the windows, in decreasing length.
         """
         whole, masked = self._sequences, self._masked
         steps = whole.trained
@@ -430,15 +312,13 @@ class OfflineDataset:
         order = np.argsort(begin - end, kind="stable")
         episode, begin, end = episode[order], begin[order], end[order]
         prefix = np.minimum(burn_in, begin)
-        return episode, Sequences(
+        return episode, Sequences.zeros(count, 1, 0)._replace(
             first=whole.first[episode] + begin - prefix,
             prefix=prefix,
             trained=end - begin,
             at_start=begin == prefix,
             terminated=whole.terminated[episode] & (end == steps[episode]),
             condition=whole.condition[episode],
-            frames=np.zeros(count, dtype=np.int64),
-            initial_state=np.zeros((count, 1, 0), dtype=np.float32),
         )
 
     def input_statistics(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -449,7 +329,7 @@ class OfflineDataset:
         entering = ~self._frames.warmup
         entering[self._sequences.first + self._sequences.frames - 1] = False
         seen = self._frames.observations[entering].astype(np.float64)
-        if self.reflection is not None:
-            seen = np.concatenate([seen, self.reflection.observations(seen)])
+        if self.mirror is not None:
+            seen = np.concatenate([seen, seen[..., self.mirror.order] * self.mirror.sign])
         mean, sd = seen.mean(axis=0), seen.std(axis=0)
         return torch.from_numpy(mean).float(), torch.from_numpy(sd).float()

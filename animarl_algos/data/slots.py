@@ -16,13 +16,7 @@ from animarl_envs.worlds.base import World
 
 
 def refuse_other_actions(learned: int, here: int) -> None:
-    """Refuse a world with another number of actions than the learner has values for.
-
-    Raises
-    ------
-    InputError
-        If the numbers differ.
-    """
+    """Refuse a world with another number of actions than the learner has values for."""
     if learned != here:
         raise InputError(
             f"Action spaces do not match, {learned} actions learned and {here} here: give the "
@@ -39,11 +33,6 @@ def refuse_other_observation(learned: tuple[str, ...], here: tuple[str, ...]) ->
     """Refuse an observation other than the one that was learned from, of the same size or not.
 
     Where one of the two is not known, as of environments of other packages, nothing is compared.
-
-    Raises
-    ------
-    InputError
-        If the animals or the components differ.
     """
     if not learned or not here or learned == here:
         return
@@ -64,23 +53,12 @@ class SlotLayout:
 
     A VecEnv without the attributes ``num_copies`` and ``individuals`` (any ordinary Gymnasium
     environment) has one individual per copy, called ``agent``. All slots of a copy end together.
-
-    Attributes
-    ----------
-    num_copies
-        Copies of the world.
-    individuals
-        The K names.
-    condition_flag
-        Whether the last observation component is the experimental condition.
-    observed
-        As :func:`observed_components` names it, nothing where the environment does not say.
     """
 
     num_copies: int
-    individuals: tuple[str, ...]
-    condition_flag: bool
-    observed: tuple[str, ...] = ()
+    individuals: tuple[str, ...]  # the K names
+    condition_flag: bool  # the last observation component is the experimental condition
+    observed: tuple[str, ...] = ()  # as observed_components has it; empty where nobody says
 
     @property
     def num_individuals(self) -> int:
@@ -102,21 +80,11 @@ class SlotLayout:
             )
         observed = getattr(env, "observed", ())
         known = observed if isinstance(observed, tuple) else ()  # another's word for something else
-        return cls(num_copies, individuals, _condition_flag(env), known)
-
-
-def _condition_flag(env: VecEnv) -> bool:
-    return bool(_declared(env, "condition_flag"))
+        return cls(num_copies, individuals, bool(_declared(env, "condition_flag")), known)
 
 
 def refuse_other_slots(there: SlotLayout, here: SlotLayout) -> None:
-    """Refuse the slots of an environment that are not those a learner was made for.
-
-    Raises
-    ------
-    InputError
-        If the names, the condition flag or what is observed differ.
-    """
+    """Refuse the slots of an environment that are not those a learner was made for."""
     if _described(there) != _described(here):
         raise InputError(
             f"the environment has {_described(there)}, this learner {_described(here)}: give "
@@ -176,26 +144,6 @@ class Feedback:
         replayed = self.get("executed")
         return actions if replayed is None else replayed
 
-    def truncated(self, done: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which copies ended by a time-out rather than by termination; ``done`` ``(copies,)``."""
-        out = np.zeros(len(done), dtype=bool)
-        slots_per_copy = len(self._infos) // len(done)
-        for copy in np.flatnonzero(done).tolist():
-            info = self._infos[copy * slots_per_copy]
-            out[copy] = info.get("TimeLimit.truncated", False)
-        return out
-
-    def successors(
-        self, observation: NDArray[np.floating], dones: NDArray[np.bool_]
-    ) -> NDArray[np.floating]:
-        """True successors: ``observation``, with the terminal one where an episode ended."""
-        if not dones.any():
-            return observation
-        out = observation.copy()
-        for s in np.flatnonzero(dones):
-            out[s] = self._infos[s]["terminal_observation"]
-        return out
-
 
 class MixedMeansWarning(UserWarning):
     """Returns of different individuals are about to be averaged."""
@@ -222,14 +170,8 @@ def focal_drivers(names: tuple[str, ...], focal: str | None) -> dict[str, str]:
 class FocalPolicy:
     """``predict`` for all slots of a world from a policy that knows one individual.
 
-    Parameters
-    ----------
-    policy
-        With stable-baselines3's ``predict``; its slots are the copies.
-    names
-        Of all individuals of the world it acts in.
-    focal
-        Whom it drives.
+    ``policy`` has stable-baselines3's ``predict``, its slots are the copies; it drives ``focal``
+    among all individuals of the world, whose ``names`` are given.
     """
 
     def __init__(self, policy: Any, names: Sequence[str], focal: str) -> None:

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.checked import POSITIVE, Range
-from animarl_algos.data.dataset import OfflineDataset, Reflection
+from animarl_algos.data.dataset import OfflineDataset
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, TIME_OUT, UNFINISHED
 from animarl_envs.errors import InputError
-from animarl_envs.fitting.tracking import Tracking, one_step_misses
+from animarl_envs.fitting.tracking import Tracking, one_step_misses, track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.focus import lone_pursuer
 from animarl_envs.species import Species
-from animarl_envs.worlds import Mirror, demonstration_observations
+from animarl_envs.worlds import Mirror, demonstration_observations, mirror
 
 HORIZON = Range(ge=1)  # [steps]
 
@@ -32,13 +32,7 @@ class Labels(StrEnum):
 
 
 def check_labels(labels: str, width: float, horizon: float = 1.0) -> None:
-    """Refuse settings of labels that are none.
-
-    Raises
-    ------
-    InputError
-        If there are no such labels, the width is not positive, or the horizon is below a step.
-    """
+    """Refuse settings of labels that are none."""
     if labels not in list(Labels):
         raise InputError(f"labels is {labels!r}: choose {', '.join(Labels)}")
     POSITIVE.check("label_width", width)
@@ -67,13 +61,7 @@ def soft_labels(
     Returns
     -------
     ``(..., actions)``, each row a distribution.
-
-    Raises
-    ------
-    InputError
-        If ``width`` is not positive.
     """
-    POSITIVE.check("label_width", width)
     exponent = -((penalties.astype(np.float64) / step) ** 2) / (2.0 * width**2)
     share = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
     return np.asarray(share / share.sum(axis=-1, keepdims=True), dtype=np.float32)
@@ -86,26 +74,20 @@ class SpeciesDemonstrations:
     Parameters
     ----------
     species
-        Its locomotion parameters infer the actions and score them all.
+        Its locomotion parameters infer the actions and score them all. Of animals that take left
+        for right half of the windows are mirrored.
     demos
         With their splits.
     learners
-        Names of the individuals to learn, by default all.
+        Names of the individuals to learn.
     condition_flag
         Whether the condition is the last observation component.
     labels
         ``"hard"``, ``"soft"`` or ``"tracking"``; see :class:`Labels`.
     label_width
         Of soft labels, in units of the thrust; see :func:`soft_labels`.
-    mirror
-        Of the world, where the animals take left for right: half of the windows are mirrored.
-    tracked
-        The same demonstrations as the world's own dynamics follows them, for ``"tracking"``.
-
-    Raises
-    ------
-    InputError
-        If there are no such labels, or tracked ones were asked for and not given.
+    label_horizon
+        Of tracking labels [steps]; see :func:`animarl_envs.fitting.tracking.track`.
     """
 
     species: Species
@@ -114,16 +96,7 @@ class SpeciesDemonstrations:
     condition_flag: bool = False
     labels: str = Labels.HARD
     label_width: float = 0.35
-    mirror: Mirror | None = None
-    tracked: Tracking | None = None
-
-    def __post_init__(self) -> None:
-        check_labels(self.labels, self.label_width)
-        if self.labels == Labels.TRACKING and self.tracked is None:
-            raise InputError(
-                "labels is 'tracking' and no tracked demonstrations were given: track the "
-                "recordings with the fitted locomotion first"
-            )
+    label_horizon: float = 1.0
 
     @cached_property
     def train(self) -> OfflineDataset:
@@ -133,55 +106,52 @@ class SpeciesDemonstrations:
     def val(self) -> OfflineDataset:
         return self._dataset("val")
 
+    @cached_property
+    def tracked(self) -> Tracking:
+        """The demonstrations as the world's own dynamics follows them."""
+        species = self.species
+        return track(self.demos, species.locomotion, species.arena, horizon=self.label_horizon)
+
     def _dataset(self, split: str) -> OfflineDataset:
-        demos, species = self._followed(), self.species
+        demos, species = self.demos, self.species
         within = np.repeat(demos.split == split, demos.lengths)
-        demos = demos.select(split=split)
-        if self.labels == Labels.TRACKING and self.tracked is not None:
+        if self.labels == Labels.TRACKING:
+            demos = replace(demos, positions=self.tracked.positions).select(split=split)
             actions = self.tracked.actions[within]
         else:
+            demos = demos.select(split=split)
             actions = demonstrated_actions(demos, species.locomotion)
         chosen = [demos.individuals.index(name) for name in self.learners]
         observations = demonstration_observations(species, demos)
+        image = mirror(species) if species.mirror_symmetric else None
         if self.condition_flag:
             flag = np.repeat(demos.condition, demos.lengths).astype(np.float32)
             column = np.broadcast_to(flag[:, None, None], (*observations.shape[:2], 1))
             observations = np.concatenate([observations, column], axis=2)
+            if image is not None:
+                order = np.append(image.order, len(image.order))
+                image = Mirror(order, np.append(image.sign, np.float32(1.0)), image.actions)
         penalties = one_step_misses(demos, species.locomotion)
         shares = None
         if self.labels == Labels.SOFT:
             thrust = np.array([own.thrust for own in species.locomotion])
             step = thrust[None, :, None] * demos.dt**2
             shares = soft_labels(penalties, step, self.label_width)[:, chosen]
-        reflection = None
-        if self.mirror is not None:
-            reflection = Reflection.of(self.mirror, flag=self.condition_flag)
         return OfflineDataset(
-            np.ascontiguousarray(observations[:, chosen]),
+            observations[:, chosen],
             actions[:, chosen],
             demos.lengths,
             species.num_actions,
             rewards=demonstration_rewards(species, demos)[:, chosen],
             action_penalties=penalties[:, chosen],
             label_shares=shares,
-            reflection=reflection,
+            mirror=image,
             terminated=(demos.outcome != TIME_OUT) & (demos.outcome != UNFINISHED),
             condition=demos.condition,
             warmup=demos.steps() < species.warmup,
             names=self.learners,
             source=f"{demos.name} ({split})",
         )
-
-    def _followed(self) -> Demonstrations:
-        """The demonstrations, with the tracked positions where they are the ones to learn from."""
-        if self.labels != Labels.TRACKING or self.tracked is None:
-            return self.demos
-        if self.tracked.positions.shape != self.demos.positions.shape:
-            raise InputError(
-                f"{self.demos.name}: tracked positions have shape {self.tracked.positions.shape}, "
-                f"not {self.demos.positions.shape}: track these demonstrations"
-            )
-        return replace(self.demos, positions=self.tracked.positions)
 
 
 def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np.float32]:

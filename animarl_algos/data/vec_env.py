@@ -6,7 +6,6 @@ reset within the same step, as SB3 expects.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -17,17 +16,16 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.options import SCENARIO_OPTIONS
 from animarl_algos.data.slots import observed_components, warn_of_mixed_means
-from animarl_algos.data.species_data import Labels, SpeciesDemonstrations, check_labels
+from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.splits import learnable
 from animarl_envs.dtw import DTWTracker
 from animarl_envs.errors import InputError, also_list_options_of
-from animarl_envs.fitting.tracking import track
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Demos, make_scenario
 from animarl_envs.species import Species
 from animarl_envs.views.common import check_actions, observation_space
-from animarl_envs.worlds import make_world, mirror
+from animarl_envs.worlds import make_world
 from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
 
 
@@ -107,7 +105,8 @@ class SlotVecEnv(VecEnv):
             **{k: v for k, v in options.items() if k in SCENARIO_OPTIONS},
         )
         if condition_flag is None:
-            condition_flag = has_both_conditions(full.species, shown)
+            both = shown is not None and len(set(shown.condition)) == 2
+            condition_flag = bool(full.species.conditions) and both
         if condition_flag:
             check_cue(cue, full.species.conditions, full.species.name)
         self.world = make_world(self.scenario, num_copies)
@@ -133,7 +132,7 @@ class SlotVecEnv(VecEnv):
         self._all_actions = np.zeros((num_copies, len(everyone)), dtype=np.int64)
         self._return = np.zeros((num_copies, len(self.individuals)))
         self._pending: NDArray[np.int64] | None = None
-        self.labels, self.label_width, self.label_horizon = labels, label_width, label_horizon
+        self._labels = (labels, label_width, label_horizon)
         self._offline_data: SpeciesDemonstrations | None = None
 
     # -- stepping ---------------------------------------------------------------------------------
@@ -165,9 +164,11 @@ class SlotVecEnv(VecEnv):
             "condition": np.repeat(world.condition, K),
         }
         if world.warming.any():
-            extras["executed"] = self.world.executed(self._all_actions)[:, self._learners].ravel()
+            extras["executed"] = world.executed(self._all_actions)[:, self._learners].ravel()
         if self._tracker is not None:
-            extras["aligned_action"] = self._aligned_actions().ravel()
+            # the demonstrated action at the step that each present state is aligned with
+            frame = self._first_frame[world.demo][:, None] + self._tracker.aligned
+            extras["aligned_action"] = self._demonstrated[frame, np.arange(K)].ravel()
         world.step(self._all_actions)
         reward = world.reward[:, self._learners]
         extras["task_reward"] = reward.astype(np.float32).ravel()
@@ -201,13 +202,6 @@ class SlotVecEnv(VecEnv):
             mean = self._return[b, pursuers if pursuers.any() else slice(None)].mean()
             infos[b * K]["episode"] = {"r": float(mean), "l": int(world.step_count[b]), "t": 0.0}
 
-    def _aligned_actions(self) -> NDArray[np.int64]:
-        """The demonstrated action at the step that each present state is aligned with, (n, K)."""
-        assert self._tracker is not None
-        frame = self._first_frame[self.world.demo][:, None] + self._tracker.aligned
-        aligned: NDArray[np.int64] = self._demonstrated[frame, np.arange(len(self._learners))]
-        return aligned
-
     def _observation(self) -> NDArray[np.float32]:
         observation = np.array(self.world.observation[:, self._learners], order="C")
         rows = observation.reshape(self.num_envs, -1)
@@ -230,21 +224,9 @@ class SlotVecEnv(VecEnv):
         if self.demos is None:
             raise InputError("the environment has no demonstrations: give demos=")
         if self._offline_data is None:  # its splits are made when first looked at
-            species = self.scenario.species
-            followed = None
-            if self.labels == Labels.TRACKING:
-                followed = track(
-                    self.demos, species.locomotion, species.arena, horizon=self.label_horizon
-                )
             self._offline_data = SpeciesDemonstrations(
-                species,
-                self.demos,
-                self.individuals,
-                self.condition_flag,
-                labels=self.labels,
-                label_width=self.label_width,
-                mirror=mirror(species) if species.mirror_symmetric else None,
-                tracked=followed,
+                *(self.scenario.species, self.demos, self.individuals, self.condition_flag),
+                *self._labels,
             )
         return self._offline_data
 
@@ -280,16 +262,3 @@ class SlotVecEnv(VecEnv):
         if issubclass(wrapper_class, Monitor) and len(self.individuals) > 1:
             warn_of_mixed_means(self.individuals)
         return [False] * len(list(self._get_indices(indices)))
-
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        return [None] * self.num_envs
-
-    def _get_indices(self, indices: Any) -> Iterable[int]:
-        if indices is None:
-            return range(self.num_envs)
-        return [indices] if isinstance(indices, int) else indices
-
-
-def has_both_conditions(species: Species, demos: Demonstrations | None) -> bool:
-    """Whether the species has conditions and the recordings hold both."""
-    return bool(species.conditions) and demos is not None and len(set(demos.condition)) == 2

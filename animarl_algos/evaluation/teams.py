@@ -27,6 +27,7 @@ from animarl_algos.evaluation.collect import Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.learner.checkpoint import load_tensors, summarise_error
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
@@ -145,7 +146,7 @@ def make_policy(
         Discrete(species.num_actions),
         lambda _: 1.0,
         individuals=AGENT.individuals,
-        epsilon=epsilon,
+        acting=Acting.epsilon_greedy(epsilon),
         seed=seed,
     )
     if weights is not None:

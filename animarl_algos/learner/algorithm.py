@@ -10,9 +10,6 @@ learning from whole episodes or pieces of them. It joins parts that know no lear
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Iterator
 from typing import Any, Self
 
 import numpy as np
@@ -21,29 +18,25 @@ from numpy.typing import NDArray
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq
-from stable_baselines3.common.utils import configure_logger, polyak_update, safe_mean
+from stable_baselines3.common.utils import configure_logger, polyak_update
 from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.base import BaseLearner
 from animarl_algos.learner.callbacks import with_progress_bar
-from animarl_algos.learner.collecting import Collector, check_environment_supports
-from animarl_algos.learner.exploration import (
-    Exploration,
-    LinearDecay,
-    fit_boltzmann_temperature,
-)
+from animarl_algos.learner.checks import check_demonstrations, check_environment_supports
+from animarl_algos.learner.collecting import Collector, Exploration, fit_boltzmann_temperature
 from animarl_algos.learner.pretraining import (
+    DemonstratedValues,
     OfflineProgress,
     Pretraining,
-    check_demonstrations,
+    demonstrated_values,
 )
 from animarl_algos.learner.updates import Updater
-from animarl_algos.learner.validation import DemonstratedValues, demonstrated_values
-from animarl_algos.losses.terms import OfflineLoss
+from animarl_algos.losses.terms import OfflineLoss, Recipe
+from animarl_algos.networks.acting_rule import Acting, Kind
 from animarl_algos.networks.policies import values_to_logits, zero_value_stream
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
-from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 FARTHEST = 1000.0
@@ -56,26 +49,32 @@ class SequenceQLearning(BaseLearner):
     Steps are steps of the world: one step of all slots of a copy counts once.
     """
 
-    exploration_schedule: LinearDecay
-    collector: Collector
-    updater: Updater
+    @property
+    def offline_recipe(self) -> Recipe:
+        """The recipe whose offline terms are minimised; see ``offline_loss``."""
+        cloning = self.offline_loss == OfflineLoss.CLONING
+        return self.recipe.cloning() if cloning else self.recipe
+
+    def demonstration_data(self) -> Any:
+        """Return the demonstrations that were given, or else the environment's own."""
+        if self.demonstrations is not None:
+            return self.demonstrations
+        own = getattr(self.env, "offline_data", None)
+        if own is None or getattr(self.env, "demos", own) is None:
+            raise InputError(
+                f"recipe {self.recipe.name} learns from demonstrations and neither it nor its "
+                "environment was given demonstrations: pass demonstrations="
+            )
+        return own() if callable(own) else own
 
     def check_learnable(self) -> None:
-        """Check the environment and the demonstrations as :meth:`learn` does before it begins.
-
-        Raises
-        ------
-        InputError
-            If they do not give what the recipe learns from.
-        """
+        """Check the environment and the demonstrations as :meth:`learn` does before it begins."""
         assert self.env is not None
         check_environment_supports(self.recipe, self.env, self.layout)
         pretraining = self.offline_epochs > 0 and not self.offline_progress.done
         if self.recipe.inverse or pretraining:
             data = self.demonstration_data()
-            check_demonstrations(
-                data, self.offline_recipe, self.policy, self.observation_size, self.env
-            )
+            check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
 
     # -- learn ------------------------------------------------------------------------------------
 
@@ -95,12 +94,9 @@ class SequenceQLearning(BaseLearner):
         episodes.
         """
         self.boundary_hooks = []
+        name = type(self).__name__ if tb_log_name is None else tb_log_name
         total_timesteps, callback = self._setup_learn(
-            total_timesteps,
-            callback,
-            reset_num_timesteps,
-            type(self).__name__ if tb_log_name is None else tb_log_name,
-            progress_bar,
+            total_timesteps, callback, reset_num_timesteps, name, progress_bar
         )
         try:
             if self.offline_epochs:
@@ -133,15 +129,14 @@ class SequenceQLearning(BaseLearner):
         if not hasattr(self, "_logger"):
             self._logger = configure_logger(self.verbose, self.tensorboard_log, "offline")
         data, policy = self.demonstration_data(), self.policy
-        assert self.env is not None
-        check_demonstrations(data, self.offline_recipe, policy, self.observation_size, self.env)
+        check_demonstrations(data, self.offline_recipe, self.q_net, self.env)
         self.offline_phase().run(data, self.logger, self.at_boundary, progress_bar=progress_bar)
         if self.offline_loss == OfflineLoss.CLONING:
             zero_value_stream(policy.q_net)
             zero_value_stream(policy.q_net_target)
         policy.reset_optimizer(self.lr_schedule(1.0))
         if self.exploration == Exploration.BOLTZMANN:
-            policy.temperature = self.fit_temperature(data.val)
+            policy.acting = Acting.boltzmann(self.fit_temperature(data.val))
         if self.recipe.inverse:
             values_to_logits(policy)
         return self.offline_progress
@@ -166,14 +161,10 @@ class SequenceQLearning(BaseLearner):
         for hook in self.boundary_hooks:
             hook.at_boundary()
 
-    def _setup_learn(
-        self,
-        total_timesteps: int,
-        callback: MaybeCallback = None,
-        reset_num_timesteps: bool = True,
-        tb_log_name: str = "run",
-        progress_bar: bool = False,
+    def _setup_learn(  # type: ignore[override]
+        self, total_timesteps: int, *args: Any
     ) -> tuple[int, BaseCallback]:
+        callback, reset_num_timesteps, *rest = args
         if self.env is None:
             raise InputError(
                 "there is no environment to learn in: give env=, or call set_env first"
@@ -181,21 +172,14 @@ class SequenceQLearning(BaseLearner):
         self.check_learnable()
         if reset_num_timesteps or self._last_obs is None:
             self.memory = self.policy.initial_state(self.n_envs)
-            assert self.replay_buffer is not None
-            self.replay_buffer.drop_running()
+            self._require_buffer().drop_running()
             self.schedule.restart_rollout()
         total_timesteps, callback = super()._setup_learn(
-            total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar
+            total_timesteps, callback, reset_num_timesteps, *rest
         )
         self._last_obs = np.array(self._last_obs)
         self.updater = Updater(self.policy, self.recipe.online)
         self.collector = Collector(self.policy, self.env, self.layout, self.recipe)
-        steps = self.exploration_steps
-        if self.exploration_fraction is not None:
-            steps = round(self.exploration_fraction * total_timesteps)
-        self.exploration_schedule = LinearDecay(
-            self.exploration_initial_eps, self.exploration_final_eps, steps
-        )
         self._set_exploration()
         return total_timesteps, callback
 
@@ -245,13 +229,14 @@ class SequenceQLearning(BaseLearner):
             and schedule.needs_more_steps(train_freq)
         ):
             last_obs: Any = self._last_obs
-            self.policy.epsilon = self.exploration_rate  # whatever a callback left there
+            self._set_exploration()  # whatever a callback left there
             at_random = self.num_timesteps < learning_starts
-            step = self.collector.step(replay_buffer, last_obs, self.memory, at_random=at_random)
             # Callbacks of stable-baselines3 read these by name.
-            actions, rewards, dones, infos = step.actions, step.rewards, step.dones, step.infos
-            new_obs, finished = step.observation, step.finished
-            self._last_obs, self._last_episode_starts, self.memory = new_obs, dones, step.memory
+            actions, new_obs, rewards, dones, infos, self.memory = self.collector.step(
+                replay_buffer, last_obs, self.memory, at_random=at_random
+            )
+            self._last_obs, self._last_episode_starts = new_obs, dones
+            finished = int(dones.sum()) // self.layout.num_individuals
             self._count(copies, finished)
             if finished:
                 over = np.flatnonzero(dones)
@@ -276,9 +261,15 @@ class SequenceQLearning(BaseLearner):
             polyak_update(online.parameters(), target.parameters(), self.tau)
 
     def _set_exploration(self) -> None:
-        """Set epsilon as it is due after the steps done."""
-        self.exploration_rate = self.exploration_schedule(self.num_timesteps)
-        self.policy.epsilon = self.exploration_rate
+        """Set epsilon as it is due after the steps done; a policy that samples has none."""
+        steps, share = self.exploration_steps, self.exploration_fraction
+        if share is not None:
+            steps = round(share * self._total_timesteps)
+        passed = min(self.num_timesteps / steps, 1.0) if steps else 1.0
+        first, last = self.exploration_initial_eps, self.exploration_final_eps
+        self.exploration_rate = first + passed * (last - first)
+        if self.policy.acting.kind is not Kind.BOLTZMANN:
+            self.policy.acting = Acting.epsilon_greedy(self.exploration_rate)
 
     def _train_if_due(self) -> None:
         """Make the updates that a rollout asks for, once it is whole."""
@@ -314,10 +305,9 @@ class SequenceQLearning(BaseLearner):
 
     def train(self, gradient_steps: int, batch_size: int = 32) -> None:
         """Make ``gradient_steps`` updates on sequences from the replay memory."""
-        buffer = self._require_buffer()
+        buffer, demonstrated = self._require_buffer(), None
         self._update_learning_rate(self.policy.optimizer)
         progress = 1.0 - self._current_progress_remaining
-        demonstrated: Iterator[SequenceBatch] | None = None
         if self.recipe.inverse:
             # By the seed and the updates done, so that a resumed run draws the same.
             generator = np.random.default_rng([self.root_seed, self._n_updates])
@@ -329,28 +319,16 @@ class SequenceQLearning(BaseLearner):
         self._n_updates += gradient_steps
 
     def dump_logs(self) -> None:
-        """Log SB3's own figures, losses per individual, epsilon, memory and steps per second."""
-        assert self.ep_info_buffer is not None
+        """Log SB3's own figures, losses per individual, epsilon and the memory's size."""
         record, buffer = self.logger.record, self._require_buffer()
         record("train/n_updates", self._n_updates, exclude="tensorboard")
         for name, means in self.updater.means().items():
             for individual, mean in zip(self.layout.individuals, means):
                 record(f"train/{name}/{individual}", mean)
-        elapsed = max((time.time_ns() - self.start_time) / 1e9, sys.float_info.epsilon)
-        speed = (self.num_timesteps - self._num_timesteps_at_start) / elapsed
-        if self.ep_info_buffer:
-            for key, name in (("r", "ep_rew_mean"), ("l", "ep_len_mean")):
-                record(f"rollout/{name}", safe_mean([info[key] for info in self.ep_info_buffer]))
-        if self.ep_success_buffer:
-            record("rollout/success_rate", safe_mean(self.ep_success_buffer))
         record("rollout/exploration_rate", self.exploration_rate)
         record("rollout/buffer_episodes", buffer.num_episodes)
         record("rollout/buffer_steps", buffer.num_steps)
-        record("time/episodes", self._episode_num, exclude="tensorboard")
-        record("time/fps", int(speed))
-        record("time/time_elapsed", int(elapsed), exclude="tensorboard")
-        record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
-        self.logger.dump(step=self.num_timesteps)
+        super().dump_logs()
 
     def demonstrated_values(self, dataset: OfflineDataset) -> DemonstratedValues:
         """Return the action values along demonstrated episodes."""
@@ -360,7 +338,7 @@ class SequenceQLearning(BaseLearner):
     def fit_temperature(self, dataset: OfflineDataset) -> NDArray[np.float64]:
         """Return Boltzmann temperatures ``(K,)`` of maximum likelihood for demonstrated actions.
 
-        To act by them: ``model.policy.temperature = model.fit_temperature(data.val)``.
+        To act by them: ``model.policy.acting = Acting.boltzmann(model.fit_temperature(data.val))``.
         """
         shown = self.demonstrated_values(dataset)
         fitted = [fit_boltzmann_temperature(v, a) for v, a in zip(shown.values, shown.actions)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections import deque
 from collections.abc import Iterable
-from typing import Any, ClassVar, Self, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
 import numpy as np
 import torch
@@ -17,13 +17,12 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 
 from animarl_algos.checked import SEED
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions, refuse_other_slots
-from animarl_algos.learner import checks, saving
+from animarl_algos.learner import checkpoint
 from animarl_algos.learner.callbacks import BoundaryCallback
-from animarl_algos.learner.checkpoint import TrainingState
+from animarl_algos.learner.checks import check_setting_combinations, translate_policy_kwargs
 from animarl_algos.learner.collecting import Memory
 from animarl_algos.learner.presets import check_settings, constructor_settings
-from animarl_algos.learner.pretraining import DemonstrationData, OfflineProgress
-from animarl_algos.learner.sb3_compat import translate_policy_kwargs
+from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.learner.settings import (
     POLICIES,
     LearnerSettings,
@@ -35,11 +34,11 @@ from animarl_algos.learner.settings import (
     settings_prose,
 )
 from animarl_algos.learner.updates import UpdateSchedule
-from animarl_algos.losses.terms import WEIGHTS, OfflineLoss, Phase, Recipe
+from animarl_algos.losses.terms import Phase, Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
-from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
+from animarl_algos.networks.policies import GruPolicy, PolicySettings
+from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
 from animarl_envs.errors import InputError
 
 TO_SB3 = (
@@ -76,10 +75,11 @@ class BaseLearner(OffPolicyAlgorithm):
     seed, device, verbose, tensorboard_log
         As in stable-baselines3.
     settings
-        Those of :class:`.settings.LearnerSettings`. What is not given, ``policy`` too, is preset
-        ``default``'s in ``zoo_configs``, as on the command line: of the species of ``env`` where it
-        is one of the package's, else what is common to all; with ``offline_epochs`` above 0 that of
-        the recipe's ``-pt`` name. ``default_settings(env)`` returns the numbers.
+        Those of :class:`.settings.LearnerSettings`, which then are attributes. What is not given,
+        ``policy`` too, is preset ``default``'s in ``zoo_configs``, as on the command line: of the
+        species of ``env`` where it is one of the package's, else what is common to all; with
+        ``offline_epochs`` above 0 that of the recipe's ``-pt`` name. ``default_settings(env)``
+        returns the numbers.
 
     Raises
     ------
@@ -99,38 +99,24 @@ class BaseLearner(OffPolicyAlgorithm):
     policy: GruPolicy
     policy_class: type[GruPolicy]
     replay_buffer: SequenceReplayBuffer | None  # type: ignore[assignment]
-    target_update_interval: int | tuple[int, str]
-    updates_per_episode: float
-    exploration: str
-    exploration_initial_eps: float
-    exploration_final_eps: float
-    exploration_steps: int
-    exploration_fraction: float | None
-    lambda1: float
-    n_steps: int
-    sequence_length: int | None
-    burn_in: int
-    state_mode: str
-    prioritized: bool
-    standardise_inputs: bool
-    max_episode_steps: int | None
-    offline_loss: str
-    offline_epochs: int
-    offline_learning_rate: float
-    offline_batch_size: int
-    offline_scaled_penalties: bool
-    offline_patience: int | None
-    offline_kwargs: dict[str, Any]
-    offline_settings: OfflineSettings
-    episode_limit: int | None
     memory: Memory
+    if TYPE_CHECKING:
+
+        def __getattr__(self, setting: str) -> Any: ...
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         """``help`` of a recipe shows all parameters, after what it says itself."""
         super().__init_subclass__(**keywords)
+        text = inspect.cleandoc(BaseLearner.__doc__ or "")
+        parameters = text.partition("Parameters\n")[2].partition("\n\n")[0]
+        prose = [
+            f"{name}\n    {said}"
+            for name, said in settings_prose().items()
+            if name not in ("policy", "learning_rate")
+        ]
         own = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
         if "Parameters\n---" not in own:
-            cls.__doc__ = "\n\n".join([own, PARAMETERS])
+            cls.__doc__ = "\n".join([own, "", "Parameters", parameters, *prose])
 
     @classmethod
     def default_settings(
@@ -146,7 +132,7 @@ class BaseLearner(OffPolicyAlgorithm):
         env: GymEnv | str | None = None,
         learning_rate: float | Schedule | None = None,
         *,
-        demonstrations: DemonstrationData | None = None,
+        demonstrations: Any = None,
         tensorboard_log: str | None = None,
         verbose: int = 0,
         seed: int | None = None,
@@ -184,8 +170,7 @@ class BaseLearner(OffPolicyAlgorithm):
         except AssertionError as error:
             raise InputError(f"the environment does not suit these learners: {error}") from error
         self.policy_kwargs = policy_kwargs  # sb3-contrib adds an optimiser of its own
-        for name, value in whole.items():
-            setattr(self, name, value)
+        vars(self).update(whole)
         self.demonstrations = demonstrations
         self.exploration_rate = self.exploration_initial_eps
         self.offline_progress = OfflineProgress()
@@ -193,9 +178,8 @@ class BaseLearner(OffPolicyAlgorithm):
         self.acting_rule: Acting | None = None
         self.saved_by = self._kind()
         if _init_setup_model:
-            checks.check_setting_combinations(
-                vars(self), self.recipe, self.policy_class.recurrent, self.quantiles
-            )
+            recurrent = self.policy_class.recurrent
+            check_setting_combinations(vars(self), self.recipe, recurrent, self.quantiles)
             self._setup_model()
 
     @classmethod
@@ -209,7 +193,6 @@ class BaseLearner(OffPolicyAlgorithm):
         self.train_freq = as_frequency(self.train_freq)  # type: ignore[assignment]
         if self.seed is not None:
             self.seed = SEED.check("seed", self.seed)
-        checks.check_arguments(vars(self), self.policy_class)
         self.offline_settings = OfflineSettings.of(self.offline_kwargs)
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
@@ -229,30 +212,20 @@ class BaseLearner(OffPolicyAlgorithm):
         self.boundary_hooks: list[BoundaryCallback] = []
 
     def _make_policy(self) -> GruPolicy:
-        kwargs = dict(self.policy_kwargs)
-        if "optimizer_class" not in kwargs:
-            fused = {"fused": True}  # Adam's steps of all parameters in one call
-            given = kwargs.get("optimizer_kwargs") or {}
-            if not isinstance(given, dict):
-                raise InputError(f"policy_kwargs: optimizer_kwargs is {given!r}: give a table")
-            kwargs["optimizer_kwargs"] = fused | given
-        layout = self.layout
-        policy = self.policy_class(
+        rule = Acting.epsilon_greedy(self.exploration_rate)
+        if self.recipe.inverse:
+            rule = Acting.boltzmann(1.0)
+        return self.policy_class(
             self.observation_space,
             self.action_space,
             self.lr_schedule,
-            individuals=layout.individuals,
-            condition_flag=layout.condition_flag,
-            treatment_head=self.recipe.needs_condition and layout.condition_flag,
+            individuals=self.layout.individuals,
+            condition_flag=self.layout.condition_flag,
+            treatment_head=self.recipe.needs_condition and self.layout.condition_flag,
+            acting=self.acting_rule or rule,
             seed=self.root_seed,
-            **kwargs,
+            **PolicySettings.read(self.policy_kwargs, "policy_kwargs: "),
         ).to(self.device)
-        policy.epsilon = self.exploration_rate
-        if self.recipe.inverse:
-            policy.temperature = 1.0
-        if self.acting_rule is not None:
-            policy.acting = self.acting_rule
-        return policy
 
     def _make_replay_buffer(self) -> SequenceReplayBuffer:
         assert self.episode_limit is not None
@@ -262,16 +235,16 @@ class BaseLearner(OffPolicyAlgorithm):
             self.layout.num_individuals,
             self.policy.num_actions,
             self.episode_limit,
+            self.layout.num_copies,
             sequence_length=self.sequence_length,
             burn_in=self.burn_in,
             state_mode=self.state_mode,
-            state_size=self.policy.q_net.units,
+            state_size=self.q_net.units,
             prioritized=self.prioritized,
             seed=self.root_seed,
             names=self.layout.individuals,
             device=self.device,
-            num_copies=self.layout.num_copies,
-            **self.replay_buffer_kwargs,
+            **ReplaySettings.read(self.replay_buffer_kwargs, "replay_buffer_kwargs: "),
         )
 
     @property
@@ -324,52 +297,20 @@ class BaseLearner(OffPolicyAlgorithm):
     def phase(self, name: str) -> Phase:
         """Return the numbers of the ``"online"`` or ``"offline"`` phase."""
         online = name == "online"
-        prefix = "" if online else "offline_"
-        own = {"gamma", "max_grad_norm", *WEIGHTS} - {"lambda1"}  # of which there is one for both
+        own = ("gamma", "alpha", "lambda2", "lambda3", "max_grad_norm")
         return Phase(
             name=name,
             lambda1=self.lambda1,
             scaled_penalties=self.offline_scaled_penalties and not online,
             n_steps=self.n_steps if online else 1,
-            **{key: getattr(self, prefix + key) for key in own},
+            **{key: getattr(self, key if online else f"offline_{key}") for key in own},
         )
-
-    @property
-    def offline_recipe(self) -> Recipe:
-        """The recipe whose offline terms are minimised; see ``offline_loss``."""
-        cloning = self.offline_loss == OfflineLoss.CLONING
-        return self.recipe.cloning() if cloning else self.recipe
-
-    def demonstration_data(self) -> DemonstrationData:
-        """Return the demonstrations that were given, or else the environment's own.
-
-        Raises
-        ------
-        InputError
-            If there are none.
-        """
-        if self.demonstrations is not None:
-            return self.demonstrations
-        own = getattr(self.env, "offline_data", None)
-        if own is None or getattr(self.env, "demos", own) is None:
-            raise InputError(
-                f"recipe {self.recipe.name} learns from demonstrations and neither it nor its "
-                "environment was given demonstrations: pass demonstrations="
-            )
-        data: DemonstrationData = own() if callable(own) else own
-        return data
 
     # -- act --------------------------------------------------------------------------------------
 
-    def predict(
-        self,
-        observation: NDArray[Any] | dict[str, NDArray[Any]],
-        state: tuple[NDArray[Any], ...] | None = None,
-        episode_start: NDArray[Any] | None = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[Any], Memory]:
+    def predict(self, *observation: Any, **memory: Any) -> tuple[NDArray[Any], Memory]:  # type: ignore[override]
         """Actions of all slots and their memories; see :meth:`GruPolicy.predict`."""
-        return self.policy.predict(observation, state, episode_start, deterministic)
+        return self.policy.predict(*observation, **memory)
 
     def remember(self, state: Memory, executed: NDArray[np.integer]) -> Memory:
         """See :meth:`GruPolicy.remember`."""
@@ -383,17 +324,17 @@ class BaseLearner(OffPolicyAlgorithm):
 
     def save(
         self,
-        path: saving.Place,
+        path: checkpoint.Place,
         exclude: Iterable[str] | None = None,
         include: Iterable[str] | None = None,
     ) -> None:
-        """All settings and the networks, as in stable-baselines3; epsilon and temperature too."""
+        """All settings, the networks and the acting rule, as in stable-baselines3."""
         self.acting_rule = self.policy.acting
-        with saving.whole_file(path, ".zip") as file:
+        with checkpoint.whole_file(path, ".zip") as file:
             super().save(file, exclude, include)
 
     @classmethod
-    def load(cls, path: saving.Place, *arguments: Any, **keywords: Any) -> Self:  # type: ignore[override]
+    def load(cls, path: checkpoint.Place, *arguments: Any, **keywords: Any) -> Self:  # type: ignore[override]
         """A learner from :meth:`save`; arguments as in stable-baselines3.
 
         The file holds pickles, which can run code: load only your own.
@@ -406,14 +347,14 @@ class BaseLearner(OffPolicyAlgorithm):
         """
         given = {name: keywords[name] for name in default_settings() if name in keywords}
         keywords |= check_settings(given)
-        with saving.loading(path, cls._kind()):
+        with checkpoint.loading(path, cls._kind()):
             return super().load(path, *arguments, **keywords)
 
-    def save_replay_buffer(self, path: saving.Place) -> None:
+    def save_replay_buffer(self, path: checkpoint.Place) -> None:
         """Write the replay memory as an ``npz`` archive, whatever the name of ``path``."""
-        saving.save_replay(self._require_buffer(), path)
+        checkpoint.save_replay(self._require_buffer(), path)
 
-    def load_replay_buffer(self, path: saving.Place, truncate_last_traj: bool = True) -> None:
+    def load_replay_buffer(self, path: checkpoint.Place, truncate_last_traj: bool = True) -> None:
         """Read the finished episodes of :meth:`save_replay_buffer`; training begins new ones.
 
         Raises
@@ -422,7 +363,7 @@ class BaseLearner(OffPolicyAlgorithm):
             If it is none, or was saved with other settings.
         """
         buffer = self._require_buffer()
-        saving.load_replay(buffer, path)
+        checkpoint.load_replay(buffer, path)
         buffer.allocate_staging(self.layout.num_copies)
         self._last_obs = None
 
@@ -450,17 +391,19 @@ class BaseLearner(OffPolicyAlgorithm):
             "buffer_size": self.buffer_size,
         }
 
-    def training_state(self) -> TrainingState:
+    def training_state(self) -> checkpoint.State:
         """Return all that is needed to go on exactly, but the replay memory."""
         policy, progress = self.policy, self.offline_progress
-        counters = {name: getattr(self, name) for name in COUNTERS}
-        counters["schedule"] = vars(self.schedule)
-        counters["offline_progress"] = progress.to_json()
-        counters["policy_random_state"] = policy.random_state
-        counters["acting"] = policy.acting.to_json()
-        counters["late_episodes"] = [
-            {key: float(value) for key, value in info.items()} for info in self.ep_info_buffer or ()
-        ]
+        counters = {name: getattr(self, name) for name in COUNTERS} | {
+            "schedule": vars(self.schedule),
+            "offline_progress": progress.to_json(),
+            "policy_random_state": policy.random_state,
+            "acting": policy.acting.to_json(),
+            "late_episodes": [
+                {key: float(value) for key, value in info.items()}
+                for info in self.ep_info_buffer or ()
+            ],
+        }
         arrays: dict[str, NDArray[Any]] = {}
         if self.env is not None and hasattr(self.env, "get_state") and self._last_obs is not None:
             arrays = {f"env/{key}": value for key, value in self.env.get_state().items()}
@@ -474,9 +417,9 @@ class BaseLearner(OffPolicyAlgorithm):
             "best_weights": progress.best_weights,
             "average_weights": progress.average_weights,
         }
-        return TrainingState(counters, arrays, tensors)
+        return counters, arrays, tensors
 
-    def restore_training_state(self, state: TrainingState) -> None:
+    def restore_training_state(self, state: checkpoint.State) -> None:
         """Go on from a :meth:`training_state`.
 
         An environment without ``get_state`` and ``set_state`` starts new episodes instead of
@@ -488,8 +431,10 @@ class BaseLearner(OffPolicyAlgorithm):
             average = {name: value.to(self.device) for name, value in average.items()}
         vars(self).update({name: counters[name] for name in COUNTERS})
         self.schedule = UpdateSchedule(**counters["schedule"])
-        self.offline_progress = OfflineProgress.from_json(
-            counters["offline_progress"], tensors["best_weights"], average
+        self.offline_progress = OfflineProgress(
+            **counters["offline_progress"],
+            best_weights=tensors["best_weights"],
+            average_weights=average,
         )
         policy.random_state = counters["policy_random_state"]
         policy.acting = Acting.from_json(counters["acting"])
@@ -505,17 +450,3 @@ class BaseLearner(OffPolicyAlgorithm):
             self._last_obs = arrays["last_observation"]
             self._last_episode_starts = arrays["episode_starts"]
             self.memory = (arrays["hidden"], arrays["previous_action"])
-
-
-def _parameters(documented: type) -> str:
-    """What a docstring says under Parameters, to the next empty line."""
-    text = inspect.cleandoc(documented.__doc__ or "")
-    return text.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
-
-
-_PROSE = (
-    f"{name}\n    {text}"
-    for name, text in settings_prose().items()
-    if name not in ("policy", "learning_rate")
-)
-PARAMETERS = "\n".join(["Parameters", "----------", _parameters(BaseLearner), *_PROSE])

@@ -12,7 +12,7 @@ import sys
 import threading
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,6 @@ from tqdm.auto import tqdm
 from animarl_algos.checked import COUNT
 from animarl_algos.data.slots import Feedback, SlotLayout
 from animarl_algos.learner.checkpoint import save_checkpoint
-from animarl_algos.learner.collecting import Memory
 from animarl_envs.errors import InputError
 
 TERMINATED = 128 + signal.SIGTERM
@@ -166,25 +165,10 @@ class IndividualReturns(NamedTuple):
         return dict(zip(self.individuals, self.returns.mean(axis=0).tolist(), strict=True))
 
 
-class Actor(Protocol):
-    """What acts in an evaluation: a learner or its policy."""
-
-    def predict(
-        self,
-        observation: NDArray[Any],
-        state: Memory | None,
-        episode_start: NDArray[Any] | None,
-        deterministic: bool,
-        /,
-    ) -> tuple[NDArray[Any], Memory]: ...
-
-    def remember(self, state: Memory, executed: NDArray[np.integer]) -> Memory: ...
-
-
 def evaluate_individuals(
-    model: Actor, env: VecEnv, episodes: int = 10, *, deterministic: bool = True
+    model: Any, env: VecEnv, episodes: int = 10, *, deterministic: bool = True
 ) -> IndividualReturns:
-    """Let ``model`` act in ``env`` for so many episodes of the world.
+    """Let ``model``, a learner or its policy, act in ``env`` for so many episodes of the world.
 
     Each copy of the world contributes the same number of them or one more, as in
     stable-baselines3: short episodes are not preferred.

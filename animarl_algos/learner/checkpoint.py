@@ -1,4 +1,6 @@
-"""Checkpoints from which a run goes on exactly: same weights as if it had never been stopped (CPU).
+"""Checkpoints, models and replay memories on disk: written whole or not at all, checked when read.
+
+From a checkpoint a run goes on exactly: same weights as if it had never been stopped (CPU).
 
 A checkpoint is a folder ``checkpoint_000012`` with
 
@@ -26,46 +28,29 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3.common.save_util import open_path
 
 from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer
 from animarl_envs.errors import InputError
+from animarl_envs.files import write_then_rename
 
 FORMAT = 2
 PREFIX = "checkpoint_"
 OWN_NAME = re.compile(PREFIX + r"\d+(\.part)?")
 
 
-class TrainingState(NamedTuple):
-    """All that a learner needs to go on exactly, but its replay memory.
-
-    ``counters`` are JSON-like, ``arrays`` the environment's state and the running episodes',
-    ``tensors`` the weights.
-    """
-
-    counters: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
-    tensors: dict[str, Any]
-
-
-class Checkpointed(Protocol):
-    """A learner as checkpoints see it."""
-
-    @property
-    def replay_buffer(self) -> SequenceReplayBuffer | None: ...
-
-    def identity(self) -> dict[str, Any]:
-        """What a checkpoint must agree with, JSON-like."""
-        ...
-
-    def training_state(self) -> TrainingState: ...
-
-    def restore_training_state(self, state: TrainingState) -> None: ...
+State = tuple[dict[str, Any], dict[str, NDArray[Any]], dict[str, Any]]
+"""All that a learner needs to go on exactly, but its replay memory: counters (JSON-like), arrays
+(the environment's state and the running episodes'), tensors (the weights)."""
+Place = str | Path | io.BufferedIOBase
+SAVED_BY = "saved_by"
+"""Under this name a zip file says which class, recipe and kind of values it is of."""
 
 
 def latest_checkpoint(folder: str | Path) -> Path | None:
@@ -84,18 +69,12 @@ def _number(checkpoint: Path) -> int:
 
 
 def steps_done(checkpoint: Path) -> int:
-    """Return the world steps that a run had done at a checkpoint.
-
-    Raises
-    ------
-    InputError
-        If the checkpoint is damaged.
-    """
+    """Return the world steps that a run had done at a checkpoint."""
     with _damage_refused(checkpoint):
         return int(_state(checkpoint)["counters"]["num_timesteps"])
 
 
-def save_checkpoint(model: Checkpointed, folder: str | Path) -> Path:
+def save_checkpoint(model: Any, folder: str | Path) -> Path:
     """Write a checkpoint of ``model`` into ``folder`` and remove those before.
 
     Raises
@@ -117,7 +96,7 @@ def save_checkpoint(model: Checkpointed, folder: str | Path) -> Path:
         if model.replay_buffer is not None:
             replay = model.replay_buffer.state()
             _write(part / "replay.npz", lambda file: np.savez(file, **replay))
-        _write(part / "run.npz", lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+        _write(part / "run.npz", lambda file: np.savez(file, **arrays))
         generator, keys, *rest = np.random.get_state()  # noqa: NPY002
         state = {
             "format": FORMAT,
@@ -186,7 +165,7 @@ def summarise_error(error: Exception) -> str:
     return textwrap.shorten(line, 120, placeholder=" ...", break_on_hyphens=False)
 
 
-def load_checkpoint(model: Checkpointed, folder: str | Path) -> None:
+def load_checkpoint(model: Any, folder: str | Path) -> None:
     """Put ``model`` into the state of the newest checkpoint in ``folder`` (or of ``folder``
     itself).
 
@@ -217,7 +196,7 @@ def load_checkpoint(model: Checkpointed, folder: str | Path) -> None:
         if model.replay_buffer is not None:
             model.replay_buffer.restore(_arrays(path / "replay.npz"))
         torch_random_state = tensors.pop("torch_random_state")
-        model.restore_training_state(TrainingState(state["counters"], arrays, tensors))
+        model.restore_training_state((state["counters"], arrays, tensors))
         torch.set_rng_state(torch_random_state)
         name, keys, *rest = state["numpy_random_state"]
         np.random.set_state((name, np.array(keys, dtype=np.uint32), *rest))  # noqa: NPY002
@@ -231,18 +210,13 @@ def cloned_progress(folder: str | Path) -> OfflineProgress:
     It is to be of soft-label cloning alone, with the same networks, demonstrations, seed and
     offline settings as that learner's. Its ``learn`` then goes on as if the phase, which draws from
     no stream that lasts, had been its own.
-
-    Raises
-    ------
-    InputError
-        If there is none, or it is damaged.
     """
     path = latest_checkpoint(folder)
     if path is None:
         raise InputError(f"{folder}: there is no checkpoint in it: name the folder of a run")
     with _damage_refused(path):
         row = _state(path)["counters"]["offline_progress"] | {"done": False}
-        return OfflineProgress.from_json(row, load_tensors(path / "model.pt")["q_net"], None)
+        return OfflineProgress(**row, best_weights=load_tensors(path / "model.pt")["q_net"])
 
 
 def _state(path: Path) -> dict[str, Any]:
@@ -291,3 +265,83 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+# -- models and replay memories -------------------------------------------------------------------
+
+
+@contextmanager
+def whole_file(path: Place, suffix: str) -> Iterator[Place]:
+    """Yield where to write a file that is to be at ``path``, whole or not at all; a stream itself.
+
+    A name without a suffix gets ``suffix``.
+    """
+    if not isinstance(path, (str, Path)):
+        yield path
+        return
+    named = Path(path)
+    with write_then_rename(named if named.suffix else Path(f"{path}{suffix}")) as part:
+        yield part
+
+
+@contextmanager
+def loading(path: Place, saved_by: dict[str, Any]) -> Iterator[None]:
+    """Refuse a zip file that a learner of another kind saved; say what fails as it is loaded."""
+    found, name = _saved_by(path), saved_by["name"]
+    if found is None:
+        raise InputError(f"{path}: it is no model of {name}: load it with the class that saved it")
+    if any(found.get(key) != saved_by[key] for key in ("recipe", "quantiles")):
+        raise InputError(
+            f"{path}: it was saved by {found['name']} and is no {name}: load it with "
+            f"{found['name']}.load"
+        )
+    try:
+        yield
+    except ValueError as error:
+        if "spaces do not match" not in str(error):
+            raise
+        raise InputError(f"{path}: {error}: give the environment it was trained in") from error
+
+
+def _saved_by(path: Place) -> dict[str, Any] | None:
+    """Return what a zip file says of its learner, pickles unread; None if it is no such file."""
+    with _opened(path, "r", "zip") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                found: dict[str, Any] = json.loads(archive.read("data"))[SAVED_BY]
+                return dict(found)
+        except (zipfile.BadZipFile, LookupError, TypeError, ValueError):
+            return None
+        finally:
+            if not isinstance(path, str | Path):  # one that was given is read again
+                path.seek(0)
+
+
+@contextmanager
+def _opened(path: Place, mode: str, suffix: str | None) -> Iterator[Any]:
+    """Yield the file at ``path``, as stable-baselines3 finds it; one that was given stays open."""
+    file = open_path(path, mode, suffix=suffix)
+    try:
+        yield file
+    finally:
+        if file is not path:
+            file.close()
+
+
+def save_replay(buffer: SequenceReplayBuffer, path: Place) -> None:
+    """Write a replay memory as an ``npz`` archive, whatever the name of ``path``."""
+    with whole_file(path, ".npz") as place, _opened(place, "w", None) as file:
+        np.savez(file, **buffer.state())
+
+
+def load_replay(buffer: SequenceReplayBuffer, path: Place) -> None:
+    """Read into ``buffer`` what :func:`save_replay` wrote."""
+    try:
+        with _opened(path, "r", "npz") as file, np.load(file, allow_pickle=False) as arrays:
+            buffer.restore(dict(arrays))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (OSError, EOFError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: this is no replay memory saved by save_replay_buffer ({error})"
+        ) from error

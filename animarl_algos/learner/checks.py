@@ -1,44 +1,22 @@
-"""Which settings of a learner go together, and which arguments its parts take."""
+"""What a learner refuses before it starts, and its settings in stable-baselines3's words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
+from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
 
-from animarl_algos.checked import refuse_unknown
-from animarl_algos.learner.exploration import Exploration
+from animarl_algos.data.slots import SlotLayout, provided
+from animarl_algos.learner.collecting import Exploration
 from animarl_algos.learner.settings import as_frequency
-from animarl_algos.losses.terms import Recipe
-from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.sequence_buffer import SequenceReplayBuffer, StateMode
+from animarl_algos.losses.terms import Recipe, ScoredActionsTemporalDifference
+from animarl_algos.networks.networks import StackedQNetwork
+from animarl_algos.replay.sequence_buffer import StateMode
 from animarl_envs.errors import InputError
-
-SET_BY_LEARNER = {
-    "observation_space", "action_space", "lr_schedule", "individuals", "condition_flag",
-    "treatment_head", "buffer_size", "observation_dim", "num_individuals", "num_actions",
-    "max_episode_steps", "sequence_length", "burn_in", "state_mode", "state_size", "prioritized",
-    "seed", "names", "device", "num_copies", "epsilon", "acting",
-}  # fmt: skip
-"""Arguments of the policy and the replay memory that come from elsewhere than their ``kwargs``."""
-
-
-def check_arguments(settings: Mapping[str, Any], policy_class: type[GruPolicy]) -> None:
-    """Refuse unknown arguments of the policy and of the replay memory.
-
-    Raises
-    ------
-    InputError
-        If one is unknown, or no update would be done.
-    """
-    for name, taker in (
-        ("policy_kwargs", policy_class),
-        ("replay_buffer_kwargs", SequenceReplayBuffer),
-    ):
-        refuse_unknown(name, settings[name], taker, SET_BY_LEARNER)
-    if settings["gradient_steps"] == 0:
-        raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
 
 
 def check_setting_combinations(
@@ -46,22 +24,16 @@ def check_setting_combinations(
 ) -> None:
     """Refuse settings of a new learner of which one makes another useless.
 
-    Parameters
-    ----------
-    recurrent
-        Whether the policy has a memory.
-    quantiles
-        Whether values are quantiles of the return.
-
-    Raises
-    ------
-    InputError
-        If there are any.
+    ``recurrent`` says whether the policy has a memory, ``quantiles`` whether values are quantiles
+    of the return.
     """
+    updates, epochs = settings["gradient_steps"], settings["offline_epochs"]
     frequency = as_frequency(settings["train_freq"])
-    if frequency.unit is TrainFrequencyUnit.EPISODE and settings["gradient_steps"] != 1:
+    if updates == 0:
+        raise InputError("gradient_steps is 0: give at least 1, or -1 for as many as steps")
+    if frequency.unit is TrainFrequencyUnit.EPISODE and updates != 1:
         raise InputError(
-            f"gradient_steps is {settings['gradient_steps']} and train_freq counts episodes: "
+            f"gradient_steps is {updates} and train_freq counts episodes: "
             "give updates_per_episode instead, or a train_freq in steps"
         )
     length, burn_in, n_steps = (settings[n] for n in ("sequence_length", "burn_in", "n_steps"))
@@ -87,7 +59,6 @@ def check_setting_combinations(
             f"exploration is {settings['exploration']!r} and recipe {recipe.name} learns from "
             "steps that its policy samples: set it to 'boltzmann'"
         )
-    epochs = settings["offline_epochs"]
     if epochs and not recipe.offline:
         raise InputError(
             f"recipe {recipe.name} learns without demonstrations: set offline_epochs to 0"
@@ -96,3 +67,107 @@ def check_setting_combinations(
         raise InputError(
             f"recipe {recipe.name} learns from demonstrations alone: give offline_epochs"
         )
+
+
+def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) -> None:
+    """Refuse an environment that does not give what a recipe learns from."""
+    given = provided(env)
+    for needed, name, words in (
+        (recipe.needs_distance, "dtw_penalty", "the distance to a demonstration"),
+        (recipe.needs_alignment, "aligned_action", "aligned demonstrated actions"),
+    ):
+        if needed and name not in given:
+            raise InputError(
+                f"recipe {recipe.name} needs {words} and the environment declares none ({name!r} "
+                "in its attribute feedback): learn in a SlotVecEnv with demonstrations, or wrap a "
+                "single environment in the DTW reward"
+            )
+    if recipe.needs_condition and not layout.condition_flag:
+        raise InputError(
+            f"recipe {recipe.name} needs the condition flag as the last observation component and "
+            "the environment has none: wrap it in the condition-flag wrapper"
+        )
+
+
+def check_demonstrations(data: Any, recipe: Recipe, network: StackedQNetwork, env: Any) -> None:
+    """Refuse demonstrations of other individuals, another observation or other actions."""
+    for name, dataset in (("training", data.train), ("validation", data.val)):
+        batch = next(iter(dataset.batches(1)), None)
+        if batch is None:
+            raise InputError(
+                f"the {name} split holds no demonstrated episode: split the data again"
+            )
+        mine = (len(network.individuals), network.input_mean.shape[-1])
+        theirs = (batch.num_individuals, batch.observations.shape[-1])
+        if mine != theirs:
+            raise InputError(
+                f"the {name} demonstrations have {theirs[0]} individuals with {theirs[1]} "
+                f"observation components, the environment {mine[0]} with {mine[1]}: "
+                "make them for this environment"
+            )
+        known = getattr(dataset, "individuals", None)  # of this package's datasets, if named
+        placed = getattr(env, "individuals", None)  # of a VecEnv of slots
+        if isinstance(known, tuple) and placed is not None and known != tuple(placed):
+            raise InputError(
+                f"the {name} demonstrations are of {', '.join(known)}, the environment's "
+                f"individuals are {', '.join(network.individuals)}: make them for this environment"
+            )
+        scored = batch.action_penalties
+        highest = int(batch.actions.max()) if scored is None else scored.shape[-1] - 1
+        if highest >= network.num_actions:
+            raise InputError(
+                f"the {name} demonstrations hold action {highest}, the environment has "
+                f"{network.num_actions}: make them for this environment"
+            )
+        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in recipe.offline)
+        if scores and scored is None:
+            raise InputError(
+                f"the {name} demonstrations carry no penalties of all actions, which "
+                f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
+                "their species"
+            )
+
+
+AS_IT_IS = {
+    "activation_fn": (
+        nn.ReLU, "hidden layers are rectified here, so give torch.nn.ReLU or leave it out",
+    ),
+    "features_extractor_class": (
+        FlattenExtractor,
+        "observations are flattened here, so give FlattenExtractor, leave it out, or put the "
+        "features into the observation with a wrapper",
+    ),
+    "features_extractor_kwargs": (None, "flattening takes none, so leave it out"),
+}  # fmt: skip
+"""Names of stable-baselines3 that may say what the networks do anyway, and why nothing else."""
+
+
+def translate_policy_kwargs(policy_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table ``policy_kwargs`` without the names that only stable-baselines3 has.
+
+    ``net_arch=[64, 64]`` becomes ``hidden=64, depth=2``: the layers that encode an observation, as
+    many as are listed; the memory and the dueling head come on top. ``activation_fn=ReLU`` and
+    ``features_extractor_class=FlattenExtractor`` are what the networks do anyway.
+    """
+    table = dict(policy_kwargs)
+    layers = table.pop("net_arch", None)
+    if layers is not None:
+        both = [name for name in ("hidden", "depth") if name in table]
+        if both:
+            raise InputError(
+                f"policy_kwargs: net_arch and {both[0]} say the same thing: give hidden and depth, "
+                "or net_arch alone"
+            )
+        listed = isinstance(layers, list | tuple) and all(type(n) is int for n in layers)
+        if not listed or len(set(layers)) != 1:
+            raise InputError(
+                f"policy_kwargs: net_arch is {layers!r}: all hidden layers are of one width here, "
+                "so give a list such as [64, 64], or hidden=64 and depth=2"
+            )
+        table |= {"hidden": layers[0], "depth": len(layers)}
+    for name, (usual, why) in AS_IT_IS.items():
+        asked = table.pop(name, usual)
+        if asked is not usual and asked != {}:
+            shown = getattr(asked, "__name__", repr(asked))
+            raise InputError(f"policy_kwargs: {name} is {shown}: {why}")
+    return table

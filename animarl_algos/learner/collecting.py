@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import Feedback, SlotLayout, provided
+from animarl_algos.data.slots import Feedback, SlotLayout
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import GruPolicy
@@ -18,65 +19,6 @@ from animarl_envs.errors import InputError
 
 Memory = tuple[NDArray[np.float32], NDArray[np.int64]]
 """Of all slots: recurrent states ``(S, H)`` and previous actions ``(S,)``."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """The outcome of one step of all slots.
-
-    Attributes
-    ----------
-    actions, rewards, dones
-        ``(S,)``.
-    observation, memory
-        Before the next step; where an episode ended, of the next one.
-    infos
-        One dictionary per slot.
-    finished
-        Number of copies whose episode ended.
-    """
-
-    actions: NDArray[np.int64]
-    observation: NDArray[Any]
-    memory: Memory
-    rewards: NDArray[np.floating]
-    dones: NDArray[np.bool_]
-    infos: list[dict[str, Any]]
-    finished: int
-
-
-def check_environment_supports(recipe: Recipe, env: VecEnv, layout: SlotLayout) -> None:
-    """Refuse an environment that does not give what a recipe learns from.
-
-    Raises
-    ------
-    InputError
-        Before the first step, and before an offline phase.
-    """
-    given = provided(env)
-    if recipe.needs_distance and "dtw_penalty" not in given:
-        raise _lacking(recipe, "dtw_penalty")
-    if recipe.needs_alignment and "aligned_action" not in given:
-        raise _lacking(recipe, "aligned_action")
-    if recipe.needs_condition and not layout.condition_flag:
-        raise InputError(
-            f"recipe {recipe.name} needs the condition flag as the last observation component and "
-            "the environment has none: wrap it in the condition-flag wrapper"
-        )
-
-
-IN_WORDS = {
-    "dtw_penalty": "the distance to a demonstration",
-    "aligned_action": "aligned demonstrated actions",
-}
-
-
-def _lacking(recipe: Recipe, name: str) -> InputError:
-    return InputError(
-        f"recipe {recipe.name} needs {IN_WORDS[name]} and the environment declares none ({name!r} "
-        "in its attribute feedback): learn in a SlotVecEnv with demonstrations, or wrap a single "
-        "environment in the DTW reward"
-    )
 
 
 class Collector:
@@ -93,90 +35,130 @@ class Collector:
         memory: Memory,
         *,
         at_random: bool = False,
-    ) -> Step:
+    ) -> tuple[Any, Any, Any, Any, list[dict[str, Any]], Memory]:
         """Make one step of all slots from ``observation`` and store it in ``buffer``.
 
-        Actions are chosen by the policy's acting rule, or uniformly ``at_random``.
+        Actions are chosen by the policy's acting rule, or uniformly ``at_random``. Returns them,
+        observations, rewards and dones, each ``(S, ...)``, infos, and the memory before the next
+        step; where an episode ended, observation and memory are of the next one.
         """
-        policy, feedback = self._policy, self._feedback
-        actions, (hidden, _) = self._choose(observation, memory, at_random)
+        policy, feedback, rule = self._policy, self._feedback, self._policy.acting
+        if at_random:
+            policy.acting = Acting.epsilon_greedy(1.0)
+        try:
+            actions, (hidden, _) = policy.predict(observation, memory)
+        finally:
+            policy.acting = rule
         new, rewards, dones, infos = self._env.step(actions)
         new = np.array(new)  # an environment may overwrite its own
         feedback.update(infos)
         executed = feedback.executed(actions)
-        finished = self._store(buffer, observation, memory[0], executed, new, rewards, dones)
-        previous = executed.astype(np.int64)
-        if finished:  # episodes that begin have no memory and no previous action
-            hidden[dones], previous[dones] = 0.0, policy.num_actions
-        return Step(actions, new, (hidden, previous), rewards, dones, infos, finished)
+        successors = new.copy()  # where a slot is done, ``new`` is the next episode's first
+        for s in np.flatnonzero(dones):
+            successors[s] = infos[s]["terminal_observation"]
+        layout, recipe = self._layout, self._recipe
 
-    def _choose(
-        self, observation: NDArray[Any], memory: Memory, at_random: bool
-    ) -> tuple[NDArray[np.int64], Memory]:
-        policy = self._policy
-        rule = policy.acting
-        if at_random:
-            policy.acting = Acting.epsilon_greedy(1.0)
-        try:
-            return policy.predict(observation, memory)
-        finally:
-            policy.acting = rule
+        def by_copy(values: Any) -> Any:
+            """(S, ...) as (copies, K, ...), if there are any."""
+            shape = (layout.num_copies, layout.num_individuals, *np.shape(values)[1:])
+            return None if values is None else np.reshape(values, shape)
 
-    def _store(
-        self,
-        buffer: SequenceReplayBuffer,
-        observation: NDArray[Any],
-        hidden: NDArray[np.float32],
-        actions: NDArray[np.integer],
-        next_observation: NDArray[Any],
-        reward: NDArray[np.floating],
-        dones: NDArray[np.bool_],
-    ) -> int:
-        """Store one step of all slots; return the number of copies whose episode ended.
-
-        ``hidden`` are the recurrent states before the step. Where a slot is done,
-        ``next_observation`` is already the next episode's first.
-        """
-        feedback, layout, recipe = self._feedback, self._layout, self._recipe
-        per_copy = (layout.num_copies, layout.num_individuals)
-        task_reward = feedback.get("task_reward")
-        penalty = feedback.get("dtw_penalty")
-        label = feedback.get("aligned_action")
-        warmup = feedback.get("warmup")
-        if recipe.needs_distance and penalty is None:
-            raise _lacking(recipe, "dtw_penalty")
-        if recipe.needs_alignment and label is None:
-            raise _lacking(recipe, "aligned_action")
-        done = self._copies_done(dones)
-        truncated = feedback.truncated(done)
-        successors = feedback.successors(next_observation, dones)
-        condition = feedback.get("condition")
-        if condition is not None:
-            condition = condition.reshape(per_copy)[:, 0]
-        elif layout.condition_flag:
-            condition = observation.reshape(*per_copy, -1)[:, 0, -1]
-        buffer.add(
-            observation.reshape(*per_copy, -1),
-            actions.reshape(per_copy),
-            (reward if task_reward is None else task_reward).reshape(per_copy),
-            successors.reshape(*per_copy, -1),
-            done & ~truncated,
-            truncated,
-            penalties=None if penalty is None else penalty.reshape(per_copy),
-            labels=None if label is None else label.reshape(per_copy),
-            warmup=None if warmup is None else warmup.reshape(per_copy)[:, 0],
-            hidden=hidden.reshape(*per_copy, -1),
-            condition=condition,
-        )
-        return int(done.sum())
-
-    def _copies_done(self, dones: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which copies' episodes ended, of ``dones`` (S,)."""
-        per_copy = dones.reshape(self._layout.num_copies, -1)
-        done = per_copy[:, 0]
-        if dones.any() and not (per_copy == done[:, None]).all():
+        given = {name: by_copy(feedback.get(name)) for name in FED_BACK}
+        for name, needed in (
+            ("dtw_penalty", recipe.needs_distance),
+            ("aligned_action", recipe.needs_alignment),
+        ):
+            if needed and given[name] is None:
+                raise InputError(f"the environment declares {name!r} and gave none with a step")
+        done = by_copy(dones)[:, 0]
+        if not (by_copy(dones) == done[:, None]).all():
             raise InputError(
                 "the individuals of a copy ended at different steps: an episode must end for all "
                 "of its slots together"
             )
-        return done
+        timed_out = by_copy([info.get("TimeLimit.truncated", False) for info in infos])
+        truncated = done & timed_out[:, 0].astype(bool)
+        seen = by_copy(observation.reshape(len(dones), -1))
+        task, warmup, condition = (given[n] for n in ("task_reward", "warmup", "condition"))
+        if condition is None and layout.condition_flag:
+            condition = seen[..., -1]
+        buffer.add(
+            observations=seen,
+            actions=by_copy(executed),
+            rewards=by_copy(rewards) if task is None else task,
+            next_observations=by_copy(successors.reshape(len(dones), -1)),
+            terminated=done & ~truncated,
+            truncated=truncated,
+            penalties=given["dtw_penalty"],
+            labels=given["aligned_action"],
+            warmup=None if warmup is None else warmup[:, 0],
+            hidden=by_copy(memory[0]),
+            condition=None if condition is None else condition[:, 0],
+        )
+        previous = executed.astype(np.int64)
+        # episodes that begin have no memory and no previous action
+        hidden[dones], previous[dones] = 0.0, policy.num_actions
+        return actions, new, rewards, dones, infos, (hidden, previous)
+
+
+FED_BACK = ("task_reward", "dtw_penalty", "aligned_action", "warmup", "condition")
+
+# -- exploration ----------------------------------------------------------------------------------
+
+LOG_TEMPERATURE_SD = 0.5
+"""How far the logarithm of a temperature lies from 0 before any action was looked at."""
+
+
+class Exploration(StrEnum):
+    """How online collection acts."""
+
+    EPSILON = "epsilon"  # greedy but for a share of random actions (the paper)
+    BOLTZMANN = "boltzmann"  # sampled at temperatures fitted after the offline phase
+
+
+def boltzmann_nll(
+    values: NDArray[np.floating], actions: NDArray[np.integer], temperature: float
+) -> float:
+    """Return the mean negative log-likelihood [nat] of ``actions`` (N,).
+
+    Under ``softmax(values / temperature)``, ``values`` ``(N, A)`` being action values or logits.
+    """
+    scaled = values / temperature
+    scaled = scaled - scaled.max(axis=1, keepdims=True)
+    log_norm = np.log(np.exp(scaled).sum(axis=1))
+    return float(np.mean(log_norm - scaled[np.arange(len(actions)), actions]))
+
+
+def fit_boltzmann_temperature(values: NDArray[np.floating], actions: NDArray[np.integer]) -> float:
+    """Return the likeliest temperature, searched over ten decades around the values' own spread.
+
+    A priori its logarithm is normal around 0, the temperature of a clone's logits, with standard
+    deviation ``LOG_TEMPERATURE_SD``. Some hundred actions outweigh that; but of a few that are all
+    the same, as of animals at rest, the likelihood alone would have them never move again.
+
+    The likelihood is unimodal in the inverse temperature (the log-likelihood of a one-parameter
+    exponential family is concave), so a bounded scalar search finds it.
+
+    Raises
+    ------
+    InputError
+        If there is no demonstrated action to fit to, or the values are all equal.
+    """
+    if len(actions) == 0:
+        raise InputError("no demonstrated action to fit a temperature to: give a larger dataset")
+    values = values.astype(np.float64)
+    spread = float(np.mean(values.std(axis=1)))
+    if not spread > 0:
+        raise InputError(
+            "the action values are all equal or not finite: train before fitting a temperature"
+        )
+    result = minimize_scalar(
+        lambda log_t: (
+            len(actions) * boltzmann_nll(values, actions, spread * np.exp(log_t))
+            + ((log_t + np.log(spread)) / LOG_TEMPERATURE_SD) ** 2 / 2
+        ),
+        bounds=(np.log(1e-5), np.log(1e5)),
+        method="bounded",
+        options={"xatol": 1e-4},
+    )
+    return float(spread * np.exp(result.x))

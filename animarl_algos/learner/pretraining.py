@@ -12,70 +12,46 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.settings import OfflineSettings
-from animarl_algos.learner.updates import add_losses, minibatch_values, update
-from animarl_algos.learner.validation import (
-    Figures,
-    demonstrated_values,
-    named_figures,
-    own_figures,
-    validation_figures,
-)
-from animarl_algos.losses.terms import Phase, Recipe, ScoredActionsTemporalDifference, Selection
+from animarl_algos.learner.updates import Totals, add_losses, minibatch_values, update
+from animarl_algos.losses.losses import mean_recall, treatment_counts
+from animarl_algos.losses.terms import Phase, Recipe, Selection
 from animarl_algos.networks.layers import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy
-from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 Weights = dict[str, torch.Tensor]
-
-
-class DemonstrationData(Protocol):
-    """The two splits that training may see."""
-
-    @property
-    def train(self) -> OfflineDataset: ...
-
-    @property
-    def val(self) -> OfflineDataset: ...
+Figures = dict[str, float]
+MOST_EPISODES = 16
+"""Episodes evaluated together: minibatches of windows may be of hundreds, episodes are long."""
 
 
 @dataclass
 class OfflineProgress:
     """How far the offline phase is, and its learning curves.
 
-    Attributes
-    ----------
-    epoch
-        Epochs finished.
-    done
-        Whether the phase is over and the best weights are in place.
-    best_epochs, best_figures
-        Of each individual, by the recipe's validation figure, the lower the better; empty before
-        the first epoch.
-    history
-        One row per epoch: ``epoch``, ``train/<term>``, ``val/<figure>``, and both per individual.
-    best_weights, average_weights
-        Of each individual's best epoch, and the moving average where there is one; None once
-        ``done``.
+    Best epochs and figures are of each individual, by the recipe's validation figure (the lower the
+    better), and empty before the first epoch. The weights are those of each individual's best
+    epoch, and the moving average where there is one; None once ``done``.
     """
 
-    epoch: int = 0
-    done: bool = False
+    epoch: int = 0  # epochs finished
+    done: bool = False  # the phase is over and the best weights are in place
     best_epochs: list[int] = field(default_factory=list)
     best_figures: list[float] = field(default_factory=list)
+    # one row per epoch: epoch, train/<term>, val/<figure>, and both per individual
     history: list[Figures] = field(default_factory=list)
     best_weights: Weights | None = field(default=None, compare=False)
     average_weights: Weights | None = field(default=None, compare=False)
@@ -95,56 +71,26 @@ class OfflineProgress:
 
     def to_json(self) -> dict[str, Any]:
         """Return everything but the weights."""
-        return {name: getattr(self, name) for name in JSON_FIELDS}
-
-    @classmethod
-    def from_json(
-        cls, row: dict[str, Any], best: Weights | None, average: Weights | None
-    ) -> OfflineProgress:
-        """Return the progress that :meth:`to_json` described, with its weights."""
-        known = {name: row[name] for name in JSON_FIELDS}
-        return cls(**known, best_weights=best, average_weights=average)
-
-
-JSON_FIELDS = [each.name for each in fields(OfflineProgress) if each.compare]
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.compare}
 
 
 @dataclass(frozen=True)
 class Pretraining:
-    """The offline phase of a policy.
+    """The offline phase of a policy; see :class:`.settings.LearnerSettings` for the numbers."""
 
-    Attributes
-    ----------
-    policy
-        Its networks are trained.
-    recipe, phase
-        Whose offline terms are minimised, and with which numbers.
-    settings
-        How minibatches are drawn and steps are taken.
-    epochs, learning_rate, batch_size, patience, seed
-        See :class:`.settings.LearnerSettings`.
-    progress
-        How far it is; changed as it goes on.
-    """
-
-    policy: GruPolicy
-    recipe: Recipe
+    policy: GruPolicy  # its networks are trained
+    recipe: Recipe  # its offline terms are minimised
     phase: Phase
-    settings: OfflineSettings
+    settings: OfflineSettings  # how minibatches are drawn and steps are taken
     epochs: int
     learning_rate: float
     batch_size: int
     patience: int | None
     seed: int
-    progress: OfflineProgress
+    progress: OfflineProgress  # changed as it goes on
 
     def run(
-        self,
-        data: DemonstrationData,
-        logger: Logger,
-        at_boundary: Callable[[], None],
-        *,
-        progress_bar: bool,
+        self, data: Any, logger: Logger, at_boundary: Callable[[], None], *, progress_bar: bool
     ) -> None:
         """Train for the rest of the epochs and put each individual's best weights in place.
 
@@ -153,20 +99,16 @@ class Pretraining:
         progress, policy = self.progress, self.policy
         if progress.epoch == 0:
             self._begin(data.train)
-        bar = tqdm(
-            total=self.epochs,
-            initial=progress.epoch,
-            desc="offline",
-            unit="epoch",
-            disable=not (progress_bar and sys.stderr.isatty()),
-        )
-        with bar:
+        shown = progress_bar and sys.stderr.isatty()
+        first = {"initial": progress.epoch, "total": self.epochs}
+        with tqdm(**first, desc="offline", unit="epoch", disable=not shown) as bar:
             while not progress.over(self.epochs, self.patience):
                 at_boundary()
                 row = self.train_epoch(data.train)
                 policy.q_net_target.load_state_dict(policy.q_net.state_dict())
                 network = self._judged_network()
-                row |= self.validate(data.val, network)
+                found = demonstrated_values(policy, self.phase, data.val, self.batch_size, network)
+                row |= validation_figures(found, policy.individuals)
                 self._keep_best(row, network)
                 progress.history.append({"epoch": float(progress.epoch)} | row)
                 for name, value in row.items():
@@ -200,15 +142,21 @@ class Pretraining:
     def train_epoch(self, dataset: OfflineDataset) -> Figures:
         """Make one pass over the training split; return the mean of each term."""
         policy, settings, epoch = self.policy, self.settings, self.progress.epoch
-        terms, individuals = self.recipe.offline, policy.individuals
+        terms, individuals, size = self.recipe.offline, policy.individuals, self.batch_size
         needs_target = any(term.needs_target for term in terms)
         generator = np.random.default_rng([self.seed, epoch])
         dropout = DropoutDraws(policy.q_net.dropout, [self.seed, epoch], individuals)
-        per_epoch = self.updates_per_epoch(dataset)
-        totals: dict[str, torch.Tensor] = {}
-        updates = 0
-        for batch in self._minibatches(dataset, per_epoch, generator):
-            done = epoch * per_epoch + updates
+        length = settings.sequence_length
+        if length is None:  # all episodes once
+            per_epoch = len(range(0, dataset.num_episodes, size))
+            batches = dataset.batches(size, generator)
+        else:
+            per_epoch = settings.updates(dataset.num_steps, size)
+            batches = dataset.windows(
+                size, per_epoch, generator, length=length, burn_in=settings.burn_in
+            )
+        totals: Totals = {}
+        for done, batch in enumerate(batches, start=epoch * per_epoch):
             rate = settings.rate_factor(done, self.epochs * per_epoch) * self.learning_rate
             for group in policy.optimizer.param_groups:
                 group["lr"] = rate
@@ -217,43 +165,20 @@ class Pretraining:
                 batch.to(policy.device),
                 self.phase,
                 needs_target=needs_target,
-                last_states=settings.sequence_length is None,
+                last_states=length is None,
                 dropout=dropout,
             )
             losses, _ = update(minibatch, terms, policy.optimizer)
             add_losses(totals, losses)
             if settings.weight_decay:
                 _decay(policy.q_net, rate * settings.weight_decay)
-            updates += 1
             if self.progress.average_weights is not None:
                 decay = settings.average_decay(done + 1)
                 _follow(self.progress.average_weights, policy.q_net, decay)
         row: Figures = {}
         for name, total in totals.items():
-            row |= named_figures(f"train/{name}", individuals, (total / updates).cpu().numpy())
+            row |= named_figures(f"train/{name}", individuals, (total / per_epoch).cpu().numpy())
         return row
-
-    def updates_per_epoch(self, dataset: OfflineDataset) -> int:
-        """Return the number of minibatches between two looks at the validation split."""
-        if self.settings.sequence_length is None:
-            return len(range(0, dataset.num_episodes, self.batch_size))
-        return self.settings.updates(dataset.num_steps, self.batch_size)
-
-    def _minibatches(
-        self, dataset: OfflineDataset, count: int, generator: np.random.Generator
-    ) -> Iterator[SequenceBatch]:
-        """Return those of one epoch: all episodes once, or so many windows."""
-        settings, size = self.settings, self.batch_size
-        if settings.sequence_length is None:
-            return dataset.batches(size, generator)
-        return dataset.windows(
-            size, count, generator, length=settings.sequence_length, burn_in=settings.burn_in
-        )
-
-    def validate(self, dataset: OfflineDataset, network: StackedQNetwork | None = None) -> Figures:
-        """Return the figures of the policy, or of ``network``, on the validation split."""
-        shown = demonstrated_values(self.policy, self.phase, dataset, self.batch_size, network)
-        return validation_figures(shown, self.policy.individuals)
 
     def _judged_network(self) -> StackedQNetwork:
         """Return the online network, or while a moving average is kept that."""
@@ -298,10 +223,10 @@ class Pretraining:
         if self.recipe.selection is Selection.MEAN_RANK:
             return  # its values are no logits
         progress, individuals = self.progress, self.policy.individuals
-        uninformative = []
+        name, uninformative = "val/cross_entropy_minus_marginal", []
         for k, who in enumerate(individuals):
             row = progress.history[progress.best_epochs[k] - 1]
-            if own_figures(row, "val/cross_entropy_minus_marginal", individuals)[k] >= 0:
+            if own_figures(row, name, individuals)[k] >= 0:
                 uninformative.append(who)
         if uninformative:
             warnings.warn(
@@ -325,48 +250,116 @@ def _follow(average: Weights, network: StackedQNetwork, decay: float) -> None:
     torch._foreach_lerp_([average[name] for name in named], list(named.values()), 1.0 - decay)
 
 
-def check_demonstrations(
-    data: DemonstrationData, recipe: Recipe, policy: GruPolicy, observation_size: int, env: VecEnv
-) -> None:
-    """Refuse demonstrations of other individuals, another observation or other actions.
+# -- validation -----------------------------------------------------------------------------------
 
-    Raises
-    ------
-    InputError
-        If they do not suit the policy, or lack what the recipe learns from.
+
+class DemonstratedValues(NamedTuple):
+    """Action values over all valid, labelled steps of demonstrations, one entry per individual."""
+
+    values: list[NDArray[np.float64]]  # (N, A)
+    actions: list[NDArray[np.int64]]  # (N,)
+    shares: list[NDArray[np.float64] | None]  # (N, A), soft labels, None where there are none
+    treatment_accuracy: NDArray[np.float64] | None  # (K,), balanced; None without a treatment head
+
+
+@torch.no_grad()
+def demonstrated_values(
+    policy: GruPolicy,
+    phase: Phase,
+    dataset: OfflineDataset,
+    batch_size: int,
+    network: StackedQNetwork | None = None,
+) -> DemonstratedValues:
+    """Return the values along demonstrated episodes: the policy's, or those of ``network``."""
+    found: list[list[list[NDArray[Any]]]] = [[[], [], []] for _ in policy.individuals]
+    counts: list[torch.Tensor] = []
+    for batch in dataset.batches(min(batch_size, MOST_EPISODES)):
+        minibatch = minibatch_values(
+            policy, batch.to(policy.device), phase, needs_target=False, network=network
+        )
+        labels, soft = minibatch.batch.labels, minibatch.batch.label_shares
+        shown = minibatch.valid & (labels >= 0)
+        for k, (values, actions, shares) in enumerate(found):
+            values.append(minibatch.q_values[k][shown[k]].double().cpu().numpy())
+            actions.append(labels[k][shown[k]].cpu().numpy())
+            if soft is not None:
+                shares.append(soft[k][shown[k]].double().cpu().numpy())
+        if (logits := minibatch.treatment_logits) is not None:
+            counts.append(treatment_counts(logits, minibatch.batch.condition, minibatch.valid))
+    if not all(sum(map(len, actions)) for _, actions, _ in found):
+        raise InputError(
+            "the validation split holds no demonstrated action: split the data again, or infer the "
+            "actions from the positions first"
+        )
+    accuracy = mean_recall(torch.stack(counts).sum(0)).double().cpu().numpy() if counts else None
+    return DemonstratedValues(
+        [np.concatenate(values) for values, _, _ in found],
+        [np.concatenate(actions) for _, actions, _ in found],
+        [np.concatenate(shares) if shares else None for _, _, shares in found],
+        accuracy,
+    )
+
+
+def validation_figures(shown: DemonstratedValues, individuals: tuple[str, ...]) -> Figures:
+    """Return how the demonstrated actions fare among all actions.
+
+    ``val/cross_entropy`` [nat] with action values as logits, ``val/label_cross_entropy`` the same
+    of the labels learned from (soft ones too) and ``val/cross_entropy_minus_marginal`` that minus
+    the entropy of the labels' mean: what cloning without looking at the observation could reach,
+    so that below 0 something is known. ``val/mean_rank`` (best 1; ties count half), ``val/top_1``
+    and ``val/top_3`` (shares ranked first, among the first three), each as the mean over
+    individuals and for each; with a treatment head ``val/treatment_balanced_accuracy``.
     """
-    for name, dataset in (("training", data.train), ("validation", data.val)):
-        batch = next(iter(dataset.batches(1)), None)
-        if batch is None:
-            raise InputError(
-                f"the {name} split holds no demonstrated episode: split the data again"
-            )
-        mine = (len(policy.individuals), observation_size)
-        theirs = (batch.num_individuals, batch.observations.shape[-1])
-        if mine != theirs:
-            raise InputError(
-                f"the {name} demonstrations have {theirs[0]} individuals with {theirs[1]} "
-                f"observation components, the environment {mine[0]} with {mine[1]}: "
-                "make them for this environment"
-            )
-        known = getattr(dataset, "individuals", None)  # of this package's datasets, if named
-        placed = getattr(env, "individuals", None)  # of a VecEnv of slots
-        if isinstance(known, tuple) and placed is not None and known != tuple(placed):
-            raise InputError(
-                f"the {name} demonstrations are of {', '.join(known)}, the environment's "
-                f"individuals are {', '.join(policy.individuals)}: make them for this environment"
-            )
-        scored = batch.action_penalties
-        highest = int(batch.actions.max()) if scored is None else scored.shape[-1] - 1
-        if highest >= policy.num_actions:
-            raise InputError(
-                f"the {name} demonstrations hold action {highest}, the environment has "
-                f"{policy.num_actions}: make them for this environment"
-            )
-        scores = any(isinstance(t, ScoredActionsTemporalDifference) for t in recipe.offline)
-        if scores and scored is None:
-            raise InputError(
-                f"the {name} demonstrations carry no penalties of all actions, which "
-                f"{recipe.name} learns from offline: make the dataset with the fitted dynamics of "
-                "their species"
-            )
+    figures = []
+    for values, actions, shares in zip(shown.values, shown.actions, shown.shares, strict=True):
+        rank = demonstrated_rank(values, actions)
+        log_norm = np.log(np.exp(values - values.max(1, keepdims=True)).sum(1)) + values.max(1)
+        hard = soft = float(np.mean(log_norm - values[np.arange(len(actions)), actions]))
+        mean = np.bincount(actions, minlength=values.shape[1]) / len(actions)
+        if shares is not None:
+            soft = float(np.mean(log_norm - (shares * values).sum(1)))
+            mean = shares.mean(0)
+        mean = mean[mean > 0]
+        marginal = float(-(mean * np.log(mean)).sum())
+        figures.append({
+            "cross_entropy": hard,
+            "label_cross_entropy": soft,
+            "cross_entropy_minus_marginal": soft - marginal,
+            "mean_rank": float(rank.mean()),
+            "top_1": float((rank <= 1).mean()),
+            "top_3": float((rank <= 3).mean()),
+        })  # fmt: skip
+        if shown.treatment_accuracy is not None:
+            figures[-1]["treatment_balanced_accuracy"] = shown.treatment_accuracy[len(figures) - 1]
+    row: Figures = {}
+    for name in figures[0]:
+        row |= named_figures(f"val/{name}", individuals, np.array([own[name] for own in figures]))
+    return row
+
+
+def named_figures(name: str, individuals: tuple[str, ...], values: NDArray[np.floating]) -> Figures:
+    """Return the mean over individuals, and where there are several each one's own."""
+    row = {name: float(values.mean())}
+    if len(values) > 1:
+        row |= {f"{name}/{who}": float(v) for who, v in zip(individuals, values)}
+    return row
+
+
+def own_figures(row: Figures, name: str, individuals: tuple[str, ...]) -> list[float]:
+    """Return each individual's own figure of :func:`named_figures`."""
+    if len(individuals) == 1:
+        return [row[name]]
+    return [row[f"{name}/{who}"] for who in individuals]
+
+
+def demonstrated_rank(
+    values: NDArray[np.floating], actions: NDArray[np.integer]
+) -> NDArray[np.float64]:
+    """Return the rank of each demonstrated action among its state's values: 1 is the highest.
+
+    Ties share their mean rank, so that indifference ranks as chance does. Among values that are not
+    all finite there is no rank: NaN.
+    """
+    own = values[np.arange(len(actions)), actions][:, None]
+    higher, equal = (values > own).sum(1), (values == own).sum(1)
+    return np.where(np.isfinite(values).all(1), 1 + higher + (equal - 1) / 2, np.nan)

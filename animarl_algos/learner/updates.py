@@ -31,30 +31,17 @@ AS_MANY_AS_STEPS = -1
 PRIORITY_MAX_SHARE = 0.9
 """Priority of a sequence: this share of its largest |TD error|, the rest its mean (Kapturowski et
 al. 2019)."""
-
-
-# -- when -----------------------------------------------------------------------------------------
+Totals = dict[str, torch.Tensor]
 
 
 @dataclass
 class UpdateSchedule:
-    """Counts steps and episodes, and says when to learn from the memory.
+    """Counts steps and episodes, and says when to learn from the memory."""
 
-    Attributes
-    ----------
-    steps, episodes
-        Steps of every copy, and finished episodes of all copies, since the last updates.
-    updates_due
-        Updates not yet made; a fraction of one is kept, for ``updates_per_episode`` may be
-        fractional.
-    since_target
-        Steps of the world or episodes since the last update of the target network.
-    """
-
-    steps: int = 0
-    episodes: int = 0
-    updates_due: float = 0.0
-    since_target: int = 0
+    steps: int = 0  # of every copy, since the last updates
+    episodes: int = 0  # finished ones of all copies, since the last updates
+    updates_due: float = 0.0  # not yet made; a fraction of one is kept
+    since_target: int = 0  # steps of the world or episodes since the target network's last update
 
     def restart_rollout(self) -> None:
         """Forget what was collected since the last updates."""
@@ -129,7 +116,14 @@ def minibatch_values(
         target_state = _burn_in(target, batch) if needs_target else None
     batch = _without_burn_in(batch)
     last_states = last_states or needs_target
-    packing = _packing(batch, last_states)
+    active = batch.active if last_states else batch.active[1:]
+    packing = Packing(
+        time=batch.num_steps + last_states,
+        batch=batch.batch_size,
+        active=active[active > 0],
+        lengths=batch.lengths.cpu().numpy() + last_states,
+        device=batch.observations.device,
+    )
     observations, previous = batch.observations, batch.previous_actions
     if not last_states:
         observations, previous = observations[:, :-1], previous[:, :-1]
@@ -137,8 +131,7 @@ def minibatch_values(
     if dropout is not None:
         masks = dropout.masks(online.hidden_layers, batch.batch_size, online.units)
         masks = None if masks is None else masks.to(observations.device)
-    output = online(observations, previous, online_state, packing, masks)
-    target_output = None
+    output, target_output = online(observations, previous, online_state, packing, masks), None
     if needs_target:
         with torch.no_grad():
             target_output = target(
@@ -164,7 +157,7 @@ def update(
     optimizer: torch.optim.Optimizer,
     *,
     prioritized: bool = False,
-) -> tuple[dict[str, torch.Tensor], NDArray[np.float64] | None]:
+) -> tuple[Totals, NDArray[np.float64] | None]:
     """Step along the gradient of the terms' weighted sum, clipped for each individual by itself.
 
     Individuals share no parameter, so the gradient of the sum over individuals is each one's own.
@@ -234,9 +227,8 @@ def sequence_priorities(minibatch: MinibatchValues) -> NDArray[np.float64] | Non
     if minibatch.errors is None:
         return None
     errors = torch.where(minibatch.valid, minibatch.errors, 0.0)
-    largest = errors.amax(dim=1)
     mean = errors.sum(dim=1) / minibatch.valid.sum(dim=1).clamp(min=1)
-    mixed = PRIORITY_MAX_SHARE * largest + (1.0 - PRIORITY_MAX_SHARE) * mean
+    mixed = PRIORITY_MAX_SHARE * errors.amax(dim=1) + (1.0 - PRIORITY_MAX_SHARE) * mean
     return np.asarray(mixed.cpu().numpy(), dtype=np.float64)
 
 
@@ -253,26 +245,8 @@ def _without_burn_in(batch: SequenceBatch) -> SequenceBatch:
         return batch
     present = ((name, getattr(batch, name)) for name in BY_STEP)
     cut = {name: value[:, b:] for name, value in present if value is not None}
-    return replace(
-        batch,
-        lengths=batch.lengths - b,
-        active=batch.active[b:],
-        burn_in=0,
-        initial_state=None,
-        **cut,
-    )
-
-
-def _packing(batch: SequenceBatch, last_states: bool) -> Packing:
-    """Return which rows hold an observation: a column's steps, and maybe its last state."""
-    active = batch.active if last_states else batch.active[1:]
-    return Packing(
-        time=batch.num_steps + last_states,
-        batch=batch.batch_size,
-        active=active[active > 0],
-        lengths=batch.lengths.cpu().numpy() + last_states,
-        device=batch.observations.device,
-    )
+    cut |= {"lengths": batch.lengths - b, "active": batch.active[b:]}
+    return replace(batch, burn_in=0, initial_state=None, **cut)
 
 
 @torch.no_grad()
@@ -298,6 +272,12 @@ def _burn_in(network: StackedQNetwork, batch: SequenceBatch) -> torch.Tensor:
     return rebuilt
 
 
+def add_losses(totals: Totals, losses: Totals) -> None:
+    """Add each term's loss to its total."""
+    for name, loss in losses.items():
+        totals[name] = totals[name] + loss if name in totals else loss
+
+
 # -- many of them ---------------------------------------------------------------------------------
 
 
@@ -306,7 +286,7 @@ class Updater:
 
     Attributes
     ----------
-    losses
+    totals, updates
         Since the last :meth:`means`: the sum of each term ``(K,)``, and how many updates are in it.
     """
 
@@ -316,10 +296,8 @@ class Updater:
         self._start_averages()
 
     def _start_averages(self) -> None:
-        self.losses: dict[str, tuple[torch.Tensor, int]] = {}
-        shape = (len(self._policy.individuals), 2, 2)
-        device = self._policy.device
-        self._treatment_counts = torch.zeros(shape, dtype=torch.int64, device=device)
+        self.totals: Totals = {}
+        self.updates = 0
 
     def run(
         self,
@@ -341,25 +319,22 @@ class Updater:
         demonstrated
             A minibatch of demonstrated sequences for each update, for terms that ask for them.
         """
-        totals: dict[str, torch.Tensor] = {}
         for _ in range(updates):
             batch = buffer.sample(batch_size, progress)
             minibatch = self._values(batch, phase)
             if demonstrated is not None:
-                minibatch.demonstrated = self._values(next(demonstrated), phase)
+                shown = next(demonstrated).to(self._policy.device)
+                minibatch.demonstrated = self._values(shown, phase)
             losses, priorities = update(
                 minibatch, self._terms, self._policy.optimizer, prioritized=buffer.prioritized
             )
             if priorities is not None:
                 buffer.update_priorities(batch.indices, priorities)
-            add_losses(totals, losses)
-            if minibatch.treatment_logits is not None:
-                self._treatment_counts += treatment_counts(
-                    minibatch.treatment_logits, minibatch.batch.condition, minibatch.valid
-                )
-        for name, total in totals.items():
-            before, number = self.losses.get(name, (torch.zeros_like(total), 0))
-            self.losses[name] = (before + total, number + updates)
+            if (logits := minibatch.treatment_logits) is not None:
+                counted = treatment_counts(logits, minibatch.batch.condition, minibatch.valid)
+                losses["treatment_counts"] = counted
+            add_losses(self.totals, losses)
+        self.updates += updates
 
     def _values(self, batch: SequenceBatch, phase: Phase) -> MinibatchValues:
         return minibatch_values(self._policy, batch, phase, needs_target=self._needs_target)
@@ -369,14 +344,9 @@ class Updater:
 
         With a treatment head its balanced accuracy too.
         """
-        means = {name: summed / updates for name, (summed, updates) in self.losses.items()}
-        if self._treatment_counts.any():
-            means["treatment_balanced_accuracy"] = mean_recall(self._treatment_counts)
+        counts = self.totals.pop("treatment_counts", None)
+        means = {name: total / self.updates for name, total in self.totals.items()}
+        if counts is not None:
+            means["treatment_balanced_accuracy"] = mean_recall(counts)
         self._start_averages()
         return {name: mean.tolist() for name, mean in means.items()}
-
-
-def add_losses(totals: dict[str, torch.Tensor], losses: dict[str, torch.Tensor]) -> None:
-    """Add each term's loss to its total."""
-    for name, loss in losses.items():
-        totals[name] = totals[name] + loss if name in totals else loss

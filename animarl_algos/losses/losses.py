@@ -1,7 +1,11 @@
 """Losses per individual, the gradient reversal layer, and clipping per individual.
 
 A loss is averaged over the valid steps of the individual itself, so that summing the losses of all
-individuals gives each the gradient it would have if trained alone. Axes: (individual, time, batch).
+individuals gives each the gradient it would have if trained alone.
+
+Axes are (individual K, time T, batch B). Losses take ``valid`` ``(K, T, B)`` bool, False on padded,
+burnt-in and warm-up steps, and maybe ``weights`` ``(K, B)``, importance-sampling weights; they
+return ``(K,)``, 0 for an individual without valid steps.
 """
 
 from __future__ import annotations
@@ -18,22 +22,11 @@ IGNORED_LABEL = -1
 def masked_mean(
     per_step: torch.Tensor, valid: torch.Tensor, weights: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Mean over each individual's valid steps, steps weighted by their sequence's importance.
+    """Mean of ``per_step`` (K, T, B) over each individual's valid steps.
 
-    Parameters
-    ----------
-    per_step : Tensor (K, T, B)
-    valid : Tensor (K, T, B) bool
-        False on padded, burnt-in and warm-up steps. Whatever stands there leaves the mean alone;
-        its gradient is zero, provided that what the loss was made of there is finite.
-    weights : Tensor (K, B), optional
-        Importance-sampling weights. They scale the loss and not the divisor, which stays the number
-        of valid steps.
-
-    Returns
-    -------
-    Tensor (K,)
-        Zero for an individual without valid steps.
+    Whatever stands on other steps leaves the mean alone; its gradient is zero, provided that what
+    the loss was made of there is finite. Weights scale the loss and not the divisor, which stays
+    the number of valid steps.
     """
     kept = torch.where(valid, per_step, per_step.new_zeros(()))
     if weights is not None:
@@ -49,17 +42,7 @@ def action_cross_entropy(
 ) -> torch.Tensor:
     """Cross-entropy of demonstrated actions under softmax(logits), per individual.
 
-    Parameters
-    ----------
-    logits : Tensor (K, T, B, actions)
-    labels : Tensor (K, T, B) int64
-        Demonstrated actions; -1 where there is none, such steps are left out.
-    valid : Tensor (K, T, B) bool
-    weights : Tensor (K, B), optional
-
-    Returns
-    -------
-    Tensor (K,)
+    ``logits`` are (K, T, B, actions), ``labels`` (K, T, B) int64; steps with label -1 are left out.
     """
     labelled = valid & (labels != IGNORED_LABEL)
     per_step = functional.cross_entropy(
@@ -76,17 +59,8 @@ def soft_action_cross_entropy(
 ) -> torch.Tensor:
     """Cross-entropy of soft labels under softmax(logits), per individual.
 
-    Parameters
-    ----------
-    logits : Tensor (K, T, B, actions)
-    shares : Tensor (K, T, B, actions)
-        Probability of each action; zeros where a step has no label, such steps are left out.
-    valid : Tensor (K, T, B) bool
-    weights : Tensor (K, B), optional
-
-    Returns
-    -------
-    Tensor (K,)
+    ``shares`` (K, T, B, actions) are the probability of each action; steps with zeros alone are
+    left out.
     """
     per_step = -(shares * functional.log_softmax(logits, dim=-1)).sum(-1)
     return masked_mean(per_step, valid & (shares.sum(-1) > 0), weights)
@@ -100,17 +74,7 @@ def treatment_cross_entropy(
 ) -> torch.Tensor:
     """Binary cross-entropy of the treatment, per individual (the paper, equation of J_tr).
 
-    Parameters
-    ----------
-    logits : Tensor (K, T, B)
-    condition : Tensor (K, B) or (K, T, B)
-        0 or 1.
-    valid : Tensor (K, T, B) bool
-    weights : Tensor (K, B), optional
-
-    Returns
-    -------
-    Tensor (K,)
+    ``logits`` are (K, T, B), ``condition`` (K, B) or (K, T, B), 0 or 1.
     """
     per_step = functional.binary_cross_entropy_with_logits(
         logits, _per_step(condition, logits).to(logits.dtype), reduction="none"
@@ -124,16 +88,8 @@ def treatment_counts(
 ) -> torch.Tensor:
     """Count the valid steps of each treatment and those whose treatment is predicted; sums add up.
 
-    Parameters
-    ----------
-    logits : Tensor (K, T, B)
-    condition : Tensor (K, B) or (K, T, B)
-    valid : Tensor (K, T, B) bool
-
-    Returns
-    -------
-    Tensor (K, 2, 2) int64
-        Axes (individual, treatment, (predicted rightly, all)).
+    Arguments are those of :func:`treatment_cross_entropy`. Returns (K, 2, 2) int64, axes
+    (individual, treatment, (predicted rightly, all)).
     """
     condition = _per_step(condition, logits) > 0
     members = torch.stack([valid & ~condition, valid & condition], dim=1)
@@ -160,14 +116,9 @@ def squared_l2(parameters: Iterable[torch.Tensor]) -> torch.Tensor:
 
 @torch.no_grad()
 def share_gradients(parameters: Iterable[torch.Tensor]) -> None:
-    """Give every individual the mean of all individuals' gradients.
+    """Give every individual the mean of all individuals' gradients of ``parameters`` (K, ...).
 
     Weights that are the same for all then stay so under any optimiser.
-
-    Parameters
-    ----------
-    parameters : tensors (K, ...)
-        Those without a gradient are left out.
     """
     for parameter in parameters:
         if parameter.grad is not None:
@@ -180,18 +131,8 @@ def clip_grad_norm_per_individual(
 ) -> torch.Tensor:
     """Scale each individual's gradient down to a Euclidean norm of at most ``max_norm``.
 
-    As :func:`torch.nn.utils.clip_grad_norm_`, for every individual separately.
-
-    Parameters
-    ----------
-    parameters : tensors (K, ...)
-        Those without a gradient are left out.
-    max_norm
-
-    Returns
-    -------
-    Tensor (K,)
-        Norms before clipping.
+    As :func:`torch.nn.utils.clip_grad_norm_`, for every individual of ``parameters`` (K, ...)
+    separately. Returns the norms before clipping, (K,).
     """
     gradients = [p.grad for p in parameters if p.grad is not None]
     if not gradients:

@@ -10,9 +10,9 @@ value in ``animarl_algos/learner/settings.py``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar
 
 import torch
 from torch.nn import functional
@@ -24,27 +24,19 @@ from animarl_algos.losses.losses import (
     squared_l2,
     treatment_cross_entropy,
 )
-from animarl_algos.losses.values import ValueDistribution, n_step_target
+from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 
 @dataclass(frozen=True)
 class Phase:
-    """The numbers of one phase of training.
+    """The numbers of one phase of training; see the settings of the same names.
 
     Attributes
     ----------
     name
         ``"offline"`` or ``"online"``, for messages and logs.
-    gamma
-        Discount per step.
-    alpha
-        Weight of the distance penalty in the reward, ``R - alpha * penalty``.
-    lambda1, lambda2, lambda3
-        Weights of squared l2 norm, treatment cross-entropy and action supervision.
-    max_grad_norm
-        Largest gradient norm of one individual; ``None`` does not clip.
     scaled_penalties
         Whether penalties of all actions are taken in units of their mean over actions and steps
         (per individual and batch) instead of arena units. That mean is about ``u dt^2``, how far
@@ -64,96 +56,68 @@ class Phase:
     n_steps: int = 1
 
 
-WEIGHTS = tuple(
-    each.name
-    for each in fields(Phase)
-    if each.name not in ("name", "gamma", "max_grad_norm", "scaled_penalties", "n_steps")
-)
-
-
-class ActionValues(Protocol):
-    """Action values of the T + 1 states of T steps, as a network's output has them."""
-
-    @property
-    def values(self) -> torch.Tensor:
-        """``(K, T + 1, B, A, Q)``."""
-        ...
-
-    @property
-    def q_values(self) -> torch.Tensor:
-        """``(K, T + 1, B, A)``, their mean over the quantiles."""
-        ...
-
-    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
-        """``(K, T + 1, B, Q)``, the values of the actions ``(K, T + 1, B)``."""
-        ...
-
-
 @dataclass
 class MinibatchValues:
     """Outputs of the networks for a batch, from its first trained step on.
 
     Axes (individual K, time T, batch B, action A, quantile Q).
 
-    Attributes
-    ----------
-    batch
-        Its leading ``burn_in`` steps already cut off.
-    valid
-        ``(K, T, B)`` bool, the steps that enter a loss.
-    online, target
-        Both networks at all states, the last included; no ``target`` if no term asks for it, and
-        then the last states may be left out too.
-    treatment_logits
-        ``(K, T, B)``, or ``None`` without a treatment head.
-    parameters, shared
-        The online network's, each ``(K, ...)``; those of them that all individuals have in common.
-    errors
-        ``(K, T, B)``, set by the temporal-difference terms: absolute errors, for priorities.
-    demonstrated
-        The same of demonstrated steps, beside the learner's own, where a recipe is ``inverse``.
+    ``online`` and ``target`` are what both networks say of all states, the last included
+    (:class:`animarl_algos.networks.networks.QOutput`); there is no ``target`` if no term asks for
+    it, and then the last states may be left out too.
     """
 
-    batch: SequenceBatch
+    batch: SequenceBatch  # its leading burn_in steps already cut off
     phase: Phase
     distribution: ValueDistribution
-    valid: torch.Tensor
-    online: ActionValues
-    target: ActionValues | None
-    treatment_logits: torch.Tensor | None
-    parameters: Sequence[torch.Tensor]
-    shared: Sequence[torch.Tensor] = ()
-    errors: torch.Tensor | None = field(default=None)
-    demonstrated: MinibatchValues | None = field(default=None)
+    valid: torch.Tensor  # (K, T, B) bool, the steps that enter a loss
+    online: Any
+    target: Any
+    treatment_logits: torch.Tensor | None  # (K, T, B); None without a treatment head
+    parameters: Sequence[torch.Tensor]  # the online network's, each (K, ...)
+    shared: Sequence[torch.Tensor] = ()  # those of them that all individuals have in common
+    errors: torch.Tensor | None = None  # (K, T, B), absolute, set by temporal differences
+    demonstrated: MinibatchValues | None = None  # beside own steps, where a recipe is inverse
 
     @property
     def values(self) -> torch.Tensor:
         """``(K, T, B, A, Q)``, the online network before each step."""
-        return self.online.values[:, : self.batch.num_steps]
+        values: torch.Tensor = self.online.values[:, : self.batch.num_steps]
+        return values
 
     @property
     def q_values(self) -> torch.Tensor:
         """``(K, T, B, A)``, expected values before each step."""
-        return self.online.q_values[:, : self.batch.num_steps]
+        q_values: torch.Tensor = self.online.q_values[:, : self.batch.num_steps]
+        return q_values
 
     def taken_values(self) -> torch.Tensor:
         """``(K, T, B, Q)``, the online network's values of the actions taken."""
         with_last = functional.pad(self.batch.actions, (0, 0, 0, 1))  # none is taken there
-        return self.online.of_actions(with_last)[:, :-1]
+        taken: torch.Tensor = self.online.of_actions(with_last)[:, :-1]
+        return taken
 
     def double_q_target(self, rewards: torch.Tensor) -> torch.Tensor:
-        """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``.
+        """``R + gamma Q_target(s', argmax_a Q(s', a))``, ``(K, T, B, Q)``, without gradient.
 
-        With ``n_steps`` of the phase that many rewards come before the value, as far as the
-        sequence goes on: at its end fewer.
+        The double-Q target of van Hasselt et al. 2016 (the paper, equation "ddqn"), without the
+        second term where s' is terminal; a time-out is not terminal. With ``n_steps`` of the phase
+        that many rewards come before the value, as far as the sequence goes on: at its end fewer.
         """
-        assert self.target is not None
+        batch, phase = self.batch, self.phase
         best = self.online.q_values.detach().argmax(-1)  # ties: the lowest index
-        bootstrap = self.target.of_actions(best)[:, 1:]
-        over, phase = self.batch.terminated > 0, self.phase
-        return n_step_target(
-            rewards, over, bootstrap, self.batch, gamma=phase.gamma, n_steps=phase.n_steps
-        )
+        bootstrap = self.target.of_actions(best)[:, 1:]  # without gradient, as all of the target
+        goes_on = ~(batch.terminated > 0)
+        discount = (phase.gamma * goes_on.to(rewards.dtype)).unsqueeze(-1)
+        rewards = rewards.unsqueeze(-1)
+        target: torch.Tensor = rewards + discount * bootstrap
+        if phase.n_steps > 1:
+            steps = torch.arange(1, batch.num_steps + 1, device=rewards.device)
+            within = (steps.view(1, -1, 1) < batch.lengths.unsqueeze(1)).unsqueeze(-1)
+            for _ in range(phase.n_steps - 1):
+                later = torch.cat((target[:, 1:], target[:, -1:]), dim=1)
+                target = rewards + discount * torch.where(within, later, bootstrap)
+        return target
 
 
 @dataclass(frozen=True)
@@ -164,16 +128,19 @@ class LossTerm:
     ----------
     name
         Under which it is logged.
+    weighed_by
+        The weight of the phase that is its factor in the sum; None: 1.
     needs_target
         Whether it bootstraps from the target network.
     """
 
     name: ClassVar[str]
+    weighed_by: ClassVar[str | None] = None
     needs_target: ClassVar[bool] = False
 
     def weight(self, phase: Phase) -> float:
         """Return its factor in the sum."""
-        return 1.0
+        return 1.0 if self.weighed_by is None else float(getattr(phase, self.weighed_by))
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         """Return ``(K,)``, one number per individual."""
@@ -182,7 +149,7 @@ class LossTerm:
 
 @dataclass(frozen=True)
 class TemporalDifference(LossTerm):
-    """``J_DQ``: one-step double-Q loss of the action taken, with reward ``R - alpha * penalty``.
+    """``J_DQ``: double-Q loss of the action taken, with reward ``R - alpha * penalty``.
 
     ``shaped=False`` leaves the distance penalty out (DQN, DQAAS).
     """
@@ -196,9 +163,9 @@ class TemporalDifference(LossTerm):
         if self.shaped:
             rewards = rewards - minibatch.phase.alpha * batch.penalties
         target = minibatch.double_q_target(rewards)
-        td = minibatch.distribution.td_loss(minibatch.taken_values(), target)
-        minibatch.errors = td.error
-        return masked_mean(td.loss, minibatch.valid, batch.weights)
+        td_loss = minibatch.distribution.td_loss
+        loss, minibatch.errors = td_loss(minibatch.taken_values(), target)
+        return masked_mean(loss, minibatch.valid, batch.weights)
 
 
 @dataclass(frozen=True)
@@ -226,7 +193,7 @@ class ScoredActionsTemporalDifference(LossTerm):
     needs_target: ClassVar[bool] = True
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        batch = minibatch.batch
+        batch, valid = minibatch.batch, minibatch.valid
         if batch.action_penalties is None:
             raise InputError(
                 "the demonstrations carry no penalties of all actions: "
@@ -234,16 +201,15 @@ class ScoredActionsTemporalDifference(LossTerm):
             )
         penalty = minibatch.phase.alpha * batch.action_penalties
         if minibatch.phase.scaled_penalties:
-            unit = masked_mean(batch.action_penalties.mean(-1), minibatch.valid)
+            unit = masked_mean(batch.action_penalties.mean(-1), valid)
             penalty = penalty / unit.clamp(min=1e-12).view(-1, 1, 1, 1)
         # Valid steps only: there are 13 values to each.
-        valid = minibatch.valid
         target = minibatch.double_q_target(batch.rewards)[valid].unsqueeze(-2)
-        td = minibatch.distribution.td_loss(
+        loss, error = minibatch.distribution.td_loss(
             minibatch.values[valid], target - penalty[valid].unsqueeze(-1)
         )
-        minibatch.errors = _padded(td.error.mean(-1), valid)
-        return masked_mean(_padded(td.loss.mean(-1), valid), valid, batch.weights)
+        minibatch.errors = _padded(error.mean(-1), valid)
+        return masked_mean(_padded(loss.mean(-1), valid), valid, batch.weights)
 
 
 def _padded(per_valid_step: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
@@ -259,43 +225,26 @@ class ActionSupervision(LossTerm):
     Online the label is the demonstrated action that dynamic time warping aligns with the rollout's
     step (DQAAS); offline it is the demonstrated action of the step itself. ``weighted=False`` takes
     it as it is (BC, whose only data term it is), otherwise times lambda3.
+
+    ``soft=True`` takes soft labels where the demonstrations have any: a distribution over the
+    actions, how near each would have led under the fitted dynamics
+    (:func:`animarl_algos.data.species_data.soft_labels`). Of two actions which both explain the
+    track none is then called wrong, as in learning from label distributions (Geng 2016) and in
+    distillation (Hinton et al. 2015).
     """
 
     weighted: bool = True
+    soft: bool = False
     name: ClassVar[str] = "supervision"
 
     def weight(self, phase: Phase) -> float:
         return phase.lambda3 if self.weighted else 1.0
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        batch = minibatch.batch
-        return action_cross_entropy(
-            minibatch.q_values, batch.labels, minibatch.valid, batch.weights
-        )
-
-
-@dataclass(frozen=True)
-class SoftActionSupervision(LossTerm):
-    """Cross-entropy with soft labels, action values as logits.
-
-    The label of a step is a distribution over the actions: how near each would have led under the
-    fitted dynamics (:func:`animarl_algos.data.species_data.soft_labels`). Of two actions which both
-    explain the track none is then called wrong, as in learning from label distributions (Geng 2016)
-    and in distillation (Hinton et al. 2015). Demonstrations without soft labels have it all on the
-    demonstrated action: plain cloning.
-    """
-
-    name: ClassVar[str] = "supervision"
-
-    def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        batch = minibatch.batch
-        if batch.label_shares is None:
-            return action_cross_entropy(
-                minibatch.q_values, batch.labels, minibatch.valid, batch.weights
-            )
-        return soft_action_cross_entropy(
-            minibatch.q_values, batch.label_shares, minibatch.valid, batch.weights
-        )
+        batch, logits, valid = minibatch.batch, minibatch.q_values, minibatch.valid
+        if self.soft and batch.label_shares is not None:
+            return soft_action_cross_entropy(logits, batch.label_shares, valid, batch.weights)
+        return action_cross_entropy(logits, batch.labels, valid, batch.weights)
 
 
 @dataclass(frozen=True)
@@ -303,16 +252,12 @@ class TreatmentAdversary(LossTerm):
     """``J_tr``: cross-entropy of the condition, predicted from h_t through gradient reversal."""
 
     name: ClassVar[str] = "treatment"
-
-    def weight(self, phase: Phase) -> float:
-        return phase.lambda2
+    weighed_by: ClassVar[str | None] = "lambda2"
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        assert minibatch.treatment_logits is not None
-        batch = minibatch.batch
-        return treatment_cross_entropy(
-            minibatch.treatment_logits, batch.condition, minibatch.valid, batch.weights
-        )
+        logits, batch = minibatch.treatment_logits, minibatch.batch
+        assert logits is not None
+        return treatment_cross_entropy(logits, batch.condition, minibatch.valid, batch.weights)
 
 
 @dataclass(frozen=True)
@@ -324,38 +269,38 @@ class WeightDecay(LossTerm):
     """
 
     name: ClassVar[str] = "l2"
-
-    def weight(self, phase: Phase) -> float:
-        return phase.lambda1
+    weighed_by: ClassVar[str | None] = "lambda1"
 
     @torch.no_grad()
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         return squared_l2(minibatch.parameters)
 
 
-def soft_value(q_values: torch.Tensor) -> torch.Tensor:
-    """``log sum_a exp Q``: (..., actions) to (...)."""
-    return q_values.logsumexp(-1)
-
-
 def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Tensor:
     """``V(s')``, (K, T, B); ``end_value`` (K,) after an end that the task does not punish."""
     batch = minibatch.batch
-    after = soft_value(minibatch.online.q_values[:, 1:])
+    after: torch.Tensor = minibatch.online.q_values[:, 1:].logsumexp(-1)
     at_end = torch.where(batch.rewards < 0, 0.0, end_value.view(-1, 1, 1))
     return torch.where(batch.terminated > 0, at_end, after)
 
 
 @dataclass(frozen=True)
 class InverseSoftQ(LossTerm):
-    """The loss above. A demonstrated step with a soft label counts for each action by its share."""
+    """IQ-Learn (Garg et al. 2021) with the chi-square penalty, on demonstrated and own steps.
+
+    With ``V = log sum_a exp Q`` and the implied reward ``r = Q(s, a) - gamma V(s')``, half of the
+    mean of ``V(s) - gamma V(s') + r^2 / 2`` over either kind of steps, less the mean of r over the
+    demonstrated ones. A demonstrated step with a soft label counts for each action by its share.
+    After an end ``V(s')`` is the mean over the demonstrated states, or 0 where the task punishes
+    it.
+    """
 
     name: ClassVar[str] = "iq"
 
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         shown = minibatch.demonstrated
         assert shown is not None
-        end_value = masked_mean(soft_value(shown.q_values), shown.valid).detach()
+        end_value = masked_mean(shown.q_values.logsumexp(-1), shown.valid).detach()
         loss = torch.zeros_like(end_value)
         for steps in (shown, minibatch):
             shares = steps.batch.label_shares
@@ -363,7 +308,7 @@ class InverseSoftQ(LossTerm):
                 shares = functional.one_hot(steps.batch.actions, steps.q_values.shape[-1])
             following = minibatch.phase.gamma * next_values(steps, end_value)
             rewards = steps.q_values - following.unsqueeze(-1)
-            worth = soft_value(steps.q_values) - following
+            worth = steps.q_values.logsumexp(-1) - following
             squares = 0.5 * (shares * rewards.square()).sum(-1)
             loss = loss + 0.5 * masked_mean(worth + squares, steps.valid)
             if steps is shown:
@@ -398,10 +343,8 @@ class Recipe:
         Terms of the two phases; empty where a recipe has no such phase.
     selection
         How its best offline epoch is chosen.
-    needs_distance
-        Whether the environment must hand out ``dtw_penalty``.
-    needs_alignment
-        Whether it must hand out ``aligned_action``.
+    needs_distance, needs_alignment
+        Whether the environment must hand out ``dtw_penalty``, and ``aligned_action``.
     needs_condition
         Whether the last observation component must be the condition flag (treatment head).
     inverse
@@ -426,6 +369,6 @@ class Recipe:
         kept = (term for term in self.offline if isinstance(term, TreatmentAdversary))
         return replace(
             self,
-            offline=(SoftActionSupervision(), *kept),
+            offline=(ActionSupervision(weighted=False, soft=True), *kept),
             selection=Selection.LABEL_CROSS_ENTROPY,
         )

@@ -1,27 +1,21 @@
 """What is learned about an action: its expected return (DQN) or the return's quantiles (QR-DQN).
 
-This is the only difference between the two families of learners. Both use the one-step double-Q
-target (van Hasselt et al. 2016; the paper, equation "ddqn")::
-
-    a*     = argmax over a of Q(s', a; online)
-    target = R + gamma Q(s', a*; target network),      without the second term where s' is terminal
-
-A time-out is not terminal: it bootstraps.
+This is the only difference between the two families of learners.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from torch.nn import functional
 
 from animarl_algos.checked import Range
-from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.compiling import jit
 from animarl_envs.errors import InputError
 
@@ -114,18 +108,10 @@ def _loss_and_gradient(current, target, tau, loss, gradient):  # type: ignore[no
 
 
 class ErrorLoss(StrEnum):
-    """Loss of a temporal-difference error of :class:`ExpectedValue`."""
+    """Loss of the temporal-difference error of an expected value."""
 
-    SQUARED = "squared"
-    HUBER = "huber"
-
-
-@dataclass(frozen=True)
-class TDLoss:
-    """Per-step loss and size of the temporal-difference error, both (...,), the latter detached."""
-
-    loss: torch.Tensor
-    error: torch.Tensor
+    SQUARED = "squared"  # the paper's
+    HUBER = "huber"  # with threshold 1, stable-baselines3's
 
 
 def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
@@ -134,106 +120,45 @@ def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
     return values.gather(-2, index).squeeze(-2)
 
 
-@torch.no_grad()
-def one_step_target(
-    rewards: torch.Tensor, terminated: torch.Tensor, bootstrap: torch.Tensor, gamma: float
-) -> torch.Tensor:
-    """``R + gamma bootstrap``, without the second term where the next state is terminal.
+@dataclass(frozen=True)
+class ValueDistribution:
+    """What is learned about an action.
 
     Parameters
     ----------
-    rewards : Tensor (...)
-    terminated : Tensor (...) bool
-        True where the next state is terminal; never for a time-out.
-    bootstrap : Tensor (..., quantiles)
-        The target network's value of the next state's best action.
-    gamma
-        Discount per step.
-
-    Returns
-    -------
-    Tensor (..., quantiles)
-        Without gradient.
-    """
-    discount = gamma * (~terminated).to(rewards.dtype)
-    return rewards.unsqueeze(-1) + discount.unsqueeze(-1) * bootstrap
-
-
-def n_step_target(
-    rewards: torch.Tensor,
-    over: torch.Tensor,
-    bootstrap: torch.Tensor,
-    batch: SequenceBatch,
-    *,
-    gamma: float,
-    n_steps: int,
-) -> torch.Tensor:
-    """Return :func:`one_step_target` after ``n_steps`` rewards, fewer at a sequence's end."""
-    target = one_step_target(rewards, over, bootstrap, gamma)
-    if n_steps > 1:
-        steps = torch.arange(1, batch.num_steps + 1, device=over.device)
-        goes_on = (steps.view(1, -1, 1) < batch.lengths.unsqueeze(1)).unsqueeze(-1)
-        for _ in range(n_steps - 1):
-            later = torch.cat((target[:, 1:], target[:, -1:]), dim=1)
-            later = torch.where(goes_on, later, bootstrap)
-            target = one_step_target(rewards, over, later, gamma)
-    return target
-
-
-@dataclass(frozen=True)
-class ExpectedValue:
-    """DQN: one number per action.
-
-    ``SQUARED`` is the paper's loss, ``HUBER`` (with threshold 1) that of stable-baselines3.
+    n_quantiles
+        Quantiles of the return per action (Dabney et al. 2018), 2 or more; None: its expected
+        value.
+    loss
+        Of an expected value's error; quantiles have their own, :func:`quantile_huber`.
     """
 
-    loss: ErrorLoss = ErrorLoss.SQUARED
-
-    @property
-    def num_quantiles(self) -> int:
-        """One output per action."""
-        return 1
-
-    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
-        """Squared or Huber loss of target - Q."""
-        error = (target - value).squeeze(-1)
-        if self.loss is ErrorLoss.SQUARED:
-            loss = error.square()
-        else:
-            loss = functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
-        return TDLoss(loss, error.detach().abs())
-
-
-@dataclass(frozen=True)
-class Quantiles:
-    """QR-DQN: ``num_quantiles`` quantiles of the return per action (Dabney et al. 2018)."""
-
-    num_quantiles: int
+    n_quantiles: int | None = None
+    loss: str = ErrorLoss.SQUARED
 
     def __post_init__(self) -> None:
-        whole = Range(int, ge=2).check("n_quantiles", self.num_quantiles)
-        object.__setattr__(self, "num_quantiles", whole)
+        if self.loss not in list(ErrorLoss):
+            raise InputError(f"td_loss is {self.loss!r}: choose {' or '.join(ErrorLoss)}")
+        whole = Range(Annotated[int, Field(ge=2)] | None).check("n_quantiles", self.n_quantiles)
+        object.__setattr__(self, "n_quantiles", whole)
 
-    def td_loss(self, value: torch.Tensor, target: torch.Tensor) -> TDLoss:
-        """Quantile Huber loss: summed over the quantiles, averaged over the target's."""
-        error = (target.mean(-1) - value.mean(-1)).detach().abs()
-        return TDLoss(quantile_huber(value, target), error)
+    @property
+    def outputs(self) -> int:
+        """Numbers per action: 1 for an expected value."""
+        return self.n_quantiles or 1
 
+    def td_loss(
+        self, value: torch.Tensor, target: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return loss and size of the temporal-difference error, both (...), the size detached.
 
-ValueDistribution = ExpectedValue | Quantiles
-"""What is learned about an action; ``td_loss`` takes the value of the action that was taken."""
-
-
-def value_distribution(
-    n_quantiles: int | None, loss: str = ErrorLoss.SQUARED
-) -> ExpectedValue | Quantiles:
-    """``ExpectedValue`` for None, else ``Quantiles(n_quantiles)``, which have a loss of their own.
-
-    Raises
-    ------
-    InputError
-        If there is no such loss, or too few quantiles.
-    """
-    if loss not in list(ErrorLoss):
-        raise InputError(f"td_loss is {loss!r}: choose {' or '.join(ErrorLoss)}")
-    return ExpectedValue(ErrorLoss(loss)) if n_quantiles is None else Quantiles(n_quantiles)
+        ``value`` and ``target`` ``(..., outputs)`` are of the action that was taken.
+        """
+        if self.n_quantiles is not None:
+            error = (target.mean(-1) - value.mean(-1)).detach().abs()
+            return quantile_huber(value, target), error
+        error = (target - value).squeeze(-1)
+        if self.loss == ErrorLoss.SQUARED:
+            return error.square(), error.detach().abs()
+        loss = functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
+        return loss, error.detach().abs()

@@ -60,17 +60,14 @@ class Acting:
         if self.kind not in list(Kind):
             raise InputError(f"acting is {self.kind!r}: choose {', '.join(Kind)}")
         object.__setattr__(self, "kind", Kind(self.kind))
-        PROBABILITY.check("epsilon", self.epsilon)
-        object.__setattr__(self, "epsilon", float(self.epsilon))
-        for name in ("thrust", "direction"):
-            POSITIVE.check(name, getattr(self, name))
-            object.__setattr__(self, name, float(getattr(self, name)))
+        ranges = {"epsilon": PROBABILITY, "thrust": POSITIVE, "direction": POSITIVE}
+        for name, range_ in ranges.items():
+            object.__setattr__(self, name, float(range_.check(name, getattr(self, name))))
         each = np.atleast_1d(np.asarray(self.temperature, dtype=object)).ravel()
         if not len(each):
             raise InputError("temperature holds no number: give one, or one per individual")
-        for value in each:
-            POSITIVE.check("temperature", value)
-        object.__setattr__(self, "temperature", tuple(float(value) for value in each))
+        checked = tuple(float(POSITIVE.check("temperature", value)) for value in each)
+        object.__setattr__(self, "temperature", checked)
 
     @classmethod
     def boltzmann(
@@ -95,15 +92,15 @@ class Acting:
         InputError
             If it is none of these.
         """
-        name, colon, given = text.partition(":")
+        name, _, given = text.partition(":")
         given, *more = given.split("/")
         try:
-            numbers = [float(part) for part in given.split(",")] if colon else []
+            numbers = [float(part) for part in given.split(",") if given]
             shares = [float(part) for part in more]
         except ValueError:
-            raise _unreadable(text) from None
+            numbers, shares = [], []
         match name, len(numbers), len(shares):
-            case Kind.GREEDY, 0, 0:
+            case Kind.GREEDY, 0, 0 if text == name:
                 return cls()
             case Kind.BOLTZMANN, count, 0 if count:
                 return cls.boltzmann(numbers)
@@ -111,7 +108,10 @@ class Acting:
                 return cls.boltzmann(numbers, thrust=shares[0], direction=shares[1])
             case Kind.EPSILON, 1, 0:
                 return cls.epsilon_greedy(numbers[0])
-        raise _unreadable(text)
+        raise InputError(
+            f"acting is {text!r}: write greedy, boltzmann:TEMPERATURE (or one per individual, with "
+            "commas; /THRUST/DIRECTION after it) or epsilon:SHARE"
+        )
 
     def __str__(self) -> str:
         """Return the text that :meth:`parse` reads."""
@@ -126,13 +126,7 @@ class Acting:
 
     @classmethod
     def from_json(cls, row: Mapping[str, Any]) -> Acting:
-        """Return the rule that :meth:`to_json` wrote.
-
-        Raises
-        ------
-        InputError
-            If ``row`` is none.
-        """
+        """Return the rule that :meth:`to_json` wrote."""
         if set(row) != {each.name for each in fields(cls)}:
             raise InputError(
                 "an acting rule has kind, temperature, epsilon, thrust and direction, not "
@@ -146,13 +140,7 @@ class Acting:
         return (self.thrust, self.direction) != (1.0, 1.0)
 
     def checked(self, individuals: int, actions: int) -> Acting:
-        """The rule itself, if so many individuals with so many actions can act by it.
-
-        Raises
-        ------
-        InputError
-            If it has another number of temperatures, or asks for thrusts of other actions.
-        """
+        """The rule itself, if so many individuals with so many actions can act by it."""
         if len(self.temperature) not in (1, individuals):
             raise InputError(
                 f"temperature has {len(self.temperature)} numbers for {individuals} individuals: "
@@ -197,13 +185,6 @@ class Acting:
         actions = q_values.shape[1]
         random = np.minimum(draw / self.epsilon * actions, actions - 1)
         return np.where(draw < self.epsilon, random.astype(np.int64), greedy)
-
-
-def _unreadable(text: str) -> InputError:
-    return InputError(
-        f"acting is {text!r}: write greedy, boltzmann:TEMPERATURE (or one per individual, with "
-        "commas; /THRUST/DIRECTION after it) or epsilon:SHARE"
-    )
 
 
 def two_stage_logits(scaled: NDArray[Any], thrust: float, direction: float) -> NDArray[np.float64]:

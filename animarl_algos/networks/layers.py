@@ -7,9 +7,6 @@ equations are PyTorch's, per individual, with x the input and h the hidden state
     z = sigmoid(x W_iz + b_iz + h W_hz + b_hz)
     n = tanh(x W_in + b_in + r (h W_hn + b_hn))
     h' = (1 - z) n + z h
-
-Everything that does not depend on the previous state is done for all steps at once, before the
-loop (the input's part of the gates) or after it (the weights' gradients).
 """
 
 from __future__ import annotations
@@ -26,8 +23,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from animarl_algos.networks.kernels import gru_kernels, runs_compiled
-from animarl_envs.errors import InputError
+from animarl_algos.networks.kernels import runs_compiled
+from animarl_algos.networks.kernels.gru_kernels import gru
 
 
 @dataclass(frozen=True)
@@ -37,24 +34,13 @@ class Packing:
     At step t these are the first ``active[t]`` rows of the batch, the same for every individual.
     Nothing but padding is left out, and little is left in if rows are sorted by decreasing length;
     in any other order the result is the same and only the saving smaller.
-
-    Attributes
-    ----------
-    time, batch
-        The rectangle.
-    active : ndarray (steps,) int64
-        Rows computed at each step, not increasing; steps <= time, the rest have none.
-    lengths : ndarray (individuals or 1, batch) int64, or None
-        Valid steps of each sequence; None means all ``time`` steps.
-    device
-        Where the index tensors live.
     """
 
     time: int
     batch: int
-    active: NDArray[np.int64]
-    lengths: NDArray[np.int64] | None
-    device: torch.device
+    active: NDArray[np.int64]  # (steps,), rows of each step, not increasing; others have none
+    lengths: NDArray[np.int64] | None  # (individuals or 1, batch), valid steps; None: all
+    device: torch.device  # where the index tensors live
 
     @classmethod
     def full(cls, time: int, batch: int, device: torch.device | str = "cpu") -> Packing:
@@ -67,13 +53,8 @@ class Packing:
     ) -> Packing:
         """The rows needed by sequences of the given lengths, (batch,) or (individuals, batch)."""
         lengths = np.atleast_2d(np.asarray(lengths, dtype=np.int64))
-        if lengths.size == 0 or lengths.min() < 0 or lengths.max() > time:
-            raise InputError(
-                f"sequence lengths must lie in 0..{time}; pad the batch to its longest sequence"
-            )
-        longest = lengths.max(axis=0)
         # A row is computed while it or a later one still runs: running maximum from the right.
-        reach = np.maximum.accumulate(longest[::-1])[::-1]
+        reach = np.maximum.accumulate(lengths.max(axis=0)[::-1])[::-1]
         active = np.searchsorted(-reach, -np.arange(time), side="left").astype(np.int64)
         return cls(time, lengths.shape[1], active[active > 0], lengths, torch.device(device))
 
@@ -113,6 +94,12 @@ class Packing:
             packed = padded.index_copy_(1, self.rows, packed)
         return packed.view(individuals, self.time, self.batch, *features)
 
+    def repeat_per_row(self, of_sequence: torch.Tensor) -> torch.Tensor:
+        """(individual, batch, ...) of each sequence to (individual, row, ...)."""
+        if self.is_full:
+            return of_sequence.repeat(1, self.time, 1)
+        return of_sequence.index_select(1, self.rows % self.batch)
+
     def final(self, hidden: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         """State after each sequence's last valid step, from hidden (K, row, H) and first state."""
         if self.lengths is None:
@@ -126,171 +113,10 @@ class Packing:
         return torch.where(empty, state, hidden.gather(1, index))
 
 
-def _forward_loop(
-    gates: torch.Tensor,
-    hidden_n: torch.Tensor,
-    hidden: torch.Tensor,
-    state: torch.Tensor,
-    weight: torch.Tensor,
-    bias: torch.Tensor,
-    packing: Packing,
-) -> None:
-    """Run the recurrence; ``gates`` holds the input's part and is overwritten with r, z, n."""
-    units = state.shape[-1]
-    before = state
-    for start, count in zip(packing.offsets.tolist(), packing.active.tolist()):
-        before = before[:, :count]
-        here = slice(start, start + count)
-        from_state = torch.baddbmm(bias, before, weight)
-        hidden_n[:, here] = from_state[..., 2 * units :]
-        gates_now = gates[:, here]
-        rz = gates_now[..., : 2 * units].add_(from_state[..., : 2 * units]).sigmoid_()
-        n = gates_now[..., 2 * units :].addcmul_(rz[..., :units], hidden_n[:, here]).tanh_()
-        before = torch.lerp(n, before, rz[..., units:])
-        hidden[:, here] = before
-
-
-def _backward_loop(
-    grad_hidden: torch.Tensor,
-    gates: torch.Tensor,
-    hidden_n: torch.Tensor,
-    hidden: torch.Tensor,
-    state: torch.Tensor,
-    weight: torch.Tensor,
-    packing: Packing,
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Gradients of the input's gates (K, row, 3H), of ``hidden_n`` (K, row, H), of the state."""
-    units = state.shape[-1]
-    r, z, n = gates.chunk(3, dim=-1)
-    # All gate gradients are the state's gradient times factors known before the loop.
-    factor = torch.empty_like(gates)
-    to_r, to_z, to_n = factor.chunk(3, dim=-1)
-    torch.mul(1 - z, 1 - n * n, out=to_n)
-    # (h_prev - n) z (1 - z), since h - n = z (h_prev - n).
-    torch.mul(hidden - n, 1 - z, out=to_z)
-    torch.mul(to_n * hidden_n, r * (1 - r), out=to_r)
-    factor = torch.cat((to_r, to_z, to_n * r), dim=-1)
-    grad_total = torch.empty_like(hidden)
-    weight_back = weight.transpose(1, 2)
-    carried = torch.zeros_like(state)
-    for start, count in zip(packing.offsets[-2::-1].tolist(), packing.active[::-1].tolist()):
-        here = slice(start, start + count)
-        total = grad_hidden[:, here] + carried[:, :count]
-        grad_total[:, here] = total
-        from_gates = factor[:, here].mul_(total.repeat(1, 1, 3))
-        carried[:, :count] = torch.baddbmm(total * z[:, here], from_gates, weight_back)
-    grad_hidden_n = factor[..., 2 * units :].contiguous()
-    factor[..., 2 * units :] = to_n * grad_total
-    return factor, grad_hidden_n, carried
-
-
-class GRUFunction(torch.autograd.Function):
-    """Hidden states (K, row, H) of K GRUs over sequences packed by ``packing``.
-
-    Inputs are (K, row, I), the state before the first step is (K, batch, H), the weights are
-    (K, I, 3H) and (K, H, 3H) with gates in the order r, z, n, the biases (K, 1, 3H).
-    """
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        inputs: torch.Tensor,
-        state: torch.Tensor,
-        weight_input: torch.Tensor,
-        weight_hidden: torch.Tensor,
-        bias_input: torch.Tensor,
-        bias_hidden: torch.Tensor,
-        packing: Packing,
-    ) -> torch.Tensor:
-        gates = torch.baddbmm(bias_input, inputs, weight_input)
-        individuals, rows, _ = gates.shape
-        units = state.shape[-1]
-        hidden_n = gates.new_empty((individuals, rows, units))
-        hidden = gates.new_empty((individuals, rows, units))
-        if runs_compiled(gates):
-            gru_kernels.forward(
-                gates, hidden_n, hidden, state, weight_hidden, bias_hidden, packing.active
-            )
-        else:
-            _forward_loop(gates, hidden_n, hidden, state, weight_hidden, bias_hidden, packing)
-        ctx.save_for_backward(inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden)
-        ctx.packing = packing
-        return hidden
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable  # type: ignore[misc]
-    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden = ctx.saved_tensors
-        packing: Packing = ctx.packing
-        units = state.shape[-1]
-        backward = gru_kernels.backward if runs_compiled(gates) else None
-        if backward is not None:
-            grad_gates, grad_hidden_n, grad_state = backward(
-                grad_outputs[0], gates, hidden_n, hidden, state, weight_hidden, packing.active
-            )
-        else:
-            grad_gates, grad_hidden_n, grad_state = _backward_loop(
-                grad_outputs[0], gates, hidden_n, hidden, state, weight_hidden, packing
-            )
-        first = int(packing.active[0]) if len(packing.active) else 0
-        if packing.is_full:
-            later = hidden[:, : hidden.shape[1] - first]
-        else:
-            later = hidden.index_select(1, packing.previous)
-        before = torch.cat((state[:, :first], later), dim=1).transpose(1, 2)
-        grad_rz = grad_gates[..., : 2 * units]
-        grad_weight_hidden = torch.cat((before @ grad_rz, before @ grad_hidden_n), dim=-1)
-        grad_bias = grad_gates.sum(1, keepdim=True)
-        grad_bias_hidden = torch.cat(
-            (grad_bias[..., : 2 * units], grad_hidden_n.sum(1, keepdim=True)), dim=-1
-        )
-        return (
-            grad_gates @ weight_input.transpose(1, 2) if ctx.needs_input_grad[0] else None,
-            grad_state if ctx.needs_input_grad[1] else None,
-            inputs.transpose(1, 2) @ grad_gates,
-            grad_weight_hidden,
-            grad_bias,
-            grad_bias_hidden,
-            None,
-        )
-
-
-@dataclass(frozen=True)
-class DropoutMasks:
-    """Factors 0 or ``1 / (1 - share)`` for every hidden layer.
-
-    Attributes
-    ----------
-    masks : Tensor (layers, K, batch, H)
-    """
-
-    masks: torch.Tensor
-
-    def to(self, device: torch.device | str) -> DropoutMasks:
-        """Return the same masks on ``device``."""
-        return DropoutMasks(self.masks.to(device))
-
-    def thin(self, features: torch.Tensor, layer: int, packing: Packing) -> torch.Tensor:
-        """Packed ``features`` (K, row, H) of a layer, times the mask of each row's sequence."""
-        mask = self.masks[layer]
-        if packing.is_full:
-            mask = mask.repeat(1, packing.time, 1)
-        else:
-            mask = mask.index_select(1, packing.rows % packing.batch)
-        return features * mask
-
-
 class DropoutDraws:
-    """Draws masks, each individual's from its own generator.
+    """Draws the factors of hidden units, a ``share`` of them 0.
 
-    Parameters
-    ----------
-    share
-        Of the units that are left out, below 1.
-    seeds
-        Root of the draws, whole numbers; with an individual's name they seed its generator.
-    individuals
-        Names of the K individuals.
+    Each individual's come from its own generator, of ``seeds`` (whole numbers) and its name.
     """
 
     def __init__(self, share: float, seeds: Sequence[int], individuals: Sequence[str]) -> None:
@@ -299,15 +125,15 @@ class DropoutDraws:
             np.random.default_rng([*seeds, zlib.crc32(name.encode())]) for name in individuals
         ]
 
-    def masks(self, layers: int, batch: int, units: int) -> DropoutMasks | None:
-        """Draw masks for ``batch`` sequences of every individual; None if the share is 0."""
+    def masks(self, layers: int, batch: int, units: int) -> torch.Tensor | None:
+        """Draw factors (layers, K, batch, units), 0 or ``1 / (1 - share)``; None if share is 0."""
         if not self.share:
             return None
         shape = (layers, batch, units)
         kept = np.stack(
             [g.random(shape, dtype=np.float32) >= self.share for g in self._generators], axis=1
         )
-        return DropoutMasks(torch.from_numpy(kept).float().div_(1.0 - self.share))
+        return torch.from_numpy(kept).float().div_(1.0 - self.share)
 
 
 def individual_generators(individuals: Sequence[str], seed: int) -> list[torch.Generator]:
@@ -358,13 +184,26 @@ class StackedGRU(nn.Module):
         self.bias_input = _uniform((1, 3 * units), bound, generators)
         self.bias_hidden = _uniform((1, 3 * units), bound, generators)
 
+    @property
+    def weights(self) -> tuple[torch.Tensor, ...]:
+        """Weights of input and state, biases of input and state."""
+        return self.weight_input, self.weight_hidden, self.bias_input, self.bias_hidden
+
     def forward(self, inputs: torch.Tensor, state: torch.Tensor, packing: Packing) -> torch.Tensor:
-        """Hidden states (K, row, H) of packed inputs (K, row, in)."""
-        hidden: torch.Tensor = GRUFunction.apply(  # type: ignore[no-untyped-call]
-            *(inputs, state, self.weight_input, self.weight_hidden),
-            *(self.bias_input, self.bias_hidden, packing),
-        )
-        return hidden
+        """Hidden states (K, row, H) of packed inputs (K, row, in), from (K, batch, H)."""
+        active = packing.active
+        if runs_compiled(inputs):
+            previous = None if packing.is_full else packing.previous
+            return gru(inputs, state, self.weights, active, previous)
+        first, sizes = int(active[0]) if len(active) else 0, torch.from_numpy(active)
+        hidden = []
+        with torch.backends.cudnn.flags(enabled=False):  # whose rounding differs between runs
+            for k, (weight_input, weight_hidden, *biases) in enumerate(zip(*self.weights)):
+                weights = [weight_input.T, weight_hidden.T, *(bias[0] for bias in biases)]
+                before = state[k : k + 1, :first].contiguous()
+                one, _ = torch.gru(inputs[k], sizes, before, weights, True, 1, 0.0, False, False)
+                hidden.append(one)
+        return torch.stack(hidden)
 
 
 class _FoldedDueling(torch.autograd.Function):

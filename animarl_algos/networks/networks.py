@@ -10,7 +10,7 @@ Architecture (the paper, "Neural network architectures"), all of H = 32 units, f
     Q = V + A - mean over actions of A
     logit of c = Linear(relu(Linear(reversal(h))))    treatment head of DQCIL, 8 units
 
-The number of layers of x, their width and what the heads see ([x, h] with a skip) are arguments;
+The number of layers of x, their width and what the heads see ([x, h] with a skip) are settings;
 the paper's are the defaults.
 
 The flag has to interact with the state: what the condition changes differs between states. Where
@@ -28,21 +28,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import nn
 
+from animarl_algos.checked import Checked
 from animarl_algos.losses.losses import reverse_gradient
 from animarl_algos.losses.values import take_action
 from animarl_algos.networks.kernels import chosen_head, feed_forward, runs_compiled
 from animarl_algos.networks.kernels.feed_forward import WeightViews
 from animarl_algos.networks.layers import (
-    DropoutMasks,
     DuelingHead,
     Packing,
     StackedGRU,
@@ -51,91 +51,70 @@ from animarl_algos.networks.layers import (
 )
 from animarl_envs.errors import InputError
 
-
-@dataclass(frozen=True)
-class HeadUnits:
-    """A quantile network's head, known by its hidden units: of its many outputs few are asked for.
-
-    Attributes
-    ----------
-    units : Tensor (K, row, 2H)
-    weight, bias : Tensor (K, 2H, actions * quantiles), (K, 1, actions * quantiles)
-        From them to the values.
-    num_actions
-    """
-
-    units: torch.Tensor
-    weight: torch.Tensor
-    bias: torch.Tensor
-    num_actions: int
-
-    @property
-    def num_quantiles(self) -> int:
-        return self.weight.shape[-1] // self.num_actions
-
-    def values(self) -> torch.Tensor:
-        """Quantiles of all action values, (K, row, actions, quantiles)."""
-        return self._per_action(torch.baddbmm(self.bias, self.units, self.weight))
-
-    def means(self) -> torch.Tensor:
-        """Expected values of all actions, (K, row, actions)."""
-        weight, bias = (self._per_action(t).mean(-1) for t in (self.weight, self.bias))
-        return torch.baddbmm(bias, self.units, weight)
-
-    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
-        """Quantiles of one action's value in each row: (K, row) to (K, row, quantiles)."""
-        if not runs_compiled(self.units):
-            return take_action(self.values(), actions)
-        return chosen_head.chosen_values(
-            self.units, self.weight, self.bias, actions, self.num_quantiles
-        )
-
-    def _per_action(self, flat: torch.Tensor) -> torch.Tensor:
-        return flat.view(*flat.shape[:-1], self.num_actions, self.num_quantiles)
+TREATMENT_UNITS = 8
+INPUT_LIMIT = 6.0
+"""Standardised inputs are clipped at this many standard deviations: a simulation may go where no
+recording has been."""
 
 
-@dataclass(frozen=True)
-class HeadValues:
-    """A head known by its values, (K, row, actions, quantiles)."""
+class NetworkSettings(Checked):
+    """Shape of the networks; the defaults are the paper's."""
 
-    known: torch.Tensor
-
-    def values(self) -> torch.Tensor:
-        return self.known
-
-    def means(self) -> torch.Tensor:
-        return self.known.squeeze(-1) if self.known.shape[-1] == 1 else self.known.mean(-1)
-
-    def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
-        return take_action(self.known, actions)
+    hidden: int = Field(32, ge=1)
+    """Width of every hidden layer."""
+    depth: int = Field(2, ge=1)
+    """Layers before the GRU."""
+    head_layers: int = Field(1, ge=0, le=1)
+    """Hidden layers of the dueling head; 0: V and A are linear in what the head sees."""
+    n_quantiles: Annotated[int, Field(ge=2)] | None = None
+    """Quantiles per action (QR-DQN); None for expected values (DQN)."""
+    skip: bool = False
+    """Whether the heads see the encoded observation beside the GRU's state."""
+    dropout: float = Field(0.0, ge=0, le=0.95)
+    """Share of the hidden units (encoder and GRU) that are left out in the offline phase."""
+    previous_action: bool | None = None
+    """Whether the previous action is an input; None: for a network with a memory."""
+    condition_input: Literal["head", "encoder"] = "head"
+    """Where the condition flag enters: ``"head"`` bypasses encoder and GRU, which stay blind to it,
+    and ``"encoder"`` does not; a network with a treatment head needs ``"head"``."""
+    reversal: float = Field(1.0, ge=0)
+    """Strength of the gradient reversal."""
+    shared: bool = False
+    """Whether all individuals have the same weights and statistics of inputs (parameter sharing:
+    Gupta, Egorov & Kochenderfer 2017). Biases stay their own; in the first layer they act as an
+    input that names the individual. Training averages the gradients of these weights
+    (:func:`animarl_algos.losses.losses.share_gradients`)."""
 
 
 @dataclass(frozen=True)
 class QOutput:
     """What a network says about a batch of sequences; zero where the packing computed nothing.
 
-    Attributes
-    ----------
-    treatment_logits : Tensor (K, T, B) or None
-        Logit of treatment 1, predicted from the hidden state through gradient reversal.
-    features : Tensor (K, row, H)
-        What the heads see, packed: the hidden states, without a GRU the encoded observations.
-    initial_state : Tensor (K, B, H)
-        Hidden state before the first step.
-    packing
-        Of the features.
-    recurrent
-        Whether the features are states.
-    head
-        Of the values of the packed rows.
+    A quantile network's values are known by the head's hidden units: of its many outputs few are
+    asked for.
     """
 
-    treatment_logits: torch.Tensor | None
-    features: torch.Tensor
-    initial_state: torch.Tensor
-    packing: Packing
-    recurrent: bool
-    head: HeadUnits | HeadValues
+    features: torch.Tensor  # (K, row, H), what the heads see: hidden states, or encoded inputs
+    initial_state: torch.Tensor  # (K, B, H), before the first step
+    packing: Packing  # of the features
+    recurrent: bool  # whether the features are states
+    num_actions: int
+    treatment_logits: torch.Tensor | None  # (K, T, B), of treatment 1, through gradient reversal
+    known: torch.Tensor | None  # (K, row, A, Q), the values, where they are computed already
+    # else the head's units (K, row, 2H), and weight and bias from them to the values
+    head: tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None = None
+
+    @cached_property
+    def _values(self) -> torch.Tensor:
+        """Quantiles of all action values, (K, row, actions, quantiles)."""
+        if self.head is None:
+            assert self.known is not None
+            return self.known
+        units, weight, bias = self.head
+        return self._per_action(torch.baddbmm(bias, units, weight))
+
+    def _per_action(self, flat: torch.Tensor) -> torch.Tensor:
+        return flat.view(*flat.shape[:-1], self.num_actions, -1)
 
     @cached_property
     def values(self) -> torch.Tensor:
@@ -143,16 +122,24 @@ class QOutput:
 
         One "quantile" where the expected value is learned.
         """
-        return self.packing.unpack(self.head.values())
+        return self.packing.unpack(self._values)
 
     @cached_property
     def q_values(self) -> torch.Tensor:
         """Expected values of all actions, (K, T, B, actions)."""
-        return self.packing.unpack(self.head.means())
+        if self.head is not None:
+            weight, bias = (self._per_action(each).mean(-1) for each in self.head[1:])
+            return self.packing.unpack(torch.baddbmm(bias, self.head[0], weight))
+        one = self._values.shape[-1] == 1
+        return self.packing.unpack(self._values.squeeze(-1) if one else self._values.mean(-1))
 
     def of_actions(self, actions: torch.Tensor) -> torch.Tensor:
         """Quantiles of one action's value at each step: (K, T, B) to (K, T, B, quantiles)."""
-        return self.packing.unpack(self.head.of_actions(self.packing.pack(actions)))
+        packed = self.packing.pack(actions)
+        if self.head is None or not runs_compiled(self.features):
+            return self.packing.unpack(take_action(self._values, packed))
+        quantiles = self.head[1].shape[-1] // self.num_actions
+        return self.packing.unpack(chosen_head.chosen_values(*self.head, packed, quantiles))
 
     @property
     def hidden(self) -> torch.Tensor:
@@ -167,19 +154,6 @@ class QOutput:
         return self.packing.final(self.features, self.initial_state)
 
 
-TREATMENT_UNITS = 8
-INPUT_LIMIT = 6.0
-"""Standardised inputs are clipped at this many standard deviations: a simulation may go where no
-recording has been."""
-
-
-class ConditionInput(StrEnum):
-    """Where the condition flag enters the network."""
-
-    HEAD = "head"  # beside the hidden state, which stays blind to it
-    ENCODER = "encoder"  # as any other component of the observation
-
-
 class StackedQNetwork(nn.Module):
     """Recurrent (or feed-forward) dueling Q-networks, one per named individual.
 
@@ -191,39 +165,16 @@ class StackedQNetwork(nn.Module):
         Components of one flattened observation, the treatment flag included where there is one.
     num_actions
         Discrete actions; as a previous action, ``num_actions`` stands for "none yet".
-    num_quantiles
-        1 for expected values.
-    units
-        Width of every hidden layer.
-    depth
-        Number of layers before the GRU.
-    head_layers
-        Hidden layers of the dueling head, 1 or 0: V and A linear in what the head sees.
     recurrent
         False leaves the GRU out; the state is then passed through untouched.
-    skip
-        Whether the heads see the encoded observation beside the GRU's state.
-    dropout
-        Share of the hidden units (encoder and GRU) that are left out where masks are asked for;
-        see :mod:`animarl_algos.networks.layers`.
-    previous_action
-        Whether the previous action is an input.
     condition_flag
         Whether the last observation component is the condition flag.
-    condition_input
-        Where the flag enters: ``"head"`` bypasses encoder and GRU, which stay blind to it, and
-        ``"encoder"`` does not; a network with a treatment head needs ``"head"``.
     treatment_head
         Whether to predict the treatment through gradient reversal (DQCIL).
-    reversal
-        Strength of the gradient reversal.
-    shared
-        Whether all individuals have the same weights and statistics of inputs (parameter sharing:
-        Gupta, Egorov & Kochenderfer 2017). Biases stay their own; in the first layer they act as an
-        input that names the individual. Training averages the gradients of
-        :attr:`shared_parameters` (:func:`animarl_algos.losses.losses.share_gradients`).
     seed
         Of the initial weights.
+    settings
+        Those of :class:`NetworkSettings`.
 
     Attributes
     ----------
@@ -242,22 +193,15 @@ class StackedQNetwork(nn.Module):
         observation_size: int,
         num_actions: int,
         *,
-        num_quantiles: int = 1,
-        units: int = 32,
-        depth: int = 2,
-        head_layers: int = 1,
         recurrent: bool = True,
-        skip: bool = False,
-        dropout: float = 0.0,
-        previous_action: bool = True,
         condition_flag: bool = False,
-        condition_input: str = ConditionInput.HEAD,
         treatment_head: bool = False,
-        reversal: float = 1.0,
-        shared: bool = False,
         seed: int = 0,
+        **settings: Any,
     ) -> None:
         super().__init__()
+        asked = NetworkSettings(**settings)
+        encoded_flag = asked.condition_input == "encoder"
         if not individuals or len(set(individuals)) != len(individuals):
             raise InputError(f"individuals={tuple(individuals)}: give one or more distinct names")
         if condition_flag and observation_size < 2:
@@ -265,45 +209,39 @@ class StackedQNetwork(nn.Module):
                 "condition_flag=True needs an observation of at least two components, the last of "
                 f"them the flag, but there is {observation_size}: use the condition-flag wrapper"
             )
-        if skip and not recurrent:
+        if asked.skip and not recurrent:
             raise InputError(
                 "skip=True leads past a memory and this network has none: use GruPolicy, or leave "
                 "skip out"
             )
-        if condition_input not in list(ConditionInput):
-            raise InputError(
-                f"condition_input is {condition_input!r}: choose {' or '.join(ConditionInput)}"
-            )
-        if treatment_head and condition_input == ConditionInput.ENCODER:
+        if treatment_head and encoded_flag:
             raise InputError(
                 "condition_input is 'encoder' and gradient reversal makes the memory blind to the "
                 "condition, which the encoder would tell it: set condition_input to 'head'"
             )
         self.individuals = tuple(individuals)
         self.num_actions = num_actions
-        self.num_quantiles = num_quantiles
-        self.units = units
-        self.depth = depth
+        self.num_quantiles = asked.n_quantiles or 1
+        self.units, self.depth = units, depth = asked.hidden, asked.depth
         self.recurrent = recurrent
-        self.skip = skip
-        self.dropout = dropout
-        self.previous_action = previous_action
-        self.flag_in_head = condition_flag and condition_input == ConditionInput.HEAD
-        self.reversal = reversal
+        self.skip, self.dropout, self.shared = asked.skip, asked.dropout, asked.shared
+        sees_previous = recurrent if asked.previous_action is None else asked.previous_action
+        self.previous_action = sees_previous
+        self.flag_in_head = condition_flag and not encoded_flag
+        self.reversal = asked.reversal
         self.sensed = observation_size - self.flag_in_head
-        self.shared = shared
-        named = [individuals[0]] * len(individuals) if shared else individuals
+        named = [individuals[0]] * len(individuals) if asked.shared else individuals
         generators = individual_generators(named, seed)
-        encoder_inputs = self.sensed + (num_actions if previous_action else 0)
+        encoder_inputs = self.sensed + (num_actions if sees_previous else 0)
         for layer in range(depth):
             inputs = units if layer else encoder_inputs
             self.add_module(f"encoder_{layer + 1}", StackedLinear(inputs, units, generators))
         self.gru = StackedGRU(units, units, generators) if recurrent else None
-        seen = units * (1 + skip)
-        self.gated = self.flag_in_head and not head_layers
+        seen = units * (1 + asked.skip)
+        self.gated = self.flag_in_head and not asked.head_layers
         read = seen * (1 + self.gated) + self.flag_in_head
         self.dueling = DuelingHead(
-            read, units * head_layers, num_actions, num_quantiles, generators
+            read, units * asked.head_layers, num_actions, self.num_quantiles, generators
         )
         self.treatment: nn.Sequential | None = None
         if treatment_head:
@@ -334,15 +272,10 @@ class StackedQNetwork(nn.Module):
     ) -> None:
         """See observations as ``clip((o - mean) / sd)`` from now on, but for a flag in the head.
 
-        Parameters
-        ----------
-        mean, sd : Tensor (K, n)
-            Of each individual's observation components, the flag's own included (and not used if
-            it enters the head).
-            A component that does not vary (sd 0) keeps its scale. A shared network takes mean and
-            sd over all individuals.
-        limit
-            Clips what lies farther from the mean [sd].
+        ``mean`` and ``sd`` (K, n) are of each individual's observation components, the flag's own
+        included (and not used if it enters the head). A component that does not vary (sd 0) keeps
+        its scale. A shared network takes mean and sd over all individuals. ``limit`` clips what
+        lies farther from the mean [sd].
         """
         if self.shared:
             sd = (sd.square() + (mean - mean.mean(0)).square()).mean(0).sqrt().expand_as(sd)
@@ -365,7 +298,7 @@ class StackedQNetwork(nn.Module):
         observations: torch.Tensor,
         previous_actions: torch.Tensor,
         packing: Packing,
-        masks: DropoutMasks | None,
+        masks: torch.Tensor | None,
     ) -> torch.Tensor:
         """Packed observations (K, row, n) and previous actions (K, row) to features (K, row, H)."""
         inputs = observations[..., : self.sensed]
@@ -377,7 +310,7 @@ class StackedQNetwork(nn.Module):
         for number, layer in enumerate(self.encoder):
             inputs = torch.relu(layer(inputs))
             if masks is not None:
-                inputs = masks.thin(inputs, number, packing)
+                inputs = inputs * packing.repeat_per_row(masks[number])
         return inputs
 
     def forward(
@@ -386,7 +319,7 @@ class StackedQNetwork(nn.Module):
         previous_actions: torch.Tensor,
         state: torch.Tensor | None = None,
         packing: Packing | None = None,
-        masks: DropoutMasks | None = None,
+        masks: torch.Tensor | None = None,
     ) -> QOutput:
         """Run whole sequences.
 
@@ -399,8 +332,8 @@ class StackedQNetwork(nn.Module):
             Hidden state before the first step; zeros by default.
         packing : Packing, optional
             Rows to compute; by default all.
-        masks : DropoutMasks, optional
-            Units to leave out, for training; by default none.
+        masks : Tensor (layers, K, B, H), optional
+            Factors of hidden units, for training (:class:`.layers.DropoutDraws`); by default none.
         """
         _, time, batch, _ = observations.shape
         if packing is None:
@@ -409,9 +342,9 @@ class StackedQNetwork(nn.Module):
             state = self.initial_state(batch)
         observed = self._standardised(packing.pack(observations))
         previous = packing.pack(previous_actions)
-        head: HeadUnits | HeadValues
+        known, head = None, None
         if self.fits_loops and masks is None and feed_forward.usable(observed):
-            features, values = feed_forward.features_and_values(
+            features, known = feed_forward.features_and_values(
                 observed,
                 previous,
                 self.weights,
@@ -419,33 +352,28 @@ class StackedQNetwork(nn.Module):
                 flagged=self.flag_in_head,
                 sees_previous=self.previous_action,
             )
-            head, seen = HeadValues(values), features
+            seen = features
         else:
             features = seen = self._encode(observed, previous, packing, masks)
             if self.gru is not None:
                 encoded, features = seen, self.gru(seen, state, packing)
-                seen = features if masks is None else masks.thin(features, self.depth, packing)
+                seen = features
+                if masks is not None:
+                    seen = features * packing.repeat_per_row(masks[self.depth])
                 if self.skip:
                     seen = torch.cat((encoded, seen), dim=-1)
-            head = self._head(self._with_flag(seen, observed))
+            weight, bias = self.dueling.combined()
+            units = self.dueling.units(self._with_flag(seen, observed))
+            if self.num_quantiles > 1:
+                head = (units, weight, bias)
+            else:
+                known = torch.baddbmm(bias, units, weight).unsqueeze(-1)
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
         return QOutput(
-            treatment_logits=logits,
-            features=features,
-            initial_state=state,
-            packing=packing,
-            recurrent=self.recurrent,
-            head=head,
+            *(features, state, packing, self.recurrent, self.num_actions, logits, known, head)
         )
-
-    def _head(self, inputs: torch.Tensor) -> HeadUnits | HeadValues:
-        weight, bias = self.dueling.combined()
-        units = self.dueling.units(inputs)
-        if self.num_quantiles > 1:
-            return HeadUnits(units, weight, bias, self.num_actions)
-        return HeadValues(torch.baddbmm(bias, units, weight).unsqueeze(-1))
 
     @property
     def fits_loops(self) -> bool:
@@ -479,7 +407,7 @@ class StackedQNetwork(nn.Module):
         gru = self.gru
         if gru is None:
             return WeightViews([torch.zeros((0, 0, 0))] * 4)
-        return WeightViews([gru.weight_input, gru.weight_hidden, gru.bias_input, gru.bias_hidden])
+        return WeightViews(gru.weights)
 
     @cached_property
     def all_parameters(self) -> list[nn.Parameter]:
@@ -514,19 +442,9 @@ class StackedQNetwork(nn.Module):
     def step(
         self, observations: torch.Tensor, previous_actions: torch.Tensor, state: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """One decision, without gradient.
+        """One decision, without gradient: expected values (K, B, actions) and next state (K, B, H).
 
-        Parameters
-        ----------
-        observations : Tensor (K, B, n)
-        previous_actions : Tensor (K, B) int64
-        state : Tensor (K, B, H)
-
-        Returns
-        -------
-        q_values : Tensor (K, B, actions)
-            Mean over the quantiles.
-        state : Tensor (K, B, H)
+        ``observations`` are (K, B, n), ``previous_actions`` (K, B) int64.
         """
         output = self(observations.unsqueeze(1), previous_actions.unsqueeze(1), state)
         return output.q_values[:, 0], output.final_state

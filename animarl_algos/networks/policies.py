@@ -7,26 +7,20 @@ hidden state and its previous action.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from gymnasium import spaces
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+from pydantic import WithJsonSchema
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
-from animarl_algos.checked import COUNT, NOT_NEGATIVE, Range
-from animarl_algos.losses.values import (
-    ErrorLoss,
-    ExpectedValue,
-    Quantiles,
-    value_distribution,
-)
-from animarl_algos.networks.acting_rule import Acting, Kind
+from animarl_algos.losses.values import ValueDistribution
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.kernels.acting import CompiledActor
-from animarl_algos.networks.networks import ConditionInput, StackedQNetwork
+from animarl_algos.networks.networks import NetworkSettings, StackedQNetwork
 from animarl_envs.errors import InputError
 
 State = tuple[NDArray[np.float32], NDArray[np.int64]]
@@ -35,29 +29,16 @@ FINISHED = np.iinfo(np.int64).min
 """In the place of a previous action: the slot's episode is over, so nothing is computed for it."""
 
 
-def decide_on_device(
-    network: StackedQNetwork,
-    observation: NDArray[np.float32],
-    previous: NDArray[np.int64],
-    hidden: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Q-values (S, actions) and next hidden state (S, H), where the network is not on the CPU."""
-    individuals, device = len(network.individuals), network.input_mean.device
+class PolicySettings(NetworkSettings):
+    """What ``policy_kwargs`` may say."""
 
-    def stacked(array: NDArray[Any]) -> torch.Tensor:
-        shaped = array.reshape(-1, individuals, *array.shape[1:])
-        return torch.from_numpy(shaped).to(device).transpose(0, 1)
-
-    def slots(tensor: torch.Tensor) -> NDArray[Any]:
-        array: NDArray[Any] = tensor.transpose(0, 1).flatten(0, 1).cpu().numpy()
-        return array
-
-    some = np.where(previous == FINISHED, 0, previous)
-    q_values, state = network.step(stacked(observation), stacked(some), stacked(hidden))
-    return slots(q_values), slots(state)
-
-
-DROPOUT = Range(ge=0, le=0.95)
+    td_loss: Literal["squared", "huber"] = "squared"
+    """Of expected values: the temporal-difference error squared (the paper), or by Huber's loss
+    with threshold 1 (stable-baselines3)."""
+    optimizer_class: Annotated[Any, WithJsonSchema({})] = None
+    """As in stable-baselines3; None: Adam."""
+    optimizer_kwargs: dict[str, Any] | None = None
+    """As in stable-baselines3; those of Adam are ``fused=True`` where they say nothing else."""
 
 
 class GruPolicy(BasePolicy):  # type: ignore[misc]
@@ -73,34 +54,19 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         Learning rate from remaining progress, as in stable-baselines3.
     individuals
         Names of the K individuals in slot order.
-    n_quantiles
-        Quantiles per action (QR-DQN); None for expected values (DQN).
-    td_loss
-        Of expected values: the temporal-difference error ``"squared"`` (the paper), or by
-        ``"huber"`` with threshold 1 (stable-baselines3).
-    condition_flag, condition_input, treatment_head, reversal
+    condition_flag, treatment_head
         See :class:`~animarl_algos.networks.networks.StackedQNetwork`.
-    hidden, depth, head_layers, dropout, skip, shared
-        See there too; ``hidden`` are its ``units``.
-    previous_action
-        Whether the previous action is an input; by default it is one for a policy with a memory.
-    epsilon, temperature
-        Of the acting rule: sampled at ``temperature`` (a number or one per individual) where it is
-        given, otherwise a share ``epsilon`` of random actions. ``acting`` gives the rule itself.
     acting
-        The :class:`~animarl_algos.networks.acting_rule.Acting` to act by, instead of the two.
+        How actions are chosen.
     seed
         Of the initial weights and of the acting draws.
-    optimizer_class, optimizer_kwargs
-        As in stable-baselines3.
+    settings
+        Those of :class:`PolicySettings`.
 
     Attributes
     ----------
     acting
-        How actions are chosen; may be set at any time and holds from the next prediction on.
-    epsilon, temperature
-        The same as two numbers, as schedules of epsilon set it. The temperature is None where
-        nothing is sampled; setting epsilon leaves a sampling rule one.
+        May be set at any time and holds from the next prediction on.
     """
 
     recurrent: ClassVar[bool] = True
@@ -115,24 +81,10 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         *,
         individuals: tuple[str, ...] = ("agent",),
         condition_flag: bool = False,
-        condition_input: str = ConditionInput.HEAD,
         treatment_head: bool = False,
-        reversal: float = 1.0,
-        n_quantiles: int | None = None,
-        td_loss: str = ErrorLoss.SQUARED,
-        hidden: int = 32,
-        depth: int = 2,
-        head_layers: int = 1,
-        dropout: float = 0.0,
-        skip: bool = False,
-        shared: bool = False,
-        previous_action: bool | None = None,
-        epsilon: float = 0.0,
-        temperature: ArrayLike | None = None,
         acting: Acting | None = None,
         seed: int = 0,
-        optimizer_class: type[torch.optim.Optimizer] = torch.optim.Adam,
-        optimizer_kwargs: dict[str, Any] | None = None,
+        **settings: Any,
     ) -> None:
         if not isinstance(observation_space, spaces.Box):
             raise InputError(
@@ -143,55 +95,34 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
                 f"action space {action_space} is not Discrete starting at 0: these learners choose "
                 "among numbered actions"
             )
-        hidden = COUNT.check("hidden", hidden)
-        depth = COUNT.check("depth", depth)
-        head_layers = Range(int, ge=0, le=1).check("head_layers", head_layers)
-        DROPOUT.check("dropout", dropout)
-        NOT_NEGATIVE.check("reversal", reversal)
-        if acting is None:
-            acting = Acting.epsilon_greedy(epsilon)
-            if temperature is not None:
-                acting = replace(Acting.boltzmann(temperature), epsilon=epsilon)
-        acting.checked(len(individuals), int(action_space.n))
+        asked = PolicySettings(**settings)
+        optimizer_class = asked.optimizer_class or torch.optim.Adam
+        fused = {"fused": True} if asked.optimizer_class is None else {}  # in one call
         super().__init__(
             observation_space,
             action_space,
             optimizer_class=optimizer_class,
-            optimizer_kwargs=optimizer_kwargs,
+            optimizer_kwargs=fused | (asked.optimizer_kwargs or {}),
         )
         self.individuals = tuple(individuals)
         self.num_actions = int(action_space.n)
-        self.distribution: ExpectedValue | Quantiles = value_distribution(n_quantiles, td_loss)
-        self._acting = acting
-        self.network_arguments: dict[str, Any] = {
+        self.distribution = ValueDistribution(asked.n_quantiles, asked.td_loss)
+        self.acting = acting or Acting.epsilon_greedy(0.0)
+        self._arguments = {
             "individuals": self.individuals,
             "condition_flag": condition_flag,
-            "condition_input": str(condition_input),
             "treatment_head": treatment_head,
-            "reversal": reversal,
-            "hidden": hidden,
-            "depth": depth,
-            "head_layers": head_layers,
-            "dropout": dropout,
-            "skip": skip,
-            "shared": shared,
-            "previous_action": self.recurrent if previous_action is None else previous_action,
             "seed": seed,
+            **settings,
         }
-        self.n_quantiles, self.td_loss = n_quantiles, str(td_loss)
-        self._observation_size = int(np.prod(observation_space.shape))
         self.seed(seed)
-        self._build(lr_schedule)
-
-    def _build(self, lr_schedule: Schedule) -> None:
-        self.q_net = self.make_q_net()
-        self.q_net_target = self.make_q_net()
+        self.q_net, self.q_net_target = self.make_q_net(), self.make_q_net()
         self.q_net_target.load_state_dict(self.q_net.state_dict())
         self.q_net_target.requires_grad_(False)
         self._actor = CompiledActor(self.q_net)
         self._first_rate = lr_schedule(1)
         self._optimizer: torch.optim.Optimizer | None = None
-        usual = self.optimizer_class is torch.optim.Adam and self._first_rate >= 0
+        usual = optimizer_class is torch.optim.Adam and self._first_rate >= 0
         if not usual or self.optimizer_kwargs.keys() - {"fused"}:
             _ = self.optimizer  # refuses arguments that do not fit, now
 
@@ -200,23 +131,15 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
         """Return the optimiser of ``q_net``, made when first asked for.
 
         Acting needs none, and the first one of a process takes seconds to import.
-
-        Raises
-        ------
-        InputError
-            If ``optimizer_class`` and ``optimizer_kwargs`` do not fit.
         """
         if self._optimizer is None:
             try:
-                self._optimizer = self.optimizer_class(
-                    self.q_net.parameters(),
-                    lr=self._first_rate,  # type: ignore[call-arg]
-                    **self.optimizer_kwargs,
-                )
+                self.reset_optimizer(self._first_rate)
             except (TypeError, ValueError) as error:
                 raise InputError(
                     f"optimizer_class and optimizer_kwargs do not fit: {error}"
                 ) from error
+        assert self._optimizer is not None
         return self._optimizer
 
     def reset_optimizer(self, learning_rate: float) -> None:
@@ -229,15 +152,13 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
     def make_q_net(self) -> StackedQNetwork:
         """A network as the constructor's arguments describe it, freshly initialised."""
-        arguments = dict(self.network_arguments)
+        network = {k: v for k, v in self._arguments.items() if k not in OF_TRAINING}
         return StackedQNetwork(
-            arguments.pop("individuals"),
-            self._observation_size,
+            network.pop("individuals"),
+            int(np.prod(self.observation_space.shape or ())),
             self.num_actions,
-            num_quantiles=self.distribution.num_quantiles,
-            units=arguments.pop("hidden"),
             recurrent=self.recurrent,
-            **arguments,
+            **network,
         )
 
     @property
@@ -248,30 +169,6 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
     @acting.setter
     def acting(self, rule: Acting) -> None:
         self._acting = rule.checked(len(self.individuals), self.num_actions)
-
-    @property
-    def epsilon(self) -> float:
-        return self.acting.epsilon
-
-    @epsilon.setter
-    def epsilon(self, share: float) -> None:
-        kind = Kind.BOLTZMANN if self.acting.kind is Kind.BOLTZMANN else Kind.EPSILON
-        self.acting = replace(self.acting, kind=kind, epsilon=share)
-
-    @property
-    def temperature(self) -> float | tuple[float, ...] | None:
-        if self.acting.kind is not Kind.BOLTZMANN:
-            return None
-        each = self.acting.temperature
-        return each[0] if len(each) == 1 else each
-
-    @temperature.setter
-    def temperature(self, temperature: ArrayLike | None) -> None:
-        epsilon = self.acting.epsilon
-        rule = Acting.epsilon_greedy(epsilon)
-        if temperature is not None:
-            rule = replace(Acting.boltzmann(temperature), epsilon=epsilon)
-        self.acting = rule
 
     def seed(self, seed: int) -> None:
         """Seed the generator of the acting draws."""
@@ -405,27 +302,19 @@ class GruPolicy(BasePolicy):  # type: ignore[misc]
 
     def _predict(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
         """Actions at the start of an episode, for observations (S, *shape)."""
-        if not isinstance(observation, torch.Tensor):
-            raise InputError("the observation is a dictionary: flatten it to a vector first")
+        assert isinstance(observation, torch.Tensor)
         q_values, _, _ = self.advance(observation.cpu().numpy(), None, None)
         return torch.from_numpy(self.choose(q_values, deterministic))
 
-    def forward(self, observation: PyTorchObs, deterministic: bool = True) -> torch.Tensor:
-        """Actions at the start of an episode, for observations (S, *shape)."""
-        return self._predict(observation, deterministic)
+    forward = _predict
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
-        return {
-            "observation_space": self.observation_space,
-            "action_space": self.action_space,
-            "lr_schedule": self._dummy_schedule,
-            "n_quantiles": self.n_quantiles,
-            "td_loss": self.td_loss,
-            "acting": self.acting,
-            "optimizer_class": self.optimizer_class,
-            "optimizer_kwargs": self.optimizer_kwargs,
-            **self.network_arguments,
-        }
+        spaces_ = {"observation_space": self.observation_space, "action_space": self.action_space}
+        rule = {"lr_schedule": self._dummy_schedule, "acting": self.acting}
+        return spaces_ | rule | self._arguments
+
+
+OF_TRAINING = PolicySettings.model_fields.keys() - NetworkSettings.model_fields.keys()
 
 
 class MlpPolicy(GruPolicy):
@@ -435,6 +324,25 @@ class MlpPolicy(GruPolicy):
     """
 
     recurrent: ClassVar[bool] = False
+
+
+def decide_on_device(
+    network: StackedQNetwork,
+    observation: NDArray[np.float32],
+    previous: NDArray[np.int64],
+    hidden: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Q-values (S, actions) and next hidden state (S, H), where the network is not on the CPU."""
+    individuals, device = len(network.individuals), network.input_mean.device
+
+    def stacked(array: NDArray[Any]) -> torch.Tensor:
+        shaped = array.reshape(-1, individuals, *array.shape[1:])
+        return torch.from_numpy(shaped).to(device).transpose(0, 1)
+
+    some = np.where(previous == FINISHED, 0, previous)
+    found = network.step(stacked(observation), stacked(some), stacked(hidden))
+    q_values, state = (each.transpose(0, 1).flatten(0, 1).cpu().numpy() for each in found)
+    return q_values, state
 
 
 @torch.no_grad()
@@ -464,4 +372,4 @@ def values_to_logits(policy: GruPolicy) -> None:
         for layer in (network.dueling.value, network.dueling.advantage):
             for parameter in (layer.weight, layer.bias):
                 parameter.div_(fitted.to(parameter))
-    policy.temperature = 1.0
+    policy.acting = Acting.boltzmann(1.0)

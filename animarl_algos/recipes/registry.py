@@ -7,8 +7,8 @@ of :mod:`animarl_algos`; ``RECIPES`` holds them as the command line and ``zoo_co
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
+from typing import ClassVar, NamedTuple
 
 import sb3_contrib
 import stable_baselines3
@@ -20,7 +20,6 @@ from animarl_algos.losses.terms import (
     Recipe,
     ScoredActionsTemporalDifference,
     Selection,
-    SoftActionSupervision,
     TemporalDifference,
     TreatmentAdversary,
     WeightDecay,
@@ -69,13 +68,6 @@ class BC(DQN):
     preset: ClassVar[str] = "bc"
 
 
-class QRBC(QRDQN):
-    """BC on the mean of quantiles."""
-
-    recipe: ClassVar[Recipe] = BC.recipe
-    preset: ClassVar[str] = "qr-bc"
-
-
 class SoftBC(DQN):
     """Soft-label cloning: actions are as right as they are near, and nothing else is learned.
 
@@ -84,17 +76,10 @@ class SoftBC(DQN):
 
     recipe: ClassVar[Recipe] = Recipe(
         name="soft-bc",
-        offline=(SoftActionSupervision(),),
+        offline=(ActionSupervision(weighted=False, soft=True),),
         selection=Selection.LABEL_CROSS_ENTROPY,
     )
     preset: ClassVar[str] = "soft-bc"
-
-
-class QRSoftBC(QRDQN):
-    """Soft-label cloning on the mean of quantiles."""
-
-    recipe: ClassVar[Recipe] = SoftBC.recipe
-    preset: ClassVar[str] = "qr-soft-bc"
 
 
 class IQLearn(DQN):
@@ -109,7 +94,7 @@ class IQLearn(DQN):
     recipe: ClassVar[Recipe] = Recipe(
         name="iq-learn",
         online=(InverseSoftQ(),),
-        offline=(SoftActionSupervision(),),
+        offline=(ActionSupervision(weighted=False, soft=True),),
         selection=Selection.LABEL_CROSS_ENTROPY,
         inverse=True,
     )
@@ -132,13 +117,6 @@ class DQAAS(DQN):
     preset: ClassVar[str] = "dqaas"
 
 
-class QRDQAAS(QRDQN):
-    """DQAAS on quantiles."""
-
-    recipe: ClassVar[Recipe] = DQAAS.recipe
-    preset: ClassVar[str] = "qr-dqaas"
-
-
 class DQDIL(DQN):
     """Distance-based imitation: ``J = J_DQ + lambda1 J_l2`` on the reward ``R - alpha R_DTW``.
 
@@ -154,14 +132,6 @@ class DQDIL(DQN):
     )
     preset: ClassVar[str] = "dqdil"
     pretrained_preset: ClassVar[str | None] = "dqdil-pt"
-
-
-class QRDQDIL(QRDQN):
-    """DQDIL on quantiles."""
-
-    recipe: ClassVar[Recipe] = DQDIL.recipe
-    preset: ClassVar[str] = "qr-dqdil"
-    pretrained_preset: ClassVar[str | None] = "qr-dqdil-pt"
 
 
 class DQCIL(DQN):
@@ -181,51 +151,50 @@ class DQCIL(DQN):
     pretrained_preset: ClassVar[str | None] = "dqcil-pt"
 
 
-class QRDQCIL(QRDQN):
-    """DQCIL on quantiles."""
+def on_quantiles(learner: type[DQN]) -> type[QRDQN]:
+    """Return the twin of a learner that learns quantiles of the return."""
+    pretrained = learner.pretrained_preset
+    return type(
+        f"QR{learner.__name__}",
+        (QRDQN,),
+        {
+            "__doc__": f":class:`{learner.__name__}` on quantiles of the return.",
+            "__module__": __name__,
+            "recipe": learner.recipe,
+            "preset": f"qr-{learner.preset}",
+            "pretrained_preset": None if pretrained is None else f"qr-{pretrained}",
+        },
+    )
 
-    recipe: ClassVar[Recipe] = DQCIL.recipe
-    preset: ClassVar[str] = "qr-dqcil"
-    pretrained_preset: ClassVar[str | None] = "qr-dqcil-pt"
+
+QRBC = on_quantiles(BC)
+QRSoftBC = on_quantiles(SoftBC)
+QRDQAAS = on_quantiles(DQAAS)
+QRDQDIL = on_quantiles(DQDIL)
+QRDQCIL = on_quantiles(DQCIL)
 
 
-@dataclass(frozen=True)
-class NamedRecipe:
+class NamedRecipe(NamedTuple):
     """A learner's class, and whether its name asks for the offline phase."""
 
     algorithm: type[SequenceQLearning]
     pretrained: bool
 
 
-RECIPES: dict[str, NamedRecipe] = {
-    "dqn": NamedRecipe(DQN, pretrained=False),
-    "bc": NamedRecipe(BC, pretrained=True),
-    "soft-bc": NamedRecipe(SoftBC, pretrained=True),
-    "iq-learn": NamedRecipe(IQLearn, pretrained=True),
-    "dqaas": NamedRecipe(DQAAS, pretrained=True),
-    "dqdil": NamedRecipe(DQDIL, pretrained=False),
-    "dqdil-pt": NamedRecipe(DQDIL, pretrained=True),
-    "dqcil": NamedRecipe(DQCIL, pretrained=False),
-    "dqcil-pt": NamedRecipe(DQCIL, pretrained=True),
-    "qr-dqn": NamedRecipe(QRDQN, pretrained=False),
-    "qr-bc": NamedRecipe(QRBC, pretrained=True),
-    "qr-soft-bc": NamedRecipe(QRSoftBC, pretrained=True),
-    "qr-dqaas": NamedRecipe(QRDQAAS, pretrained=True),
-    "qr-dqdil": NamedRecipe(QRDQDIL, pretrained=False),
-    "qr-dqdil-pt": NamedRecipe(QRDQDIL, pretrained=True),
-    "qr-dqcil": NamedRecipe(QRDQCIL, pretrained=False),
-    "qr-dqcil-pt": NamedRecipe(QRDQCIL, pretrained=True),
-}
+LEARNERS: tuple[type[SequenceQLearning], ...] = (
+    *(DQN, BC, SoftBC, IQLearn, DQAAS, DQDIL, DQCIL),
+    *(QRDQN, QRBC, QRSoftBC, QRDQAAS, QRDQDIL, QRDQCIL),
+)
+RECIPES: dict[str, NamedRecipe] = {}
+for one in LEARNERS:
+    shown = bool(one.recipe.offline) and one.pretrained_preset is None
+    RECIPES[one.preset] = NamedRecipe(one, pretrained=shown)
+    if one.pretrained_preset is not None:
+        RECIPES[one.pretrained_preset] = NamedRecipe(one, pretrained=True)
 
 
 def named_recipe(name: str) -> NamedRecipe:
-    """Return the learner called ``name``.
-
-    Raises
-    ------
-    InputError
-        If there is none of that name.
-    """
+    """Return the learner called ``name``."""
     try:
         return RECIPES[name]
     except KeyError:

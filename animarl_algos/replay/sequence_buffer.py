@@ -12,34 +12,26 @@ import os
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from animarl_algos.checked import COUNT_OR_NONE, NOT_NEGATIVE, PROBABILITY
+from animarl_algos.checked import Checked
 from animarl_algos.replay import sequence_kernels as kernels
-from animarl_algos.replay.sequence_kernels import SumTrees
-from animarl_algos.replay.store import (
+from animarl_algos.replay.sequence_kernels import (
     EPISODES,
     NEXT,
-    NEXT_ROW,
-    NO_LABEL,
     OLDEST,
     ROWS_USED,
-    BatchBuffers,
-    Frames,
-    Layout,
     Ring,
-    SequenceBatch,
-    Sequences,
     Staging,
-    bytes_of_row,
-    frame_layout,
-    sequence_layout,
-    zeros,
+    Step,
+    SumTrees,
 )
+from animarl_algos.replay.store import NO_LABEL, Frames, SequenceBatch, Sequences, gather
 from animarl_envs.errors import InputError
 
 
@@ -51,20 +43,29 @@ class StateMode(enum.StrEnum):
     ZERO = "zero"  # zeros at the first trained step; no prefix
 
 
-def check_state_mode(
-    mode: StateMode | str, sequence_length: int | None, burn_in: int, state_size: int
-) -> StateMode:
-    """Return the mode if it fits the other settings of a piece."""
-    try:
-        mode = StateMode(mode)
-    except ValueError:
-        raise InputError(
-            f"state_mode {mode!r} is unknown: choose one of {', '.join(StateMode)}"
-        ) from None
+class ReplaySettings(Checked):
+    """What ``replay_buffer_kwargs`` may say."""
+
+    stratified: bool = True
+    """One draw from each of B equal parts of the priority mass instead of independent draws."""
+    alpha: float = Field(0.6, ge=0)
+    """Exponent of the priorities."""
+    beta_start: float = Field(0.4, ge=0, le=1)
+    """Exponent of the importance weights at the start of training."""
+    beta_end: float = Field(1.0, ge=0, le=1)
+    """The same at its end."""
+    max_episodes: Annotated[int, Field(ge=1)] | None = None
+    """Most episodes kept, however short; None: as many as the memory holds."""
+
+
+def check_state_mode(mode: str, sequence_length: int | None, burn_in: int) -> None:
+    """Refuse settings of a piece that do not fit each other."""
+    if mode not in list(StateMode):
+        raise InputError(f"state_mode {mode!r} is unknown: choose one of {', '.join(StateMode)}")
     if sequence_length is None:
-        if burn_in or mode is not StateMode.RECOMPUTE:
+        if burn_in or mode != StateMode.RECOMPUTE:
             raise InputError(
-                f"burn_in {burn_in} and state_mode {mode.value!r} are for pieces: "
+                f"burn_in {burn_in} and state_mode {str(mode)!r} are for pieces: "
                 "set sequence_length, or leave them out for whole episodes"
             )
     elif not 0 <= burn_in < sequence_length:
@@ -72,13 +73,10 @@ def check_state_mode(
             f"burn_in {burn_in} does not fit sequence_length {sequence_length}: "
             "it must be at least 0 and smaller"
         )
-    if mode is StateMode.ZERO and burn_in:
+    if mode == StateMode.ZERO and burn_in:
         raise InputError(
             f"state_mode 'zero' starts without a prefix but burn_in is {burn_in}: set it to 0"
         )
-    if mode is StateMode.STORED and state_size < 1:
-        raise InputError("state_mode 'stored' needs state_size, the size of the recurrent state")
-    return mode
 
 
 _MEMINFO = Path("/proc/meminfo")
@@ -97,12 +95,12 @@ def available_memory() -> int | None:
     return None
 
 
-def check_memory(nbytes: int, setting: str) -> None:
-    """Refuse an allocation of more ``nbytes`` than are available.
+def check_memory(arrays: Sequence[Any], setting: str) -> None:
+    """Refuse arrays, still untouched, that need more bytes than are available.
 
     ``setting`` names what asks for so much, such as ``"buffer_size 1000000"``.
     """
-    available = available_memory()
+    available, nbytes = available_memory(), sum(array.nbytes for array in arrays)
     if available is not None and nbytes > available:
         raise InputError(
             f"the replay memory for {setting} needs {nbytes / _GIB:.1f} GiB but "
@@ -110,33 +108,15 @@ def check_memory(nbytes: int, setting: str) -> None:
         )
 
 
-class Step(NamedTuple):
-    """One step of every copy, as the kernels want it."""
-
-    observations: NDArray[np.float32]  # (copies, K, n)
-    actions: NDArray[np.int64]  # (copies, K)
-    rewards: NDArray[np.float32]  # (copies, K)
-    next_observations: NDArray[np.float32]  # (copies, K, n)
-    terminated: NDArray[np.bool_]  # (copies,)
-    truncated: NDArray[np.bool_]  # (copies,)
-    penalties: NDArray[np.float32]  # (copies, K)
-    labels: NDArray[np.int64]  # (copies, K)
-    warmup: NDArray[np.bool_]  # (copies,)
-    hidden: NDArray[np.float32]  # (copies, K, H)
-    condition: NDArray[np.float32]  # (copies,)
-
-
-def fit(name: str, value: Any, dtype: DTypeLike, shape: tuple[int, ...]) -> NDArray[Any]:
-    """``value`` as the kernels want it: contiguous, writeable, of this type and shape."""
-    array = np.ascontiguousarray(value, dtype=dtype)
-    if array.shape != shape:
-        raise InputError(
-            f"{name} of a step have shape {array.shape}, this memory wants {shape}: "
-            "make the memory for this environment"
-        )
-    return array if array.flags.writeable else array.copy()
-
-
+STEP: dict[str, tuple[type, str]] = {
+    **{"observations": (np.float32, "seen"), "actions": (np.int64, "pair")},
+    **{"rewards": (np.float32, "pair"), "next_observations": (np.float32, "seen")},
+    **{"terminated": (np.bool_, "each"), "truncated": (np.bool_, "each")},
+    **{"penalties": (np.float32, "pair"), "labels": (np.int64, "pair")},
+    **{"warmup": (np.bool_, "each"), "hidden": (np.float32, "state")},
+    "condition": (np.float32, "each"),
+}
+"""Type and shape of each part of a step."""
 _SETTINGS = (
     "buffer_size", "observation_dim", "num_individuals", "num_actions", "max_episode_steps",
     "stride", "burn_in", "state_size", "prioritized", "max_episodes",
@@ -160,6 +140,8 @@ class SequenceReplayBuffer:
         ``n``, ``K`` and the number of actions.
     max_episode_steps
         Longest episode.
+    num_copies
+        Copies of the world.
     sequence_length
         ``None``: sequences are whole episodes. Else pieces of at most this many steps, burn-in
         included: trained parts of ``sequence_length - burn_in`` steps lie end to end, so each step
@@ -167,23 +149,15 @@ class SequenceReplayBuffer:
     state_mode
         See :class:`StateMode`.
     state_size
-        Size H of the recurrent state; needed for ``"stored"`` only.
+        Size H of the recurrent state; read for ``"stored"`` only.
     prioritized
         ``False``: uniform draws, weights 1.
-    stratified
-        One draw from each of B equal parts of the priority mass instead of independent draws.
-    alpha
-        Exponent of the priorities.
-    beta_start, beta_end
-        Exponent of the importance weights at progress 0 and 1.
     seed, names
         Roots of the random streams; names default to ``individual_0`` and so on.
     device
         Where batches go.
-    max_episodes
-        Most episodes kept, however short; ``None``: as many as the rows hold.
-    num_copies
-        Copies of the world; ``None``: as many as the first ``add`` shows.
+    settings
+        Those of :class:`ReplaySettings`.
 
     Raises
     ------
@@ -198,36 +172,27 @@ class SequenceReplayBuffer:
         num_individuals: int,
         num_actions: int,
         max_episode_steps: int,
+        num_copies: int = 1,
         *,
         sequence_length: int | None = None,
         burn_in: int = 0,
-        state_mode: StateMode | str = StateMode.RECOMPUTE,
+        state_mode: str = StateMode.RECOMPUTE,
         state_size: int = 0,
         prioritized: bool = True,
-        stratified: bool = True,
-        alpha: float = 0.6,
-        beta_start: float = 0.4,
-        beta_end: float = 1.0,
         seed: int = 0,
         names: Sequence[str] | None = None,
         device: torch.device | str = "cpu",
-        max_episodes: int | None = None,
-        num_copies: int | None = None,
+        **settings: Any,
     ) -> None:
         self.names = tuple(names or (f"individual_{k}" for k in range(num_individuals)))
-        if len(set(self.names)) != num_individuals:
-            raise InputError(f"names {self.names} do not name {num_individuals} individuals")
-        if max_episode_steps < 1 or buffer_size < max_episode_steps + 1:
+        if buffer_size < max_episode_steps + 1:
             raise InputError(
                 f"buffer_size {buffer_size} cannot hold an episode of {max_episode_steps} steps "
-                f"and its last observation: set it to {max(max_episode_steps, 1) + 1} or more"
+                f"and its last observation: set it to {max_episode_steps + 1} or more"
             )
-        max_episodes = COUNT_OR_NONE.check("max_episodes", max_episodes)
-        NOT_NEGATIVE.check("alpha of the replay memory", alpha)
-        PROBABILITY.check("beta_start", beta_start)
-        PROBABILITY.check("beta_end", beta_end)
-        self.max_episodes = buffer_size if max_episodes is None else max_episodes
-        self.state_mode = check_state_mode(state_mode, sequence_length, burn_in, state_size)
+        check_state_mode(state_mode, sequence_length, burn_in)
+        self.settings = ReplaySettings(**settings)
+        self.max_episodes = self.settings.max_episodes or buffer_size
         self.stride = max_episode_steps if sequence_length is None else sequence_length - burn_in
         self.buffer_size = buffer_size
         self.observation_dim = observation_dim
@@ -235,51 +200,28 @@ class SequenceReplayBuffer:
         self.num_actions = num_actions
         self.max_episode_steps = max_episode_steps
         self.burn_in = burn_in
-        self.state_size = state_size if self.state_mode is StateMode.STORED else 0
+        self.state_size = state_size if state_mode == StateMode.STORED else 0
         self.prioritized = prioritized
-        self.stratified = stratified
-        self.alpha = alpha
-        self.beta_start, self.beta_end = beta_start, beta_end
         self.device = torch.device(device)
-
         # An episode of T steps takes T + 1 rows and ceil(T / stride) slots.
-        self.num_slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
-        tree_nodes = SumTrees.num_nodes(self.num_slots) if prioritized else 0
-        sequence = sequence_layout(num_individuals, self.state_size)
-        check_memory(
-            buffer_size * bytes_of_row(frame_layout(num_individuals, observation_dim))
-            + self.num_slots * bytes_of_row(sequence)
-            + 8 * num_individuals * tree_nodes,
-            f"buffer_size {buffer_size}",
-        )
-        self.trees = SumTrees(num_individuals, self.num_slots if prioritized else 0)
-        self.ring = Ring(
-            Frames.allocate(buffer_size, num_individuals, observation_dim),
-            Sequences(**zeros(sequence, self.num_slots)),
-            cursor=np.zeros(5, dtype=np.int64),
-            trees=self.trees.nodes,
-            max_priority=np.ones(num_individuals),
-        )
+        slots = buffer_size if self.stride == 1 else buffer_size // 2 + 1
+        try:
+            self.trees = SumTrees(num_individuals, slots if prioritized else 0)
+            frames = Frames.zeros(buffer_size, num_individuals, observation_dim)
+            sequences = Sequences.zeros(slots, num_individuals, self.state_size)
+        except MemoryError:
+            raise InputError(
+                f"buffer_size {buffer_size} does not fit the memory: lower it"
+            ) from None
+        cursor, largest = np.zeros(5, dtype=np.int64), np.ones(num_individuals)
+        self.ring = Ring(frames, sequences, cursor, self.trees.nodes, largest)
+        ring = (*self.ring.frames, *self.ring.sequences, self.ring.trees)
+        check_memory(ring, f"buffer_size {buffer_size}")
         self.streams = np.empty(num_individuals, dtype=np.uint64)
-        self.seed(seed)
-        self._batch = BatchBuffers(
-            num_individuals,
-            observation_dim,
-            num_actions,
-            self.state_size,
-            0,
-            pinned=self.device.type == "cuda",
-        )
-        self._unscored = np.zeros((0, num_individuals, 0), dtype=np.float32)
-        self.num_copies = 0
-        if num_copies is not None:
-            self.allocate_staging(num_copies)
-
-    def seed(self, seed: int) -> None:
-        """Start all random streams anew, from ``seed`` and each individual's name."""
         for k, name in enumerate(self.names):
             root = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
             self.streams[k] = root.generate_state(1, np.uint64)[0]
+        self.allocate_staging(num_copies)
 
     # -- what is in it ----------------------------------------------------------------------------
 
@@ -304,91 +246,49 @@ class SequenceReplayBuffer:
 
     def moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Mean and standard deviation ``(K, n)`` of each individual's observations in the ring."""
-        used, rows = int(self.ring.cursor[ROWS_USED]), np.arange(self.buffer_size)
-        held = (int(self.ring.cursor[NEXT_ROW]) - 1 - rows) % self.buffer_size < used
-        observed = self.ring.frames.observations[held].astype(np.float64)
+        rows = np.sort(self.ring.used_rows)
+        observed = self.ring.frames.observations[rows].astype(np.float64)
         return observed.mean(0).astype(np.float32), observed.std(0).astype(np.float32)
 
     @property
     def nbytes(self) -> int:
-        """Return the bytes of ring, sequences, priorities, staging area and minibatch."""
-        arrays: list[NDArray[Any]] = [
-            *self.ring.frames,
-            *self.ring.sequences,
-            self.ring.trees,
-        ]
-        if self.num_copies:
-            arrays += [*self.staging.frames, self.staging.state]
-        return sum(array.nbytes for array in arrays) + self._batch.nbytes
+        """Bytes of ring, sequences, priorities and staging area."""
+        ring, staging = self.ring, self.staging
+        arrays: list[Any] = [*ring.frames, *ring.sequences, ring.trees]
+        arrays += [*staging.frames, staging.state]
+        return sum(array.nbytes for array in arrays)
 
     # -- adding -----------------------------------------------------------------------------------
 
-    def add(
-        self,
-        observations: NDArray[np.floating],
-        actions: NDArray[np.integer],
-        rewards: NDArray[np.floating],
-        next_observations: NDArray[np.floating],
-        terminated: NDArray[np.bool_],
-        truncated: NDArray[np.bool_],
-        *,
-        penalties: NDArray[np.floating] | None = None,
-        labels: NDArray[np.integer] | None = None,
-        warmup: NDArray[np.bool_] | None = None,
-        hidden: NDArray[np.floating] | None = None,
-        condition: NDArray[Any] | None = None,
-    ) -> None:
-        """Add one step of every copy.
+    def add(self, **step: Any) -> None:
+        """Add one step of every copy, whose parts :class:`.sequence_kernels.Step` names.
 
-        Parameters
-        ----------
-        observations, next_observations
-            ``(copies, K, n)``; where a copy is done, ``next_observations`` is its terminal
-            observation, not the first one of the next episode. It is read only there.
-        actions, rewards
-            ``(copies, K)``.
-        terminated, truncated
-            ``(copies,)`` bool.
-        penalties
-            ``(copies, K)``, DTW penalties; ``None``: zeros.
-        labels
-            ``(copies, K)``, aligned demonstrated actions, -1 where there is none; ``None``: none.
-        warmup
-            ``(copies,)`` bool, steps that enter no loss; ``None``: no step.
-        hidden
-            ``(copies, K, H)``, the acting network's state before this step; read with
-            ``state_mode="stored"`` only.
-        condition
-            ``(copies,)``, the episode's condition, read at its last step; ``None``: 0.
+        What is None or left out is zero, labels -1. Where a copy is done, ``next_observations`` is
+        its terminal observation, not the first one of the next episode; it is read only there.
+        ``hidden``, the acting network's state before the step, is read with ``state_mode="stored"``
+        only, ``condition`` at an episode's last step.
 
         Raises
         ------
         InputError
-            If a shape or an action does not fit, or an episode outgrows ``max_episode_steps``.
+            If an action does not fit, or an episode outgrows ``max_episode_steps``.
         """
-        if self.num_copies == 0:
-            self.allocate_staging(len(observations))
-        if self.state_size and hidden is None:
-            raise InputError("state_mode 'stored' needs the recurrent state: pass hidden to add")
-        given = (
-            *(observations, actions, rewards, next_observations, terminated, truncated),
-            *(penalties, labels, warmup, hidden if self.state_size else None, condition),
-        )
-        step = Step(
-            *[
-                self._not_given[name]
-                if value is None
-                else fit(name, value, dtype, (self.num_copies, *shape))
-                for value, (name, (dtype, shape)) in zip(
-                    given, self._step_layout.items(), strict=True
-                )
-            ]
-        )
+        each, pair = (self.num_copies,), (self.num_copies, self.num_individuals)
+        shapes = {"each": each, "pair": pair, "seen": (*pair, self.observation_dim)}
+        shapes["state"] = (*pair, self.state_size)
+        arrays: dict[str, Any] = {}
+        for name, (dtype, kind) in STEP.items():
+            value = step.get(name)
+            if value is None or (name == "hidden" and not self.state_size):
+                arrays[name] = np.full(shapes[kind], NO_LABEL if name == "labels" else 0, dtype)
+            else:
+                arrays[name] = np.array(value, dtype, order="C").reshape(shapes[kind])
+        made = Step(**arrays)
         cut = (self.stride, self.burn_in)
-        ended = kernels.stage_steps(self.staging, step, *cut, self.num_actions)
+        ended = kernels.stage_steps(self.staging, made, *cut, self.num_actions)
         if ended == kernels.BAD_ACTION:
             raise InputError(
-                f"actions run from {step.actions.min()} to {step.actions.max()}: they must lie in "
+                f"actions run from {made.actions.min()} to {made.actions.max()}: they must lie in "
                 f"0 .. {self.num_actions - 1}"
             )
         if ended == kernels.TOO_LONG:
@@ -397,23 +297,23 @@ class SequenceReplayBuffer:
                 "without an end: raise max_episode_steps or give the environment a time limit"
             )
         if ended:
-            kernels.commit_ended(self.staging, step, self.ring, self.alpha, *cut, self.max_episodes)
+            kernels.commit_ended(
+                self.staging, made, self.ring, self.settings.alpha, *cut, self.max_episodes
+            )
 
     def drop_running(self) -> None:
         """Forget the unfinished episodes of all copies, as when every copy is reset."""
-        if self.num_copies:
-            self.staging.step_count[:] = 0
+        self.staging.step_count[:] = 0
 
     # -- drawing ----------------------------------------------------------------------------------
 
     def beta(self, progress: float) -> float:
         """Exponent of the importance weights when a share ``progress`` of training is over."""
-        return self.beta_start + min(max(progress, 0.0), 1.0) * (self.beta_end - self.beta_start)
+        start, end = self.settings.beta_start, self.settings.beta_end
+        return start + min(max(progress, 0.0), 1.0) * (end - start)
 
     def sample(self, batch_size: int, progress: float = 0.0) -> SequenceBatch:
         """``batch_size`` sequences for each individual, drawn with replacement.
-
-        The batch's tensors are overwritten by the next call: ``clone`` it to keep it.
 
         Parameters
         ----------
@@ -426,11 +326,14 @@ class SequenceReplayBuffer:
         serials, slots = np.empty(shape, dtype=np.int64), np.empty(shape, dtype=np.int64)
         weights = np.empty(shape, dtype=np.float32)
         kernels.choose(
-            *(self.ring, self.streams, self.beta(progress), self.stratified),
+            *(self.ring, self.streams, self.beta(progress), self.settings.stratified),
             *(serials, slots, weights),
         )
-        batch = self._batch.fill(
-            *(self.ring.frames, self._unscored, self.ring.sequences, slots, serials, weights)
+        batch = gather(
+            *(self.ring.frames, self.ring.sequences, slots),
+            indices=serials,
+            num_actions=self.num_actions,
+            weights=weights,
         )
         return batch if self.device.type == "cpu" else batch.to(self.device)
 
@@ -452,24 +355,22 @@ class SequenceReplayBuffer:
                 f"priority errors of shape {errors.shape} for sequences {indices.shape}: give one "
                 "finite number per sequence"
             )
-        kernels.update_priorities(self.ring, self.alpha, indices, errors)
+        kernels.update_priorities(self.ring, self.settings.alpha, indices, errors)
 
     # -- saving ----------------------------------------------------------------------------------
 
     def _used(self) -> dict[str, tuple[NDArray[Any], NDArray[np.int64]]]:
         """Arrays with the part of them that is in use, as the cursor and the step counts say."""
         ring, each = self.ring, np.arange(self.num_individuals)
-        used = {
+        staged, running = self.staging.frames._asdict(), self.staging.used_rows
+        return {
             "streams": (self.streams, each),
             "max_priority": (ring.max_priority, each),
+            "staged_state": (self.staging.state, np.arange(self.num_copies)),
             **{f"ring_{n}": (a, ring.used_rows) for n, a in ring.frames._asdict().items()},
             **{f"sequence_{n}": (a, ring.used_slots) for n, a in ring.sequences._asdict().items()},
+            **{f"staging_{name}": (array, running) for name, array in staged.items()},
         }
-        if self.num_copies:
-            staged, running = self.staging.frames._asdict(), self.staging.used_rows
-            used["staged_state"] = (self.staging.state, np.arange(self.num_copies))
-            used |= {f"staging_{name}": (array, running) for name, array in staged.items()}
-        return used
 
     def state(self) -> dict[str, Any]:
         """Return arrays (copies) and plain numbers from which an interrupted run goes on exactly.
@@ -480,18 +381,11 @@ class SequenceReplayBuffer:
         state: dict[str, Any] = {name: getattr(self, name) for name in _SETTINGS}
         state |= {"num_copies": self.num_copies, "cursor": self.ring.cursor.copy()}
         state["priorities"] = self.trees.priorities[:, slots]
-        if self.num_copies:
-            state["step_count"] = self.staging.step_count.copy()
+        state["step_count"] = self.staging.step_count.copy()
         return state | {name: array[part] for name, (array, part) in self._used().items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from the :meth:`state` of a memory with the same settings.
-
-        Raises
-        ------
-        InputError
-            If a setting differs or the state is damaged.
-        """
+        """Go on from the :meth:`state` of a memory with the same settings."""
         for name in _SETTINGS:
             if name not in state:
                 raise InputError(f"the saved replay memory lacks {name!r}: start the run anew")
@@ -502,16 +396,15 @@ class SequenceReplayBuffer:
                 )
         try:
             self.ring.cursor[:] = state["cursor"]
-            if copies := int(state["num_copies"]):
-                self.allocate_staging(copies)
-                self.staging.step_count[:] = state["step_count"]
+            self.allocate_staging(int(state["num_copies"]))
+            self.staging.step_count[:] = state["step_count"]
             for name, (array, part) in self._used().items():
                 array[part] = state[name]
             if self.prioritized:
                 self.trees.restore(self.ring.used_slots, state["priorities"])
+        except InputError:
+            raise
         except (KeyError, IndexError, TypeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
             raise InputError(
                 f"the saved replay memory is damaged ({type(error).__name__}: {error}): "
                 "start the run anew"
@@ -521,27 +414,12 @@ class SequenceReplayBuffer:
 
     def allocate_staging(self, copies: int) -> None:
         """Make room for the running episodes of so many copies, none of them begun."""
-        k, rows = self.num_individuals, copies * (self.max_episode_steps + 1)
-        pieces = math.ceil(self.max_episode_steps / self.stride)
-        check_memory(
-            rows * bytes_of_row(frame_layout(k, self.observation_dim))
-            + 4 * copies * pieces * k * self.state_size,
-            f"{copies} copies of max_episode_steps {self.max_episode_steps}",
-        )
-        self.num_copies = copies
+        k, steps = self.num_individuals, self.max_episode_steps
+        self.num_copies, pieces = copies, math.ceil(steps / self.stride)
         self.staging = Staging(
-            Frames.allocate(rows, k, self.observation_dim),
+            Frames.zeros(copies * (steps + 1), k, self.observation_dim),
             step_count=np.zeros(copies, dtype=np.int64),
             state=np.zeros((copies, pieces, k, self.state_size), dtype=np.float32),
         )
-        observed, pair = (np.float32, (k, self.observation_dim)), (k,)
-        self._step_layout: Layout = {
-            **{"observations": observed, "actions": (np.int64, pair)},
-            **{"rewards": (np.float32, pair), "next_observations": observed},
-            **dict.fromkeys(("terminated", "truncated"), (np.bool_, ())),
-            **{"penalties": (np.float32, pair), "labels": (np.int64, pair)},
-            **{"warmup": (np.bool_, ()), "hidden": (np.float32, (k, self.state_size))},
-            "condition": (np.float32, ()),
-        }
-        self._not_given = zeros(self._step_layout, copies)
-        self._not_given["labels"][:] = NO_LABEL
+        arrays = (*self.staging.frames, self.staging.state)
+        check_memory(arrays, f"{copies} copies of max_episode_steps {steps}")

@@ -9,21 +9,78 @@ tree rebuilt from its leaves is the same to the last bit.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.replay.store import (
-    EPISODES,
-    NEXT,
-    NEXT_ROW,
-    NO_LABEL,
-    OLDEST,
-    ROWS_USED,
-    sort_by_length,
-)
+from animarl_algos.replay.store import NO_LABEL, Frames, Sequences
 from animarl_envs.compiling import jit
 from animarl_envs.worlds.streams import next_uniform
+
+# Entries of a ring's cursor.
+OLDEST, NEXT, NEXT_ROW, ROWS_USED, EPISODES = 0, 1, 2, 3, 4
+BAD_ACTION, TOO_LONG = -1, -2  # what stage_steps refuses
+PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
+
+
+class Ring(NamedTuple):
+    """Finished episodes.
+
+    Sequences are numbered by a serial number that never repeats, and the slot is the serial number
+    modulo the number of slots, so that a number held from an earlier draw still says whether its
+    sequence has been evicted since.
+    """
+
+    frames: Frames
+    sequences: Sequences
+    cursor: NDArray[np.int64]  # (5,), serial numbers of the oldest and the next sequence, next row
+    trees: NDArray[np.float64]  # (K, nodes), priorities as sum trees; no node: drawn uniformly
+    max_priority: NDArray[np.float64]  # (K,), the largest so far, before the exponent
+
+    @property
+    def used_rows(self) -> NDArray[np.int64]:
+        """Rows in use, from the oldest episode's first on."""
+        used, end = self.cursor[ROWS_USED], self.cursor[NEXT_ROW]
+        return np.asarray(np.arange(end - used, end) % len(self.frames.warmup))
+
+    @property
+    def used_slots(self) -> NDArray[np.int64]:
+        """Slots in use, from the oldest sequence on."""
+        slots = np.arange(self.cursor[OLDEST], self.cursor[NEXT]) % len(self.sequences.first)
+        return np.asarray(slots)
+
+
+class Staging(NamedTuple):
+    """Running episodes, one per copy of the world, each with as many rows as the longest needs."""
+
+    frames: Frames
+    step_count: NDArray[np.int64]  # (copies,)
+    state: NDArray[np.float32]  # (copies, pieces, K, H), recurrent state before each piece
+
+    @property
+    def used_rows(self) -> NDArray[np.int64]:
+        """Rows that hold steps of running episodes."""
+        room = len(self.frames.warmup) // len(self.step_count)
+        used = [copy * room + np.arange(steps) for copy, steps in enumerate(self.step_count)]
+        return np.concatenate(used)
+
+
+class Step(NamedTuple):
+    """One step of every copy."""
+
+    observations: NDArray[np.float32]  # (copies, K, n)
+    actions: NDArray[np.int64]  # (copies, K)
+    rewards: NDArray[np.float32]  # (copies, K)
+    next_observations: NDArray[np.float32]  # (copies, K, n)
+    terminated: NDArray[np.bool_]  # (copies,)
+    truncated: NDArray[np.bool_]  # (copies,)
+    penalties: NDArray[np.float32]  # (copies, K)
+    labels: NDArray[np.int64]  # (copies, K)
+    warmup: NDArray[np.bool_]  # (copies,)
+    hidden: NDArray[np.float32]  # (copies, K, H)
+    condition: NDArray[np.float32]  # (copies,)
 
 
 @nb.njit(inline="always")
@@ -100,20 +157,13 @@ class SumTrees:
             self.nodes[:, half : 2 * half] = below[:, 0::2] + below[:, 1::2]
 
 
-BAD_ACTION, TOO_LONG = -1, -2  # what stage_steps refuses
-PRIORITY_FLOOR = 1e-6  # keeps every sequence drawable (Schaul et al. 2016, the small epsilon)
-
-
 @jit
 def _copy_frame(source, i, target, j):  # type: ignore[no-untyped-def]
-    _, individuals, size = source.observations.shape
-    for k in range(individuals):
-        for n in range(size):
-            target.observations[j, k, n] = source.observations[i, k, n]
-        target.actions[j, k] = source.actions[i, k]
-        target.rewards[j, k] = source.rewards[i, k]
-        target.penalties[j, k] = source.penalties[i, k]
-        target.labels[j, k] = source.labels[i, k]
+    target.observations[j] = source.observations[i]
+    target.actions[j] = source.actions[i]
+    target.rewards[j] = source.rewards[i]
+    target.penalties[j] = source.penalties[i]
+    target.labels[j] = source.labels[i]
     target.warmup[j] = source.warmup[i]
 
 
@@ -134,11 +184,6 @@ def _evict_oldest(ring):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _has_trained_step(warmup, begin, end):  # type: ignore[no-untyped-def]
-    return not warmup[begin:end].all()
-
-
-@jit
 def _commit(staging, step, copy, ring, alpha, stride, burn_in, max_episodes):  # type: ignore[no-untyped-def]
     """Move the finished episode of a copy from the staging rows to the ring.
 
@@ -150,7 +195,7 @@ def _commit(staging, step, copy, ring, alpha, stride, burn_in, max_episodes):  #
     base = copy * (len(staged.warmup) // len(staging.step_count))
     wanted = 0
     for begin in range(0, steps, stride):
-        if _has_trained_step(staged.warmup, base + begin, base + min(begin + stride, steps)):
+        if not staged.warmup[base + begin : base + min(begin + stride, steps)].all():
             wanted += 1
     if wanted == 0:
         return
@@ -170,7 +215,7 @@ def _commit(staging, step, copy, ring, alpha, stride, burn_in, max_episodes):  #
     slot = 0
     for begin in range(0, steps, stride):
         end = min(begin + stride, steps)
-        if not _has_trained_step(staged.warmup, base + begin, base + end):
+        if staged.warmup[base + begin : base + end].all():
             continue
         slot = cursor[NEXT] % slots
         prefix = min(burn_in, begin)
@@ -196,7 +241,7 @@ def stage_steps(staging, step, stride, burn_in, num_actions):  # type: ignore[no
     Nothing is written, and ``BAD_ACTION`` or ``TOO_LONG`` returned, if a step does not fit.
     """
     frames = staging.frames
-    copies, individuals, size = step.observations.shape
+    copies, individuals, _ = step.observations.shape
     room = len(frames.warmup) // copies
     for c in range(copies):
         if staging.step_count[c] + 1 >= room:
@@ -210,21 +255,13 @@ def stage_steps(staging, step, stride, burn_in, num_actions):  # type: ignore[no
         row = c * room + t
         done = step.terminated[c] or step.truncated[c]
         ended += done
-        for k in range(individuals):
-            for n in range(size):
-                frames.observations[row, k, n] = step.observations[c, k, n]
-            frames.actions[row, k] = step.actions[c, k]
-            frames.rewards[row, k] = step.rewards[c, k]
-            frames.penalties[row, k] = step.penalties[c, k]
-            frames.labels[row, k] = step.labels[c, k]
-            if done:
-                for n in range(size):
-                    frames.observations[row + 1, k, n] = step.next_observations[c, k, n]
-                frames.actions[row + 1, k] = 0
-                frames.rewards[row + 1, k] = 0.0
-                frames.penalties[row + 1, k] = 0.0
-                frames.labels[row + 1, k] = NO_LABEL
-        frames.warmup[row] = step.warmup[c]
+        _copy_frame(step, c, frames, row)
+        if done:
+            frames.observations[row + 1] = step.next_observations[c]
+            frames.actions[row + 1] = 0
+            frames.rewards[row + 1] = 0.0
+            frames.penalties[row + 1] = 0.0
+            frames.labels[row + 1] = NO_LABEL
         frames.warmup[row + 1] = False
         if staging.state.shape[3] > 0:
             # Pieces whose first step, prefix included, is this one.
@@ -248,6 +285,18 @@ def commit_ended(staging, step, ring, alpha, stride, burn_in, max_episodes):  # 
 
 
 @jit
+def _sort_by_length(sequences, slots, order):  # type: ignore[no-untyped-def]
+    """Order of ``slots`` ``(B,)`` by decreasing trained length; equal ones keep their order."""
+    for b in range(len(slots)):
+        length = sequences.trained[slots[b]]
+        place = b
+        while place > 0 and sequences.trained[slots[order[place - 1]]] < length:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = b
+
+
+@jit
 def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: ignore[no-untyped-def]
     """Draw B sequences for each of K individuals, sorted by decreasing length.
 
@@ -268,7 +317,7 @@ def choose(ring, streams, beta, stratified, serials, slots, weights):  # type: i
                 share = next_uniform(streams, k)
                 share = (b + share) / columns if stratified else share
                 raw[b] = (oldest + min(np.int64(share * num), num - 1)) % num_slots
-        sort_by_length(sequences, raw, order)
+        _sort_by_length(sequences, raw, order)
         largest = 0.0
         for b in range(columns):
             slot = raw[order[b]]

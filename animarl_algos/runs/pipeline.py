@@ -25,7 +25,7 @@ from animarl_algos.learner.checkpoint import (
     load_checkpoint,
     steps_done,
 )
-from animarl_algos.learner.collecting import check_environment_supports
+from animarl_algos.learner.checks import check_environment_supports
 from animarl_algos.learner.presets import constructed
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import named_recipe

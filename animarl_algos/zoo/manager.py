@@ -25,7 +25,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import summarise_error
-from animarl_algos.learner.exploration import Exploration
+from animarl_algos.learner.collecting import Exploration
 from animarl_algos.learner.presets import learner_preset
 from animarl_algos.learner.settings import default_settings
 from animarl_algos.networks.acting_rule import Kind

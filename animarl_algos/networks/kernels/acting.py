@@ -97,10 +97,7 @@ def _decide(  # type: ignore[no-untyped-def]
 class CompiledActor:
     """Acts with a network on the CPU, sharing the memory of its parameters.
 
-    Parameters
-    ----------
-    network
-        Its parameters are read anew at every decision; they may be trained meanwhile.
+    They are read anew at every decision and may be trained meanwhile.
     """
 
     def __init__(self, network: StackedQNetwork) -> None:

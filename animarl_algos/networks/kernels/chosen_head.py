@@ -24,20 +24,10 @@ def chosen_values(
     actions: torch.Tensor,
     quantiles: int,
 ) -> torch.Tensor:
-    """``units @ weight + bias`` at the columns of each row's action.
+    """``units @ weight + bias`` at the columns of each row's action, (K, row, quantiles).
 
-    Parameters
-    ----------
-    units : Tensor (K, row, units) float32
-    weight : Tensor (K, units, actions * quantiles)
-    bias : Tensor (K, 1, actions * quantiles)
-    actions : Tensor (K, row) int64
-    quantiles
-        Columns per action.
-
-    Returns
-    -------
-    Tensor (K, row, quantiles)
+    ``units`` are (K, row, units) float32, ``weight`` (K, units, actions * quantiles), ``bias``
+    (K, 1, actions * quantiles), ``actions`` (K, row) int64.
     """
     values: torch.Tensor = _ChosenValues.apply(  # type: ignore[no-untyped-call]
         units, weight, bias, actions, quantiles

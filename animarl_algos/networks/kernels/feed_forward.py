@@ -60,25 +60,11 @@ def features_and_values(
     flagged: bool,
     sees_previous: bool,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Encoded observations and values of all actions.
+    """Encoded observations (K, row, H) and values of all actions (K, row, actions, quantiles).
 
-    Parameters
-    ----------
-    observations : Tensor (K, row, n)
-    previous_actions : Tensor (K, row) int64
-    weights
-        Weight and bias of both encoder layers, the dueling head's hidden layer, value and
-        advantage.
-    num_actions
-    flagged
-        Whether the last observation component bypasses the encoder.
-    sees_previous
-        Whether the previous action is an input.
-
-    Returns
-    -------
-    features : Tensor (K, row, H)
-    values : Tensor (K, row, actions, quantiles)
+    ``observations`` are (K, row, n), ``previous_actions`` (K, row) int64; ``weights`` are weight
+    and bias of both encoder layers, the dueling head's hidden layer, value and advantage.
+    ``flagged`` says whether the last observation component bypasses the encoder.
     """
     settings = (num_actions, int(flagged), sees_previous)
     outputs: tuple[torch.Tensor, torch.Tensor] = _FeedForward.apply(  # type: ignore[no-untyped-call]

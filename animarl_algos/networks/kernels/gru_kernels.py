@@ -6,6 +6,9 @@ run the same equations (see :mod:`animarl_algos.networks.layers`) row by row, ev
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numba as nb
 import numpy as np
 import torch
@@ -114,33 +117,79 @@ def _backward(  # type: ignore[no-untyped-def]
             end = start
 
 
-def forward(
-    gates: torch.Tensor,
-    hidden_n: torch.Tensor,
-    hidden: torch.Tensor,
+def gru(
+    inputs: torch.Tensor,
     state: torch.Tensor,
-    weight: torch.Tensor,
-    bias: torch.Tensor,
+    weights: Sequence[torch.Tensor],
     active: NDArray[np.int64],
-) -> None:
-    """Fill ``hidden_n`` and ``hidden`` (K, row, H), turn ``gates`` (K, row, 3H) into r, z, n."""
-    scratch = np.empty(gates.shape[-1], dtype=np.float32)
-    _forward(*as_arrays(gates, hidden_n, hidden, state, weight, bias), active, scratch)
+    previous: torch.Tensor | None,
+) -> torch.Tensor:
+    """Hidden states (K, row, H) of K GRUs over packed sequences, float32 on the CPU.
+
+    Parameters
+    ----------
+    inputs : Tensor (K, row, I)
+    state : Tensor (K, batch, H)
+        Before the first step.
+    weights
+        Of input and state, (K, I, 3H) and (K, H, 3H), then the biases, (K, 1, 3H); the gates are in
+        the order r, z, n.
+    active : ndarray (steps,)
+        Rows computed at each step.
+    previous : Tensor (rows - active[0],), optional
+        Row of the step before, for rows from the second step on; None where all rows are computed.
+    """
+    hidden: torch.Tensor = _GRU.apply(inputs, state, *weights, active, previous)  # type: ignore[no-untyped-call]
+    return hidden
 
 
-def backward(
-    grad_hidden: torch.Tensor,
-    gates: torch.Tensor,
-    hidden_n: torch.Tensor,
-    hidden: torch.Tensor,
-    state: torch.Tensor,
-    weight: torch.Tensor,
-    active: NDArray[np.int64],
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Gradients of the input's gates (K, row, 3H), of ``hidden_n`` (K, row, H), of the state."""
-    grad_gates = torch.empty_like(gates)
-    grad_hidden_n = torch.empty_like(hidden_n)
-    carried = torch.zeros_like(state, memory_format=torch.contiguous_format)
-    given = as_arrays(grad_hidden, gates, hidden_n, hidden, state, weight.transpose(1, 2))
-    _backward(*given, active, *as_arrays(grad_gates, grad_hidden_n, carried))
-    return grad_gates, grad_hidden_n, carried
+class _GRU(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        inputs: torch.Tensor,
+        state: torch.Tensor,
+        weight_input: torch.Tensor,
+        weight_hidden: torch.Tensor,
+        bias_input: torch.Tensor,
+        bias_hidden: torch.Tensor,
+        active: NDArray[np.int64],
+        previous: torch.Tensor | None,
+    ) -> torch.Tensor:
+        gates = torch.baddbmm(bias_input, inputs, weight_input)
+        rows = (*gates.shape[:2], state.shape[-1])
+        hidden_n, hidden = gates.new_empty(rows), gates.new_empty(rows)
+        given = as_arrays(gates, hidden_n, hidden, state, weight_hidden, bias_hidden)
+        _forward(*given, active, np.empty(gates.shape[-1], dtype=np.float32))
+        ctx.save_for_backward(inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden)
+        ctx.active, ctx.previous = active, previous
+        return hidden
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable  # type: ignore[misc]
+    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        inputs, state, weight_input, weight_hidden, gates, hidden_n, hidden = ctx.saved_tensors
+        units = state.shape[-1]
+        grad_gates, grad_hidden_n = torch.empty_like(gates), torch.empty_like(hidden_n)
+        grad_state = torch.zeros_like(state, memory_format=torch.contiguous_format)
+        back = weight_hidden.transpose(1, 2)
+        given = as_arrays(grad_outputs[0], gates, hidden_n, hidden, state, back)
+        _backward(*given, ctx.active, *as_arrays(grad_gates, grad_hidden_n, grad_state))
+        first = int(ctx.active[0]) if len(ctx.active) else 0
+        if ctx.previous is None:
+            later = hidden[:, : hidden.shape[1] - first]
+        else:
+            later = hidden.index_select(1, ctx.previous)
+        before = torch.cat((state[:, :first], later), dim=1).transpose(1, 2)
+        grad_rz, grad_bias = grad_gates[..., : 2 * units], grad_gates.sum(1, keepdim=True)
+        to_n = (before @ grad_hidden_n, grad_hidden_n.sum(1, keepdim=True))
+        return (
+            grad_gates @ weight_input.transpose(1, 2) if ctx.needs_input_grad[0] else None,
+            grad_state if ctx.needs_input_grad[1] else None,
+            inputs.transpose(1, 2) @ grad_gates,
+            torch.cat((before @ grad_rz, to_n[0]), dim=-1),
+            grad_bias,
+            torch.cat((grad_bias[..., : 2 * units], to_n[1]), dim=-1),
+            None,
+            None,
+        )

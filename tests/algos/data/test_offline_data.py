@@ -121,21 +121,6 @@ def test_every_entry_equals_the_demonstrations() -> None:
     assert [sorted(mine) for mine in seen] == [kept.tolist()] * 3
 
 
-def orders(dataset: OfflineDataset, seed: int) -> NDArray[np.int64]:
-    """The order of the episodes for each individual: minibatches of one do not sort by length."""
-    batches = dataset.batches(1, np.random.default_rng(seed))
-    return np.concatenate([batch.indices for batch in batches], axis=1)
-
-
-def test_shuffling_is_repeatable_and_differs_by_seed_and_individual() -> None:
-    dataset = OfflineDataset(**arrays(lengths=np.full(40, 3)))
-    order = orders(dataset, 0)
-    np.testing.assert_array_equal(order, orders(dataset, 0))
-    assert not np.array_equal(order, orders(dataset, 1))
-    assert not np.array_equal(order[0], order[1])
-    assert [sorted(mine) for mine in order] == [list(range(40))] * 3
-
-
 def test_an_individual_alone_sees_what_it_sees_with_others() -> None:
     data = arrays()
     together = OfflineDataset(**data)
@@ -163,15 +148,6 @@ def test_the_full_pass_is_the_same_for_all_and_longest_first() -> None:
     assert (order == order[0]).all() and len(set(order[0])) == 5
     lengths = [length for _, columns in batches for length in columns]
     assert lengths == sorted(lengths, reverse=True)
-
-
-def test_without_rewards_and_ends_all_bootstrap() -> None:
-    data = arrays()
-    plain = {key: data[key] for key in ("observations", "actions", "lengths", "num_actions")}
-    for batch in OfflineDataset(**plain).batches(7):
-        assert not batch.terminated.any() and not batch.rewards.any()
-        assert not batch.penalties.any() and batch.action_penalties is None
-        assert batch.mask.sum() == 3 * (LENGTHS - 1).sum()
 
 
 @pytest.mark.parametrize(

@@ -76,10 +76,10 @@ def test_each_step_is_taken_with_the_epsilon_that_is_due_before_it(
 
     monkeypatch.setattr(model.policy, "choose", watched)
     model.learn(60)
-    model.learn(40, reset_num_timesteps=False)
+    model.learn(60, reset_num_timesteps=False)
     steps, epsilons = zip(*used)
-    assert steps == tuple(range(0, 100, 2))
-    assert epsilons == pytest.approx([0.5 - 0.2 * step / 100 for step in steps])
+    assert steps == tuple(range(0, 120, 2))
+    assert epsilons == pytest.approx([max(0.3, 0.5 - 0.2 * step / 100) for step in steps])
 
 
 # -- updating -------------------------------------------------------------------------------------
@@ -92,7 +92,7 @@ def test_losses_are_averaged_over_the_updates_since_the_last_look() -> None:
     before, summed = weights(model), []
     for updates in (1, 3):
         updater.run(model.replay_buffer, updates, 4, phase, 0.5)  # type: ignore[arg-type]
-        summed.append({name: total.clone() for name, (total, _) in updater.losses.items()})
+        summed.append({name: total.clone() for name, total in updater.totals.items()})
     assert not torch.equal(before, weights(model))
     means = updater.means()
     for name, total in summed[1].items():

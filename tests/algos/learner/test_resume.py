@@ -173,11 +173,6 @@ def test_superseded_checkpoints_go_with_the_next_and_copies_stay(tmp_path: Path)
     assert {p.name for p in tmp_path.iterdir()} == {"checkpoint_000002", "checkpoint_000000_copy"}
 
 
-def test_a_folder_without_checkpoint_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no checkpoint"):
-        load_checkpoint(make(), tmp_path)
-
-
 @pytest.mark.parametrize(
     ("other", "words"),
     [

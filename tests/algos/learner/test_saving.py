@@ -18,6 +18,7 @@ from pair_learners import SETTINGS, FlaggedPair, demonstrations, make_pair_learn
 
 import animarl_algos.learner.pretraining
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.recipes.registry import DQDIL, DQN
 from animarl_envs.errors import InputError
 
@@ -29,11 +30,9 @@ def saved(folder: Path) -> Path:
 
 def test_the_acting_rule_is_saved_as_it_was_set(tmp_path: Path) -> None:
     model = make_pair_learner("dqn").learn(40)
-    model.policy.epsilon = 0.123
-    model.policy.temperature = model.fit_temperature(demonstrations().val)
+    model.policy.acting = Acting.boltzmann(model.fit_temperature(demonstrations().val))
     model.save(tmp_path / "model")
     loaded = DQN.load(tmp_path / "model", device="cpu")
-    assert loaded.policy.epsilon == 0.123
     assert loaded.policy.acting == model.policy.acting
     rng = np.random.default_rng(0)
     for each in (model, loaded):

@@ -12,7 +12,6 @@ from pair_learners import SETTINGS, demonstrations, make_pair_learner, weights
 import animarl_envs
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.networks.policies import GruPolicy
 from animarl_algos.recipes.registry import BC, DQDIL, DQN, QRDQN
 from animarl_envs.errors import InputError
 from animarl_envs.wrappers import DTWReward
@@ -51,31 +50,6 @@ def test_quantiles_belong_to_the_learners_on_quantiles(
     assert "n_quantiles" in refused(kind, "GruPolicy", policy_kwargs={"n_quantiles": count})
 
 
-@pytest.mark.parametrize("count", [1, 2.5, "x"])
-def test_too_few_quantiles_are_refused(count: Any) -> None:
-    assert "at least 2" in refused(QRDQN, "GruPolicy", policy_kwargs={"n_quantiles": count})
-
-
-@pytest.mark.parametrize("policy", ["GruPolicy", "MlpPolicy"])
-def test_unknown_settings_of_either_policy_are_refused(policy: str) -> None:
-    for wrong in ({"hiden": 64}, {"seed": 64}, {"epsilon": 0.5}):
-        said = refused(DQN, policy, policy_kwargs=wrong)
-        assert f"{next(iter(wrong))!r} is unknown: choose among condition_input" in said
-        assert ", hidden," in said
-
-
-def test_temperatures_are_one_or_one_for_each_individual() -> None:
-    said = refused(DQN, "GruPolicy", policy_kwargs={"temperature": [1.0, 2.0, 3.0]})
-    assert said.startswith("temperature has 3 numbers for 2 individuals")
-
-
-@pytest.mark.parametrize("epsilon", [-0.1, 2.0])
-def test_a_policy_by_itself_refuses_what_is_no_probability(epsilon: float) -> None:
-    env = toys.Pair(2)
-    with pytest.raises(InputError, match=f"epsilon is {epsilon}"):
-        GruPolicy(env.observation_space, env.action_space, lambda _: 1e-3, epsilon=epsilon)
-
-
 def test_only_a_policy_with_a_memory_sees_its_previous_action_unless_asked() -> None:
     for policy, more, sees in (
         ("GruPolicy", {}, True),
@@ -83,7 +57,7 @@ def test_only_a_policy_with_a_memory_sees_its_previous_action_unless_asked() -> 
         ("MlpPolicy", {"previous_action": True}, True),
     ):
         model = DQN(policy, toys.Pair(2), **SETTINGS | {"policy_kwargs": {"hidden": 8} | more})
-        assert model.policy.network_arguments["previous_action"] is sees
+        assert model.q_net.previous_action is sees
 
 
 def test_whole_numbers_may_be_written_as_floats() -> None:

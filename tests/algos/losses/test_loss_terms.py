@@ -17,12 +17,11 @@ from animarl_algos.losses.terms import (
     MinibatchValues,
     Phase,
     ScoredActionsTemporalDifference,
-    SoftActionSupervision,
     TemporalDifference,
     TreatmentAdversary,
     WeightDecay,
 )
-from animarl_algos.losses.values import ExpectedValue, Quantiles
+from animarl_algos.losses.values import ValueDistribution
 from animarl_envs.errors import InputError
 
 # Two individuals, two steps, two columns, three actions; steps are (K, T, B).
@@ -59,7 +58,7 @@ def minibatch(seed: int = 0, quantiles: int = 1, **numbers: Any) -> MinibatchVal
     return MinibatchValues(
         batch=batch,  # type: ignore[arg-type]
         phase=phase(**numbers),
-        distribution=ExpectedValue() if quantiles == 1 else Quantiles(quantiles),
+        distribution=ValueDistribution(None if quantiles == 1 else quantiles),
         valid=VALID,
         online=GivenValues(drawn(2, 3, 2, 3, quantiles)),
         target=GivenValues(drawn(2, 3, 2, 3, quantiles)),
@@ -143,14 +142,6 @@ def test_scored_actions_of_quantiles_are_each_an_action_taken() -> None:
     torch.testing.assert_close(loss, torch.stack(each).mean(0))
 
 
-def test_penalties_of_zero_stay_zero_when_scaled() -> None:
-    given, plain = minibatch(scaled_penalties=True), minibatch()
-    for one in (given, plain):
-        one.batch.action_penalties = torch.zeros(*SHAPE, 3, dtype=torch.float64)
-    term = ScoredActionsTemporalDifference()
-    torch.testing.assert_close(term(given), term(plain))
-
-
 def test_scored_actions_need_penalties() -> None:
     given = minibatch()
     given.batch.action_penalties = None
@@ -163,7 +154,9 @@ def cross_entropy(given: MinibatchValues, k: int, t: int, b: int, action: int) -
     return math.log(sum(math.exp(x) for x in logits)) - float(logits[action])
 
 
-@pytest.mark.parametrize("term", [ActionSupervision(), SoftActionSupervision()])
+@pytest.mark.parametrize(
+    "term", [ActionSupervision(), ActionSupervision(weighted=False, soft=True)]
+)
 def test_supervision_is_the_cross_entropy_of_the_labels(term: LossTerm) -> None:
     given = minibatch()
     sums, counts = [0.0, 0.0], [0, 0]
@@ -188,7 +181,7 @@ def test_soft_labels_share_the_cross_entropy_out() -> None:
     first = sum(s * cross_entropy(given, 0, 0, 0, a) for a, s in enumerate((0.5, 0.3, 0.2)))
     second = 1.0 * cross_entropy(given, 1, 1, 1, 1)  # weights 1 and 0.25 of the two columns
     third = sum(s * cross_entropy(given, 1, 0, 0, a) for a, s in enumerate((0.1, 0.0, 0.9)))
-    loss = SoftActionSupervision()(given)
+    loss = ActionSupervision(weighted=False, soft=True)(given)
     assert loss.tolist() == pytest.approx([first, (second + 0.25 * third) / 2])
 
 
@@ -216,7 +209,7 @@ def test_weight_decay_is_a_number_without_gradient() -> None:
         (ScoredActionsTemporalDifference(), "td", 1.0, True),
         (ActionSupervision(), "supervision", 0.3, False),
         (ActionSupervision(weighted=False), "supervision", 1.0, False),
-        (SoftActionSupervision(), "supervision", 1.0, False),
+        (ActionSupervision(weighted=False, soft=True), "supervision", 1.0, False),
         (TreatmentAdversary(), "treatment", 0.2, False),
         (WeightDecay(), "l2", 0.1, False),
     ],
@@ -236,12 +229,6 @@ def test_terms_say_what_they_weigh_and_need(
         assert given.errors is None
 
 
-def test_distances_are_left_out_and_not_scaled_unless_asked() -> None:
-    assert not TemporalDifference().shaped and not phase().scaled_penalties
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        phase().gamma = 1.0  # type: ignore[misc]
-
-
 @pytest.mark.parametrize("n_steps", [1, 2, 4, 9])
 def test_the_target_sums_rewards_as_far_as_the_sequence_goes(n_steps: int) -> None:
     generator = torch.Generator().manual_seed(0)
@@ -254,7 +241,7 @@ def test_the_target_sums_rewards_as_far_as_the_sequence_goes(n_steps: int) -> No
     given = MinibatchValues(
         batch=SimpleNamespace(num_steps=6, lengths=lengths, terminated=terminated),  # type: ignore[arg-type]
         phase=phase(n_steps=n_steps),
-        distribution=ExpectedValue(),
+        distribution=ValueDistribution(),
         valid=torch.ones(1, 6, 2, dtype=torch.bool),
         online=GivenValues(online),
         target=GivenValues(target),

@@ -18,19 +18,19 @@ networks = pytest.mark.parametrize(
     "options",
     [
         {},
-        {"num_quantiles": 7},
+        {"n_quantiles": 7},
         {"previous_action": False},
-        {"condition_flag": True, "num_quantiles": 3},
+        {"condition_flag": True, "n_quantiles": 3},
         {"condition_flag": True, "treatment_head": True},
         {"condition_flag": True, "condition_input": "encoder"},
-        {"units": 9},
+        {"hidden": 9},
     ],
     ids=lambda options: "-".join(options) or "plain",
 )
 
 
 def make(individuals: int = 3, **options) -> StackedQNetwork:
-    options = {"units": 8, "recurrent": False} | options
+    options = {"hidden": 8, "recurrent": False, "previous_action": True} | options
     return StackedQNetwork(NAMES[:individuals], N, A, **options)
 
 
@@ -102,14 +102,6 @@ def test_a_network_computes_with_its_present_weights_wherever_they_come_from() -
     network.load_state_dict(other.state_dict(), assign=True)  # other parameters
     assert torch.equal(network(observations, previous).values, expected)
     assert all(p is q for p, q in zip(network.all_parameters, network.parameters(), strict=True))
-
-
-def test_inputs_need_not_lie_in_one_piece() -> None:
-    network = make()
-    observations, previous, _ = batch(3)
-    scattered = observations.transpose(1, 2).contiguous().transpose(1, 2)
-    assert not scattered.is_contiguous()
-    assert torch.equal(network(scattered, previous).values, network(observations, previous).values)
 
 
 def test_observations_get_their_gradient_from_few_rows_as_from_many(monkeypatch) -> None:

@@ -10,8 +10,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.utils import ConstantSchedule
 
-from animarl_algos.losses.values import ErrorLoss, ExpectedValue
-from animarl_algos.networks.acting_rule import boltzmann
+from animarl_algos.losses.values import ValueDistribution
+from animarl_algos.networks.acting_rule import Acting, boltzmann
 from animarl_algos.networks.policies import GruPolicy, MlpPolicy, decide_on_device
 from animarl_envs.errors import InputError
 
@@ -102,7 +102,7 @@ def test_compiled_and_tensor_acting_agree(
 
 def test_a_huber_loss_is_kept_with_the_policy(tmp_path: Path) -> None:
     policy = make(td_loss="huber")
-    assert policy.distribution == ExpectedValue(ErrorLoss.HUBER)
+    assert policy.distribution == ValueDistribution(None, "huber")
     policy.save(str(tmp_path / "policy"))
     again = GruPolicy.load(str(tmp_path / "policy"))
     assert again.distribution == policy.distribution != make().distribution
@@ -164,7 +164,7 @@ def test_memory_is_hidden_state_and_executed_action() -> None:
 
 @kinds
 def test_slots_that_are_over_cost_nothing_and_change_no_other(kind: type[GruPolicy]) -> None:
-    policy = make(kind, previous_action=True, temperature=1.0)
+    policy = make(kind, previous_action=True, acting=Acting.boltzmann(1.0))
     observations, over = observe(), np.arange(S) % 5 == 0
     taken = []
     for leaving in (False, True):
@@ -193,12 +193,14 @@ def test_who_only_acts_has_no_optimiser() -> None:
     assert made is policy.optimizer and made.param_groups[0]["lr"] == 1e-3
     held = [p for group in made.param_groups for p in group["params"]]
     assert list(map(id, held)) == list(map(id, policy.q_net.parameters()))
+    for online, target in zip(policy.q_net.parameters(), policy.q_net_target.parameters()):
+        assert torch.equal(online, target) and not target.requires_grad
     with pytest.raises(InputError, match="do not fit"):
         make(optimizer_kwargs={"lrr": 1})
 
 
 def test_greedy_ties_go_to_the_lowest_index_and_draw_nothing() -> None:
-    policy = make(epsilon=1.0)
+    policy = make(acting=Acting.epsilon_greedy(1.0))
     before = policy.random_state
     q_values = np.zeros((S, A), dtype=np.float32)
     q_values[:, [4, 9]] = 1
@@ -207,7 +209,7 @@ def test_greedy_ties_go_to_the_lowest_index_and_draw_nothing() -> None:
 
 
 def test_epsilon_greedy_frequencies_and_one_coin_per_slot() -> None:
-    policy = make(epsilon=0.4)
+    policy = make(acting=Acting.epsilon_greedy(0.4))
     slots = K * 40_000
     q_values = np.zeros((slots, A), dtype=np.float32)
     q_values[:, 5] = 1
@@ -220,19 +222,6 @@ def test_epsilon_greedy_frequencies_and_one_coin_per_slot() -> None:
     assert 0 < greedy < S
 
 
-@pytest.mark.parametrize("temperature", [0.5, (0.25, 0.5, 2.0)])
-def test_boltzmann_frequencies(temperature: float | tuple[float, ...]) -> None:
-    policy = make(temperature=temperature)
-    copies = 40_000
-    logits = np.random.default_rng(0).standard_normal((K, A)).astype(np.float32)
-    actions = policy.choose(np.tile(logits, (copies, 1)), deterministic=False)
-    for k in range(K):
-        expected = np.exp(logits[k] / np.broadcast_to(temperature, K)[k])
-        expected /= expected.sum()
-        counts = np.bincount(actions[k::K], minlength=A) / copies
-        np.testing.assert_allclose(counts, expected, atol=5 * np.sqrt(0.25 / copies))
-
-
 def test_boltzmann_stays_in_range_at_extreme_draws() -> None:
     scaled = np.array([[0.0, -1e4, 0.0], [0.0, -1e4, 0.0], [5.0, 5.0, -1e4]])
     draw = np.array([0.0, np.nextafter(1.0, 0.0), np.nextafter(1.0, 0.0)])
@@ -240,7 +229,7 @@ def test_boltzmann_stays_in_range_at_extreme_draws() -> None:
 
 
 def test_draws_are_seeded_and_one_per_slot() -> None:
-    policy, twin = make(epsilon=0.5, seed=3), make(epsilon=0.5, seed=3)
+    policy, twin = (make(acting=Acting.epsilon_greedy(0.5), seed=3) for _ in range(2))
     observations = observe(1)[0]
     first, _ = policy.predict(observations)
     np.testing.assert_array_equal(first, twin.predict(observations)[0])
@@ -269,8 +258,8 @@ def test_a_single_bare_slot() -> None:
 @kinds
 def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
     policy = make(
-        kind, n_quantiles=3, condition_flag=True, treatment_head=True, hidden=8, temperature=0.3,
-        head_layers=0,
+        kind, n_quantiles=3, condition_flag=True, treatment_head=True, hidden=8,
+        acting=Acting.boltzmann(0.3), head_layers=0,
     )  # fmt: skip
     with torch.no_grad():
         for parameter in policy.parameters():
@@ -278,22 +267,13 @@ def test_save_and_load(kind: type[GruPolicy], tmp_path: Path) -> None:
     policy.save(str(tmp_path / "policy.pt"))
     loaded = kind.load(str(tmp_path / "policy.pt"), device="cpu")
     assert loaded.individuals == NAMES
-    assert loaded.temperature == 0.3
+    assert loaded.acting == policy.acting
     for (name, saved), read in zip(policy.state_dict().items(), loaded.state_dict().values()):
         assert torch.equal(saved, read), name
     observations = observe(1)[0]
     np.testing.assert_array_equal(
         policy.advance(observations, None, None)[0], loaded.advance(observations, None, None)[0]
     )
-
-
-def test_target_network_starts_equal_and_is_not_trained() -> None:
-    policy = make()
-    for online, target in zip(policy.q_net.parameters(), policy.q_net_target.parameters()):
-        assert torch.equal(online, target)
-        assert not target.requires_grad
-    trained = {id(p) for group in policy.optimizer.param_groups for p in group["params"]}
-    assert trained == {id(p) for p in policy.q_net.parameters()}
 
 
 @pytest.mark.parametrize(

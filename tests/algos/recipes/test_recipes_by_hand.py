@@ -7,8 +7,8 @@ import pytest
 import torch
 from pair_learners import evaluated, make_pair_learner
 
-from animarl_algos.learner.exploration import LinearDecay, boltzmann_nll, fit_boltzmann_temperature
-from animarl_algos.learner.validation import demonstrated_rank
+from animarl_algos.learner.collecting import boltzmann_nll, fit_boltzmann_temperature
+from animarl_algos.learner.pretraining import demonstrated_rank
 from animarl_algos.losses.terms import (
     TreatmentAdversary,
 )
@@ -56,8 +56,3 @@ def test_a_few_actions_that_are_all_the_same_make_no_greedy_animal() -> None:
     fitted = fit_boltzmann_temperature(values, actions)
     assert 0.5 < fitted < 1.0
     assert boltzmann_nll(values, actions, 0.01) < boltzmann_nll(values, actions, fitted)
-
-
-def test_epsilon_decays_linearly_then_stays() -> None:
-    decay = LinearDecay(0.5, 0.3, 100)
-    assert [decay(n) for n in (0, 50, 100, 1000)] == pytest.approx([0.5, 0.4, 0.3, 0.3])

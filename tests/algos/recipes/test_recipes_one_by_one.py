@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
 from typing import Any
 
 import pytest
 import torch
 import toys
-from pair_learners import SETTINGS, demonstrations, evaluated, make_pair_learner
+from pair_learners import SETTINGS, demonstrations, make_pair_learner
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.learner.updates import update
-from animarl_algos.recipes.registry import DQDIL, named_recipe
-from animarl_algos.replay.store import SequenceBatch
+from animarl_algos.recipes.registry import named_recipe
 
 
 def assert_weights_of_one(
@@ -59,36 +56,3 @@ def test_individuals_together_are_individuals_alone(name: str, in_double: None) 
             assert whole[f"val/mean_rank/{who}"] == pytest.approx(single["val/mean_rank"])
         assert run.best_epochs == together.offline_progress.best_epochs[k : k + 1]
         assert_weights_of_one(together, k, alone, atol=1e-10, rtol=1e-10)
-
-
-def individual(batch: SequenceBatch, k: int) -> SequenceBatch:
-    """Individual ``k`` alone, as a batch with K = 1, padded as the whole."""
-    parts = {
-        each.name: value[k : k + 1]
-        for each in fields(batch)
-        if isinstance(value := getattr(batch, each.name), torch.Tensor) or each.name == "indices"
-    }
-    return replace(batch, **parts)
-
-
-def test_replayed_individuals_together_are_individuals_alone() -> None:
-    """Online updates from one fixed memory: the same weights, to rounding."""
-    together = make_pair_learner("dqdil").learn(100)
-    start = make_pair_learner("dqdil")
-    together.policy.load_state_dict(start.policy.state_dict())
-    together.policy.reset_optimizer(1e-3)
-    assert together.replay_buffer is not None
-    alone = []
-    for k, who in enumerate(toys.Pair.individuals):
-        env = toys.Pair(2)
-        env.individuals = (who,)
-        toys.VecEnv.__init__(env, 2, env.observation_space, env.action_space)
-        alone.append(DQDIL("GruPolicy", env, **SETTINGS))
-        assert_weights_of_one(together, k, alone[k])
-    for _ in range(5):
-        batch = together.replay_buffer.sample(4).clone()
-        parts = [(together, batch), *((alone[k], individual(batch, k)) for k in (0, 1))]
-        for model, part in parts:
-            update(evaluated(model, part), model.recipe.online, model.policy.optimizer)
-    for k in (0, 1):
-        assert_weights_of_one(together, k, alone[k], atol=1e-6, rtol=1e-5)
