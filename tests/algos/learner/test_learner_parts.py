@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import toys
 from pair_learners import SETTINGS, make_pair_learner, weights
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 
+from animarl_algos.learner.collecting import boltzmann_nll, fit_boltzmann_temperature
+from animarl_algos.learner.pretraining import demonstrated_rank
 from animarl_algos.learner.updates import AS_MANY_AS_STEPS, Updater, UpdateSchedule
 from animarl_algos.recipes.registry import DQN
 
@@ -107,3 +110,30 @@ def test_updates_before_learning_starts_are_forfeited() -> None:
     model._train_if_due()
     assert model.schedule == UpdateSchedule(since_target=model.schedule.since_target)
     assert model._n_updates == 0
+
+
+# -- ranks and temperatures -----------------------------------------------------------------------
+
+
+def test_ties_rank_as_chance_does() -> None:
+    values = np.array([[1.0, 1.0, 1.0], [3.0, 2.0, 1.0], [0.0, 5.0, 5.0]])
+    np.testing.assert_array_equal(demonstrated_rank(values, np.array([0, 2, 1])), [2.0, 3.0, 1.5])
+
+
+def test_the_temperature_is_recovered() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(20_000, 5))
+    gumbel = rng.gumbel(size=values.shape)
+    actions = (values / 0.3 + gumbel).argmax(1)  # samples of softmax(values / 0.3)
+    fitted = fit_boltzmann_temperature(values, actions)
+    assert fitted == pytest.approx(0.3, rel=0.03)
+    assert boltzmann_nll(values, actions, fitted) <= boltzmann_nll(values, actions, 0.3)
+
+
+def test_a_few_actions_that_are_all_the_same_make_no_greedy_animal() -> None:
+    """Those of a validation animal at rest: the likelihood alone is highest at temperature 0."""
+    values = np.array([4.0, 0.0, 0.0]) + np.random.default_rng(0).normal(0, 0.1, size=(25, 3))
+    actions = np.zeros(25, dtype=int)
+    fitted = fit_boltzmann_temperature(values, actions)
+    assert 0.5 < fitted < 1.0
+    assert boltzmann_nll(values, actions, 0.01) < boltzmann_nll(values, actions, fitted)
