@@ -2,6 +2,7 @@
 # make test   lint, types, tests
 # make slow   the tests that take minutes
 # make coverage   the tests of make test, and which lines none of them reached
+# make docs   the documentation site, in docs/_build/html; warnings are errors
 # make mutants [MODULES=...] [SAMPLE=60]   which changes of the code no test notices
 # make fuzz [N=20000] [SEED=0]   damaged files through every reader, see SECURITY.md
 PYTHON ?= python3.11
@@ -14,7 +15,7 @@ PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile
 N ?= 20000
 SEED ?= 0
 
-.PHONY: demo test coverage slow mutants fuzz lint types clean
+.PHONY: demo test coverage slow docs mutants fuzz lint types clean
 
 demo: $(STAMP)
 	$(BIN)/animarl run packaged --species agent --seed 0 --out out/demo
@@ -27,6 +28,9 @@ coverage: $(STAMP)
 
 slow: $(STAMP)
 	$(PYTEST) -m slow
+
+docs: $(VENV)/.docs
+	$(BIN)/sphinx-build -W --keep-going -q -b html docs docs/_build/html
 
 mutants: $(STAMP)
 	$(BIN)/python tools/mutants.py $(MODULES) $(if $(SAMPLE),--sample $(SAMPLE))
@@ -52,3 +56,7 @@ $(STAMP): setup.cfg pyproject.toml constraints.txt
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[all]'
 	touch $(STAMP)
+
+$(VENV)/.docs: $(STAMP)
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@

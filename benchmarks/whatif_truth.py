@@ -310,7 +310,7 @@ def main(
             continue
         seeds = [0] if quick else seed or [0, 1, 2]
         runs = [load_run(name)] if quick else trained_runs(name, seeds, cells)
-        folder = agents if name == RECORDED else None
+        folder = agents / "weights" if name == RECORDED else None
         for one in answered(runs, changes[name], 2 if quick else repetitions, folder):
             found = list(rows(name, runs, one))
             parts += found

@@ -13,6 +13,7 @@ from animarl_envs.scenario import PACKAGED
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from animarl_algos.runs.run import Run
     from animarl_algos.whatif.answer import Answer
 
 COLOURS = {"none": "green", "some": "yellow", "red": "red"}
@@ -33,6 +34,13 @@ def whatif_command(
     separately: Annotated[
         bool, typer.Option("--separately", help="Ask each change by itself.")
     ] = False,
+    permutations: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="For a condition: train so many networks on permuted conditions, as the null.",
+        ),
+    ] = 0,
     knows: Annotated[
         bool,
         typer.Option(
@@ -57,18 +65,34 @@ def whatif_command(
 
       animarl whatif runs/first --change prey.thrust=x0.8..x1.2/5
 
-      animarl whatif runs/both --change condition=shared
+      animarl whatif runs/both --change condition=shared --permutations 20
     """
     from rich.console import Console
 
+    from animarl_algos.runs.permuted import permuted_runs
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.whatif.answer import ask
+    from animarl_algos.whatif.changes import CONDITION, parse_scenarios
 
     console = Console()
     loaded = [load_run(run) for run in runs]
+    nulls: list[Run] = []
+    if permutations:
+        if not any(text.partition("=")[0].strip() == CONDITION for text in change):
+            raise InputError(
+                "--permutations is the null of a condition and none is changed: leave it out"
+            )
+        parse_scenarios(change, loaded[0].scenario.species, separately=separately)
+        nulls = permuted_runs(
+            loaded[0],
+            out.with_name(f"{out.name}-permuted"),
+            permutations,
+            lambda done: console.print(f"{done} of {permutations} networks of permuted conditions"),
+        )
     found = ask(
         loaded,
         change,
+        permuted=nulls,
         repetitions=repetitions,
         reading="knows" if knows else "habit",
         separately=separately,

@@ -41,6 +41,7 @@ TRY_REPETITIONS = 2
 FAR_APART = 0.1  # tries of thrust, for a slope to be read off them [log]
 USUAL_SLOPE = 0.7  # log of the achieved speed per log of the thrust
 THRUST_LIMITS = (1 / 8, 8.0)
+CUE_LEVEL = 0.05  # of a cue's shift among those of permuted labels
 
 
 class TrainedRun(Protocol):
@@ -80,9 +81,11 @@ class Answer:
         What was changed.
     table
         One row per quantity: ``scenario, quantity, unit, recorded, baseline, changed, shift, low,
-        high, gap, covers, other_reading, warning, finding``. ``gap`` is baseline minus recorded;
-        ``finding`` is empty where the shift's interval holds zero, where it is smaller than the gap
-        or where the warning is red.
+        high, gap, covers, other_reading, null_low, null_high, p, warning, finding``. ``gap`` is
+        baseline minus recorded. ``null_low`` to ``null_high`` is where 95 % of the shifts of runs
+        with permuted labels lie, and ``p`` how often these are as large. ``finding`` is false
+        where the shift's interval holds zero, where it is smaller than the gap, where ``p`` is
+        above .05 or where the warning is red.
     warning
         ``none``, ``some`` or ``red``.
     reason
@@ -133,6 +136,7 @@ def ask(
     reading: Reading = "habit",
     separately: bool = False,
     seed: int = 0,
+    permuted: Sequence[TrainedRun] = (),
     on_answer: Callable[[Answer], None] | None = None,
 ) -> WhatIf:
     """Ask trained runs what would happen if.
@@ -151,6 +155,10 @@ def ask(
         Whether every change is a question of its own.
     seed
         Of the resamples.
+    permuted
+        Runs of the same learner that were trained with the conditions of their recordings permuted
+        (:func:`animarl_algos.runs.permuted.permuted_runs`). Their shifts are the null of a cue:
+        they say how far it moves by the choice of training recordings alone.
     on_answer
         Is told of each answer as it is ready.
 
@@ -165,10 +173,13 @@ def ask(
     unit = unit_of(first.demos)
     for scenario in scenarios:
         _check(scenario, first, unit)
-    asker = _Asker(tuple(runs), unit, repetitions, reading, seed)
+    asker, *nulls = (
+        _Asker(tuple(some), unit, repetitions, reading, seed)
+        for some in (runs, *([run] for run in permuted))
+    )
     answers = []
     for scenario in scenarios:
-        answers.append(asker.answer(scenario))
+        answers.append(asker.answer(scenario, nulls if scenario.condition is not None else ()))
         if on_answer is not None:
             on_answer(answers[-1])
     return WhatIf(asker.baseline, tuple(answers))
@@ -206,8 +217,8 @@ class _Asker:
         self.baseline, self.usual, self.usual_inputs = self._simulate({}, None, "habit")
         self.quantities = list(quantities_of(self.species, unit))
 
-    def answer(self, scenario: Scenario) -> Answer:
-        """Compare one scenario with the baseline."""
+    def answer(self, scenario: Scenario, nulls: Sequence[_Asker] = ()) -> Answer:
+        """Compare one scenario with the baseline, and a cue's shifts with those of ``nulls``."""
         thrusts = self._thrusts(scenario)
         options = scenario.options(self.species, self.unit, thrusts)
         changed, beyond, inputs = self._simulate(options, scenario.condition, self.reading)
@@ -217,14 +228,28 @@ class _Asker:
             other = self._simulate(options, scenario.condition, reading)[0]
         rows = list(self._rows(scenario, changed, other))
         warning, reason = self._warning(beyond, inputs, rows)
-        for row in rows:
+        by_chance = np.array([one.shifts(scenario) for one in nulls])
+        for column, row in enumerate(rows):
+            row |= {"null_low": np.nan, "null_high": np.nan, "p": np.nan}
+            if len(by_chance):
+                null = by_chance[:, column]
+                low, high = np.nanquantile(null, [0.025, 0.975])
+                as_large = int((np.abs(null) >= abs(row["shift"])).sum())
+                row |= {"null_low": low, "null_high": high, "p": (1 + as_large) / (1 + len(null))}
             row["warning"] = warning
             clear = row["low"] > 0 or row["high"] < 0
             large = not abs(row["shift"]) < abs(row["gap"])
-            row["finding"] = bool(clear and large and warning != Caution.RED)
+            beyond_chance = not row["p"] > CUE_LEVEL
+            row["finding"] = bool(clear and large and beyond_chance and warning != Caution.RED)
         import pandas as pd
 
         return Answer(scenario, pd.DataFrame(rows), warning, reason, thrusts, changed)
+
+    def shifts(self, scenario: Scenario) -> list[float]:
+        """Return the shift of each quantity."""
+        options = scenario.options(self.species, self.unit)
+        changed = self._simulate(options, scenario.condition, self.reading)[0]
+        return [row["shift"] for row in self._rows(scenario, changed, None)]
 
     def _simulate(
         self,

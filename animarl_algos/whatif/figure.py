@@ -16,8 +16,8 @@ WHAT_IT_IS = (
     "The same behaviour in another world: nobody learns, and nobody adapts. A thrust is not a "
     "speed: a change of speed is met by a thrust that was found by simulation. Baseline and "
     "scenario start from the same recordings and meet the same random numbers. The interval (95 %) "
-    "speaks of {covers}, not of the training recordings. A shift that is smaller than the gap "
-    "between the unchanged simulation and the recordings is no finding."
+    "speaks of {covers}, not of the training recordings{null}. A shift that is smaller than the "
+    "gap between the unchanged simulation and the recordings is no finding."
 )
 FORMATS = ("svg", "pdf", "png")
 
@@ -74,7 +74,11 @@ def _figure(table: pd.DataFrame) -> Any:
 
 def words(found: WhatIf) -> str:
     """Return what was found as Markdown to paste."""
-    lines = ["# What if", "", WHAT_IT_IS.format(covers=found.table["covers"].iloc[0]), ""]
+    table = found.table
+    null = ""
+    if table["p"].notna().any():
+        null = ", of which p does: how often networks of permuted conditions shift as far"
+    lines = ["# What if", "", WHAT_IT_IS.format(covers=table["covers"].iloc[0], null=null), ""]
     for answer in found.answers:
         lines += [f"## {answer.scenario.name}", ""]
         if answer.thrusts:
@@ -96,7 +100,8 @@ def words(found: WhatIf) -> str:
 def _row(row: pd.Series) -> str:
     numbers = [f"{row[key]:.3g}" for key in ("recorded", "baseline", "changed")]
     shift = f"{row['shift']:+.3g} [{row['low']:.3g}, {row['high']:.3g}] {row['unit']}"
-    return f"| {row['quantity']} | {' | '.join(numbers)} | {shift} |"
+    p = f", p = {row['p']:.3g}" if row["p"] == row["p"] else ""
+    return f"| {row['quantity']} | {' | '.join(numbers)} | {shift}{p} |"
 
 
 def _sentences(table: pd.DataFrame) -> list[str]:

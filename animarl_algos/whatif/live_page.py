@@ -29,12 +29,13 @@ from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import ChaseSpecies, SearchSpecies
-from animarl_envs.worlds import make_world, observation_components
+from animarl_envs.worlds import observation_components
 from animarl_envs.worlds.chase import layout as chase_layout
 from animarl_envs.worlds.chase import senses as chase_senses
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
 from animarl_envs.worlds.search import layout as search_layout
 from animarl_envs.worlds.search import senses as search_senses
+from animarl_envs.worlds.search.world import SearchWorld
 
 MOST_INDIVIDUALS = 60
 MOST_BYTES = 5_000_000
@@ -230,7 +231,7 @@ def _starts(test: Demonstrations, scenario: Scenario) -> dict[str, Any]:
         "phase": None,
     }
     if isinstance(species, SearchSpecies):
-        world = make_world(scenario, len(test))
+        world = SearchWorld(scenario, len(test))
         world.seed(np.arange(len(test)))
         world.reset(demo=np.arange(len(test)))
         signals = {name: np.squeeze(value) for name, value in test.signals.items()}

@@ -39,8 +39,8 @@ class ChaseWorld(World):
     individual that leaves the boundary, if there are no walls. Contact is judged before the
     boundary. Of several targets the first touch ends the episode, for all.
 
-    Further attributes
-    ------------------
+    Attributes
+    ----------
     acceleration
         ``(B, K, 2)``: ``(v_t - (1 - d) v_{t-1}) / (u dt)`` of the last step, the push of walls and
         recordings included, arena frame, in multiples of the thrust u; zero at the start. ``d`` and

@@ -36,8 +36,8 @@ class SearchWorld(World):
 
     Reward: ``touch`` +1 at the source. Contact terminates, the time limit truncates.
 
-    Further attributes
-    ------------------
+    Attributes
+    ----------
     heading
         ``(B, 2)`` unit vector, arena frame: a state with the dynamics ``species.turning``, and as
         recorded where a demonstration with headings is replayed; without ``turning`` the direction

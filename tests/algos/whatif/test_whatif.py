@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 from commands import animarl
 
 from animarl_algos import load_run
+from animarl_algos.runs.permuted import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
-from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.answer import WhatIf, ask
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
+from animarl_algos.whatif.figure import words
 from animarl_envs.demos.units import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import get_species
@@ -169,3 +172,63 @@ def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be changed"):
         animarl("whatif", "agent", "--change", "wings=x2", "--out", tmp_path / "no")
     assert not (tmp_path / "no").exists()
+
+
+def test_conditions_are_permuted_among_recordings_within_splits() -> None:
+    demos = load_run("agent").demos
+    dealt = permute_conditions(demos, np.random.default_rng(0))
+    assert (dealt.condition != demos.condition).mean() > 0.3
+    for split in ("train", "val", "test"):
+        here = demos.split == split
+        assert sorted(dealt.condition[here]) == sorted(demos.condition[here])
+    # Pieces of one recording keep one condition.
+    names = np.array([f"recording {k // 4}" for k in range(len(demos))])
+    whole = np.array([k // 4 % 2 for k in range(len(demos))], dtype=np.int8)
+    pieces = replace(
+        demos, recording=names, condition=whole, split=np.full(len(demos), "train", dtype="U5")
+    )
+    dealt = permute_conditions(pieces, np.random.default_rng(0))
+    assert (dealt.condition != whole).any()
+    for name in np.unique(names):
+        assert len(set(dealt.condition[names == name])) == 1
+
+
+def test_a_cue_is_no_finding_where_permuted_conditions_shift_as_far(chase: Run) -> None:
+    (alone,) = ask([chase], ["condition=shared"], repetitions=1).answers
+    assert alone.table["p"].isna().all()
+    (answer,) = ask([chase], ["condition=shared"], repetitions=1, permuted=[chase] * 3).answers
+    rows = answer.table.set_index("quantity")
+    # The same network is its own null here, so nothing is beyond it.
+    assert (rows["p"] == 1.0).all() and not rows["finding"].any()
+    assert rows["null_low"].to_numpy() == pytest.approx(rows["shift"].to_numpy())
+    assert "networks of permuted conditions" in words(WhatIf(answer.rollouts, (answer,)))
+
+
+def test_permutations_need_a_condition_that_can_be_permuted(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="none is changed: leave it out"):
+        animarl("whatif", "agent", "--change", "arena=x2", "--permutations", "2")
+    with pytest.raises(InputError, match="change what is sensed"):
+        permuted_runs(load_run("silkmoth"), tmp_path / "permuted", 1)
+    assert not (tmp_path / "permuted").exists()
+
+
+@pytest.mark.slow
+def test_networks_of_permuted_conditions_are_trained_once(chase: Run, tmp_path: Path) -> None:
+    tiny = tmp_path / "tiny"
+    animarl(
+        "train", "packaged", "--seed", "0", "--acting", "boltzmann:1", "--thrusts", "1",
+        "--set", "offline_epochs=1", "--set", "policy_kwargs={hidden: 32}", "--out", tiny,
+    )  # fmt: skip
+    out = tmp_path / "cue"
+    arguments = ("whatif", tiny, "--change", "condition=shared", "--permutations", "2")
+    said = animarl(*arguments, "--repetitions", "1", "--out", out)
+    assert "2 of 2 networks" in said
+    table = pd.read_csv(out / "whatif.csv")
+    assert table["p"].isin([1 / 3, 2 / 3, 1.0]).all() or table["p"].between(0.3, 1.0).all()
+    runs = sorted(path.name for path in (tmp_path / "cue-permuted").iterdir())
+    assert runs == ["permuted-0", "permuted-1"]
+    before = [path.stat().st_mtime for path in tmp_path.glob("cue-permuted/*/policies/*.pt")]
+    animarl(*arguments, "--repetitions", "1", "--out", out)
+    assert before == [
+        path.stat().st_mtime for path in tmp_path.glob("cue-permuted/*/policies/*.pt")
+    ]
