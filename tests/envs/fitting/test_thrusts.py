@@ -95,11 +95,6 @@ def test_magnitudes_are_an_option_by_name() -> None:
     assert [one["magnitudes"] for one in stated] == [list(MULTIPLES)] * 3
 
 
-def test_the_terminal_speed_is_that_of_the_largest_thrust() -> None:
-    assert Locomotion(0.2, 2.0, MULTIPLES).terminal_speed(DT) == pytest.approx(1.75)
-    assert Locomotion(0.0, 2.0, MULTIPLES).top_speed(DT, 10, 0.5) == pytest.approx(4.0)
-
-
 def test_inverse_dynamics_returns_magnitude_and_direction() -> None:
     demos, actions = walk(TRUTH, 1)
     np.testing.assert_array_equal(demonstrated_actions(demos, TRUTH), actions)

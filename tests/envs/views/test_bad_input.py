@@ -161,12 +161,6 @@ def test_refused_vectors() -> None:
 MOVIE: dict[str, Any] = {"mm_per_pixel": 1.0, "source_pixel": (2, 0), "frame_rate": 10.0}
 
 
-@pytest.mark.parametrize("shape", [(4,), (4, 5), (4, 5, 6, 3), (0, 5, 6)])
-def test_refused_movies_in_memory(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="give grey frames as \\(frames, height, width\\)"):
-        Plume.from_array(np.zeros(shape), **MOVIE)
-
-
 @every_view
 @pytest.mark.parametrize("shape", [(4, 5), (4, 5, 6, 3), (0, 5, 6)])
 def test_refused_movie_files(view: str, shape: tuple[int, ...], tmp_path: Path) -> None:

@@ -200,6 +200,7 @@ def test_a_damaged_video_is_refused(tmp_path: Path, content: bytes | str) -> Non
 @pytest.mark.parametrize(
     ("frames", "options", "says"),
     [
+        (np.zeros(4), {}, "(4,)"),
         (np.zeros((4, 4)), {}, "(4, 4)"),
         (np.zeros((2, 4, 4, 3)), {}, "(frames, height, width)"),
         (np.zeros((0, 4, 4)), {}, "(0, 4, 4)"),

@@ -155,11 +155,8 @@ def test_scene_details_say_where_the_antennae_are() -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"plume": "gone"}, "'model', 'off', 'continuous'"),
-        ({"odour_baseline": 1.0}, "odour_baseline"),
         ({"odour_decay": 0.0}, "odour_decay"),
         ({"antenna_angle": 120.0}, "antenna_angle"),
-        ({"antenna_radius": -1.0}, "antenna_radius"),
         ({"train_plumes": ()}, "train_plumes"),
         ({"observation": "most"}, "'full' or 'paper'"),
         ({"trace_decay": 0.0}, "trace_decay"),
