@@ -249,8 +249,11 @@ class Renderer:
             dashes = _dashed(self._at(_edge(arena.shape, arena.boundary)), DASH * self.size)
             for start, end in zip(dashes[:-1:2], dashes[1::2], strict=True):
                 self._path(np.stack([start, end]), [palette.BOUNDARY], self._width(LINE_WIDTH))
-        closed = np.concatenate([edge, edge[:1]])
-        self._path(closed, [palette.OUTLINE] * len(edge), self._width(LINE_WIDTH))
+        line, colours = self._width(LINE_WIDTH), [palette.OUTLINE] * len(edge)
+        if arena.shape == "disc":
+            self._disc(self._at(np.zeros(2)), arena.size * self._scale, palette.OUTLINE, line)
+        else:
+            self._path(np.concatenate([edge, edge[:1]]), colours, line)
 
     def _draw_scale(self, scene: Scene) -> None:
         """A bar of a round length in the lower left corner, and in a search the wind."""
