@@ -265,18 +265,9 @@ class OfflineDataset:
     ) -> Iterator[SequenceBatch]:
         """``count`` minibatches of windows, drawn independently and with replacement.
 
-        Every step that enters a loss is as likely. ``SequenceBatch.indices`` are episode numbers.
-
-        Parameters
-        ----------
-        batch_size
-            Windows of each individual.
-        generator
-            As in :meth:`batches`.
-        length
-            Trained steps of a window, fewer at an episode's end; 1 draws single steps.
-        burn_in
-            Steps before them that only rebuild a memory, as many as the episode has.
+        Every step that enters a loss is as likely. A window has ``length`` trained steps, fewer at
+        an episode's end, and up to ``burn_in`` steps before them that only rebuild a memory.
+        ``generator`` as in :meth:`batches`; ``SequenceBatch.indices`` are episode numbers.
         """
         own = self._generators(generator)
         slots = np.arange(len(own) * batch_size).reshape(len(own), batch_size)

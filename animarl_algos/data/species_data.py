@@ -47,20 +47,10 @@ def soft_labels(
     ``p(a)`` is proportional to ``exp(-(e_a / (u dt^2))^2 / (2 c^2))``: a normal error of the
     recorded acceleration, with a standard deviation of c times the thrust.
 
-    Parameters
-    ----------
-    penalties
-        ``(..., actions)``, e_a: distance between where action a would have led by the fitted
-        dynamics and where the animal went [arena unit].
-    step
-        ``u dt^2``, how far one thrust moves the animal in a step [arena unit]; a number, or an
-        array that broadcasts against ``penalties``.
-    width
-        c [1].
-
-    Returns
-    -------
-    ``(..., actions)``, each row a distribution.
+    ``penalties`` (..., actions) are e_a, the distances between where action a would have led by the
+    fitted dynamics and where the animal went; ``step`` is ``u dt^2``, how far one thrust moves the
+    animal in a step (both in arena units, it broadcasts against them), ``width`` is c. Returns
+    (..., actions), each row a distribution.
     """
     exponent = -((penalties.astype(np.float64) / step) ** 2) / (2.0 * width**2)
     share = np.exp(exponent - exponent.max(axis=-1, keepdims=True))

@@ -49,17 +49,11 @@ class BoundaryCallback(BaseCallback):
 
 
 class CheckpointCallback(BoundaryCallback):
-    """Writes a checkpoint every ``every`` world steps, after each offline epoch, and when stopped.
+    """Writes a checkpoint into ``folder`` every ``every`` world steps and after each offline epoch.
 
-    On Ctrl-C (SIGINT) and SIGTERM the update under way is finished, the checkpoint written, and
-    ``KeyboardInterrupt`` or ``SystemExit`` raised; a second signal does so at once.
-
-    Parameters
-    ----------
-    folder
-        Where the checkpoints go; one is kept.
-    every
-        World steps between checkpoints.
+    On Ctrl-C (SIGINT) and SIGTERM the update under way is finished, a checkpoint written, and
+    ``KeyboardInterrupt`` or ``SystemExit`` raised; a second signal does so at once. One checkpoint
+    is kept.
     """
 
     def __init__(self, folder: str | Path, every: int, verbose: int = 0) -> None:

@@ -97,17 +97,9 @@ def minibatch_values(
 ) -> MinibatchValues:
     """Run the networks over a batch; leading ``burn_in`` steps only rebuild the states.
 
-    Parameters
-    ----------
-    needs_target
-        Whether a term bootstraps from the target network.
-    last_states
-        False leaves out the states after each sequence's last step, which nothing but a
-        bootstrap looks at.
-    dropout
-        Masks for the online network's hidden units.
-    network
-        Evaluated instead of the policy's online network.
+    ``last_states=False`` leaves out the states after each sequence's last step, which nothing but a
+    bootstrap from the target network looks at. ``dropout`` draws masks for the online network's
+    hidden units; ``network`` is evaluated instead of it.
     """
     online, target = network or policy.q_net, policy.q_net_target
     online_state, target_state = batch.initial_state, batch.initial_state
@@ -284,10 +276,7 @@ def add_losses(totals: Totals, losses: Totals) -> None:
 class Updater:
     """Updates a policy's online network from sequences of the replay memory.
 
-    Attributes
-    ----------
-    totals, updates
-        Since the last :meth:`means`: the sum of each term ``(K,)``, and how many updates are in it.
+    ``totals`` are the sum of each term ``(K,)`` over the ``updates`` since the last :meth:`means`.
     """
 
     def __init__(self, policy: GruPolicy, terms: Sequence[LossTerm]) -> None:
@@ -310,14 +299,9 @@ class Updater:
     ) -> None:
         """Make ``updates`` on ``batch_size`` sequences per individual each.
 
-        Parameters
-        ----------
-        phase
-            The numbers of the loss.
-        progress
-            Share of the training that is over, from 0 to 1; prioritised replay corrects by it.
-        demonstrated
-            A minibatch of demonstrated sequences for each update, for terms that ask for them.
+        ``progress`` is the share of the training that is over, from 0 to 1, by which prioritised
+        replay corrects. ``demonstrated`` gives a minibatch of demonstrated sequences for each
+        update, for terms that ask for them.
         """
         for _ in range(updates):
             batch = buffer.sample(batch_size, progress)

@@ -156,20 +156,10 @@ class Acting:
     def choose(
         self, q_values: NDArray[np.floating], draw: NDArray[np.float64], individuals: int
     ) -> NDArray[np.int64]:
-        """An action for every slot.
+        """An action (S,) for every slot; of equal values the lowest is the greedy one.
 
-        Parameters
-        ----------
-        q_values
-            ``(S, actions)``; slot s is individual ``s % individuals``.
-        draw
-            ``(S,)`` uniform in [0, 1), one draw for each slot.
-        individuals
-            Their number, K.
-
-        Returns
-        -------
-        ``(S,)``; of equal values the lowest action number is the greedy one.
+        Slot s of ``q_values`` (S, actions) is individual ``s % individuals``; ``draw`` (S,) are
+        uniform numbers in [0, 1), one for each slot.
         """
         if self.kind is Kind.BOLTZMANN:
             temperature = np.broadcast_to(np.asarray(self.temperature), individuals)
@@ -195,12 +185,7 @@ def two_stage_logits(scaled: NDArray[Any], thrust: float, direction: float) -> N
 
         p(magnitude)^(1 / thrust) / Z * p(direction | magnitude)^(1 / direction) / Z'
 
-    Parameters
-    ----------
-    scaled
-        ``(S, 12 M + 1)``, logits.
-    thrust, direction
-        Temperatures of the two draws; both 1 give softmax(scaled).
+    ``scaled`` are (S, 12 M + 1) logits; both temperatures 1 give softmax(scaled).
     """
     whole = scaled.astype(np.float64)
     way = whole[:, :-1].reshape(len(whole), -1, NUM_DIRECTIONS)

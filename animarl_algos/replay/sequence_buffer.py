@@ -315,10 +315,8 @@ class SequenceReplayBuffer:
     def sample(self, batch_size: int, progress: float = 0.0) -> SequenceBatch:
         """``batch_size`` sequences for each individual, drawn with replacement.
 
-        Parameters
-        ----------
-        progress
-            Share of training that is over, 0 to 1; it anneals the importance weights.
+        ``progress`` is the share of training that is over, 0 to 1; it anneals the importance
+        weights.
         """
         if self.num_sequences == 0:
             raise InputError("the replay memory holds no finished episode yet: collect one first")
@@ -340,12 +338,8 @@ class SequenceReplayBuffer:
     def update_priorities(self, indices: NDArray[np.int64], errors: ArrayLike) -> None:
         """Set the priorities of drawn sequences to ``(|error| + 1e-6) ** alpha``.
 
-        Sequences evicted since the draw are passed over; of one drawn twice the last error counts.
-
-        Parameters
-        ----------
-        indices, errors
-            ``(K, B)``: ``SequenceBatch.indices``, and one error per sequence.
+        ``indices`` and ``errors`` are (K, B). Sequences evicted since the draw are passed over; of
+        one drawn twice the last error counts.
         """
         if not self.prioritized:
             return

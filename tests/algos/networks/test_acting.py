@@ -91,19 +91,3 @@ def test_how_hard_and_which_way_have_temperatures_of_their_own(thrusts: int) -> 
         sampled = np.exp(two_stage_logits(logits[None], thrust, direction)[0])
         np.testing.assert_allclose(sampled, odds(thrust, direction, logits), rtol=1e-12)
     assert np.isfinite(two_stage_logits(1e4 * logits[None], 0.1, 0.1)).all()
-
-
-def test_surer_ways_leave_how_often_it_is_pushed() -> None:
-    """One temperature for all actions does not: the single one that is no thrust gains by it."""
-    logits = np.append(np.linspace(0.0, 1.0, 12), 1.0)
-    draw = (np.arange(100_000) + 0.5) / 100_000
-    values = np.tile(logits, (len(draw), 1))
-
-    def rest(rule: Acting) -> float:
-        return float((rule.choose(values, draw, 1) == 12).mean())
-
-    share = float(np.exp(logits[-1]) / np.exp(logits).sum())
-    assert rest(Acting.boltzmann(1.0, direction=0.3)) == pytest.approx(share, abs=1e-4)
-    assert rest(Acting.boltzmann(1.0)) == pytest.approx(share, abs=1e-4)
-    assert rest(Acting.boltzmann(0.3)) > 1.5 * share
-    assert rest(Acting.boltzmann(1.0, thrust=0.3)) < share / 5  # the rarer of the two

@@ -123,17 +123,6 @@ def test_acting_follows_training_and_moved_parameters() -> None:
     np.testing.assert_allclose(moved, before + 2, atol=1e-5)
 
 
-def test_slots_are_routed_by_individual() -> None:
-    """Each individual alone chooses what it chooses among the others."""
-    together = make()
-    observations = observe(1)[0]
-    q_values, _, _ = together.advance(observations, None, None)
-    for k, name in enumerate(NAMES):
-        alone = make(individuals=(name,))
-        expected, _, _ = alone.advance(observations[k::K], None, None)
-        np.testing.assert_allclose(q_values[k::K], expected, rtol=1e-5, atol=1e-6)
-
-
 def test_episode_start_resets_those_slots_only() -> None:
     policy = make()
     observations = observe(2)
