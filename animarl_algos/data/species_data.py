@@ -150,48 +150,34 @@ def demonstration_rewards(species: Species, demos: Demonstrations) -> NDArray[np
     As in the world, but the end is the recorded outcome: recordings are cut at a finer rate than
     they are stepped.
     """
+    outcome, met = demos.outcome, demos.outcome > TIME_OUT
+    ends = demos.positions[demos.offsets[1:] - 1]
+    near = np.linalg.norm(ends - ends[:, -1:], axis=2) < species.contact_radius
+    out = ~replace(species.arena, rebound=False).contains(ends)
+    touching = np.zeros_like(near)  # who is said to have touched, or been touched
+    touching[met, outcome[met] - 1] = True
     rewards = np.zeros(demos.positions.shape[:2], dtype=np.float32)
-    last = demos.offsets[1:] - 2  # the frame that the last step leaves
-    if lone_pursuer(demos.roles):
-        return _of_a_lone_pursuer(species, demos, last, rewards)
-    pursuers = [i for i, role in enumerate(demos.roles) if role != "target"]
-    if "target" in demos.roles:
-        rewards[:, -1] = demos.dt
-        rewards[last[(demos.outcome > TIME_OUT) | (demos.outcome == TARGET_OUT)], -1] = 0.0
-        rewards[last[demos.outcome == TARGET_OUT], -1] += species.boundary_penalty
+    final = demos.offsets[1:] - 2  # the frame that the last step leaves
+    if lone_pursuer(demos.roles):  # the last individual pursues all others, each until touched
+        rewards[:, :-1] = demos.dt
+        paid = rewards[final]
+        out &= np.isin(outcome, (TARGET_OUT, PURSUER_OUT))[:, None]
+        paid[(near & met[:, None]) | touching | out] = 0.0
+        paid[met, -1] = 1.0
+    else:
+        pursuing = np.array([role != "target" for role in demos.roles])
+        escaped = outcome == TARGET_OUT
+        out &= (outcome == PURSUER_OUT)[:, None] & pursuing
+        if not pursuing.all():  # the target is paid for as long as it lasts
+            rewards[:, -1] = demos.dt
+            out[:, -1] |= escaped
+        paid = rewards[final]
+        paid[met | escaped, -1] = 0.0
+        shared = (demos.condition == 1) & getattr(species, "shared_reward", False)
+        rewarded = (near | shared[:, None]) & pursuing & met[:, None]
+        rewarded[:, -1] = False
+        paid[rewarded | touching] = 1.0
+    paid[out] += species.boundary_penalty
+    rewards[final] = paid
     rewards[demos.offsets[1:] - 1] = 0.0
-    for e, outcome in enumerate(demos.outcome):
-        end = demos.positions[demos.offsets[e + 1] - 1]
-        if outcome > TIME_OUT:
-            rewards[last[e], outcome - 1] = 1.0
-            for i in pursuers:
-                near = np.linalg.norm(end[i] - end[-1]) < species.contact_radius
-                shared = demos.condition[e] == 1 and getattr(species, "shared_reward", False)
-                if i != len(end) - 1 and (near or shared):
-                    rewards[last[e], i] = 1.0
-        elif outcome == PURSUER_OUT:
-            for i in pursuers:
-                if not replace(species.arena, rebound=False).contains(end[i]):
-                    rewards[last[e], i] += species.boundary_penalty
-    return rewards
-
-
-def _of_a_lone_pursuer(
-    species: Species, demos: Demonstrations, last: NDArray[np.int64], rewards: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Fill ``rewards`` where the last individual pursues all others, each until it is touched."""
-    field = replace(species.arena, rebound=False)
-    rewards[:, :-1] = demos.dt
-    rewards[demos.offsets[1:] - 1] = 0.0
-    for e, outcome in enumerate(demos.outcome):
-        end = demos.positions[demos.offsets[e + 1] - 1]
-        if outcome > TIME_OUT:
-            touched = np.linalg.norm(end[:-1] - end[-1], axis=1) < species.contact_radius
-            touched[outcome - 1] = True
-            rewards[last[e], :-1][touched] = 0.0
-            rewards[last[e], -1] = 1.0
-        elif outcome in (TARGET_OUT, PURSUER_OUT):
-            out = ~field.contains(end)
-            rewards[last[e], :-1][out[:-1]] = 0.0
-            rewards[last[e], out] += species.boundary_penalty
     return rewards
