@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,12 @@ from torch.nn import functional
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.callbacks import CheckpointCallback
 from animarl_algos.learner.checkpoint import load_checkpoint
-from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, next_values
+from animarl_algos.losses.terms import InverseSoftQ, MinibatchValues, Phase, next_values
+from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import values_to_logits, zero_value_stream
 from animarl_algos.recipes.registry import IQLearn
-from animarl_algos.replay.store import SequenceBatch
 from animarl_envs.errors import InputError
 
 LOG2, LOG3 = math.log(2.0), math.log(3.0)
@@ -52,21 +53,17 @@ def steps_of(
     def column(values: list[Any] | None) -> torch.Tensor:
         return like if values is None else torch.tensor(values)[None, :, None]
 
-    learner = make_pair_learner("iq-learn", gamma=gamma)
-    batch = SequenceBatch(
-        observations=torch.zeros((1, len(q), 1, 1)),
-        previous_actions=torch.zeros((1, len(q), 1), dtype=torch.int64),
-        actions=torch.tensor(actions)[None, :, None],
-        rewards=column(rewards), penalties=like, terminated=column(terminated),
-        mask=like + 1, weights=torch.ones((1, 1)), starts=torch.zeros((1, 1), dtype=torch.int64),
-        lengths=torch.full((1, 1), len(actions)), indices=np.zeros((1, 1), dtype=np.int64),
-        labels=torch.tensor(actions)[None, :, None], condition=torch.zeros((1, 1)),
-        active=np.ones(len(q), dtype=np.int64),
+    batch = SimpleNamespace(
+        num_steps=len(actions), actions=torch.tensor(actions)[None, :, None],
+        rewards=column(rewards), terminated=column(terminated),
         label_shares=None if shares is None else torch.tensor(shares)[None, :, None],
     )  # fmt: skip
     return MinibatchValues(
-        batch=batch, phase=learner.phase("online"), distribution=learner.policy.distribution,
-        valid=batch.mask > 0, online=Given(torch.tensor(q)[None, :, None]),  # type: ignore[arg-type]
+        batch=batch,  # type: ignore[arg-type]
+        phase=Phase("online", gamma, 0.0, 0.0, 0.0, 0.0, None),
+        distribution=ValueDistribution(),
+        valid=torch.ones_like(like, dtype=torch.bool),
+        online=Given(torch.tensor(q)[None, :, None]),
         target=None, treatment_logits=None, parameters=[],
     )  # fmt: skip
 
