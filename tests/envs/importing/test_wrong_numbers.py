@@ -271,18 +271,6 @@ def test_wrong_number_of_truth_values_is_refused(tmp_path: Path) -> None:
     assert tracks.bodies[:2, 0, 0].tolist() == [1.0, 0.0]
 
 
-def test_wrong_shape_of_sleap_scores_is_refused(tmp_path: Path) -> None:
-    import h5py
-
-    path = KINDS["analysis"].write(tmp_path)
-    for scores in (np.ones((2, 2)), np.ones((2, 2, 39))):
-        with h5py.File(path, "r+") as file:
-            del file["point_scores"]
-            file["point_scores"] = scores
-        with pytest.raises(InputError, match="point_scores is float64 of shape"):
-            read_tracks(path)
-
-
 def test_short_stretches_are_counted_and_do_not_hide_the_contact(tmp_path: Path) -> None:
     """Thirteen of one step each were dropped without a word, and no contact was found."""
     rng, lines = np.random.default_rng(0), ["recording,frame,id,x,y"]
