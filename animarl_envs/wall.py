@@ -1,18 +1,17 @@
 """Run a function on foreign data in a process of its own, with limits of memory and time.
 
-A crash, an endless loop or a demand for gigabytes then becomes one sentence. A server is started at
-the first call: a fresh Python, without torch and its threads. It forks a process for each call and
-says how that ended. Results come back as plain values and arrays, never as a pickle.
+A crash, an endless loop or a demand for gigabytes then becomes one sentence. The process is started
+at the first call, a fresh Python without torch and its threads, and takes further calls until one
+ends it. Results come back as plain values and arrays, never as a pickle.
 
-Linux limits memory and processor time, macOS processor time alone. Windows cannot fork: there the
-function runs in the calling process, without limits.
+Linux limits memory and processor time, macOS processor time alone. On Windows the function runs in
+the calling process, without limits.
 """
 
 from __future__ import annotations
 
 import atexit
 import contextlib
-import importlib
 import json
 import os
 import pickle
@@ -24,21 +23,27 @@ import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError
 
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
 MEMORY = 2**30  # [bytes] that a call may take beyond what is loaded
 SECONDS = 60  # of processor time
+SPENT = 2**30  # [bytes] at most once in memory, after which a fresh process is started
 PATTERN_SECONDS = 2  # of processor time; some regular expressions take longer than the universe
 SETTINGS = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
     "ARROW_DEFAULT_MEMORY_POOL": "system",  # others reserve gigabytes of addresses
 }  # fmt: skip
-"""For the server, which is forked and whose memory is limited."""
+"""For the process, whose memory is limited."""
 START = "import sys; sys.path[:] = {path}; from animarl_envs.wall import serve; serve({answer})"
 ARRAY = "number of the array"  # the one key of a dictionary that stands for an array
 Groups = dict[str, str | None]  # by name and by number as text
@@ -51,7 +56,6 @@ def call(
     memory: int = MEMORY,
     seconds: int = SECONDS,
     remedy: str = "it is damaged, or too large: cut it in parts",
-    modules: Sequence[str] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Any:
     """Return ``function(*arguments)``, called in a limited process.
@@ -63,8 +67,6 @@ def call(
     what
         Begins each sentence about a failure, such as the file's name; ``remedy`` ends that about
         the limit of time.
-    modules
-        Loaded by the server once, before it forks.
     progress
         If given, ``function`` has a keyword ``progress``, what it tells is passed on.
 
@@ -75,16 +77,16 @@ def call(
     MissingExtraError
         As raised by the function.
     """
-    if not hasattr(os, "fork"):
+    if resource is None:
         return function(*arguments, **({} if progress is None else {"progress": progress}))
-    request = (str(Path.cwd()), memory, seconds, modules, function, arguments, progress is not None)
+    request = (str(Path.cwd()), memory, seconds, function, arguments, progress is not None)
     with _lock:
-        server = _running_server()
+        worker = _running_worker()
         try:
-            status = server.ask(request, progress)
-            record, arrays = server.answer_read() if status == 0 else ({}, [])
+            status = worker.ask(request, progress)
+            record, arrays = worker.answer_read() if status == 0 else ({}, [])
         except BaseException:
-            server.stop()
+            worker.stop()
             raise
     if "missing" in record:
         raise MissingExtraError(record["missing"])
@@ -97,7 +99,7 @@ def call(
             "it needs more memory than a file of its size may ask for: its header is damaged, or "
             "cut it in parts"
         )
-    elif status in (-signal.SIGXCPU, -signal.SIGKILL):
+    elif status == -signal.SIGXCPU:
         problem = f"it takes more than {seconds} s of processor time: {remedy}"
     else:
         known = -status in signal.valid_signals()
@@ -131,12 +133,10 @@ def _search(pattern: str, names: list[str]) -> list[Groups | None]:
     ]
 
 
-class _Server:
-    """The process that forks one for each call."""
-
+class _Worker:
     def __init__(self) -> None:
         self.owner = os.getpid()
-        self.answer = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the server)
+        self.answer = tempfile.TemporaryFile()  # noqa: SIM115 (as long as the process)
         number = self.answer.fileno()
         self.process = subprocess.Popen(
             [sys.executable, "-c", START.format(path=sys.path, answer=number)],
@@ -146,30 +146,32 @@ class _Server:
         )  # fmt: skip
 
     def ask(self, request: Any, progress: Callable[[float], None] | None) -> int:
-        """Send a call, pass on its progress, and return the exit code of its process."""
+        """Send a call, pass on its progress, and return 0, or the exit code of the process."""
         assert self.process.stdin is not None and self.process.stdout is not None
         raw = pickle.dumps(request)
         self.process.stdin.write(len(raw).to_bytes(8, "little") + raw)
         self.process.stdin.flush()
         while line := self.process.stdout.readline():
-            kind, _, value = line.decode(errors="replace").partition(" ")
+            kind, _, value = line.decode(errors="replace").strip().partition(" ")
             if kind == "end":
-                return int(value)
+                return 0
             with contextlib.suppress(ValueError):
                 if kind == "progress" and progress is not None:
                     progress(float(value))
-        return -signal.SIGABRT  # the server itself is gone
+        return self.process.wait() or -signal.SIGABRT
 
     def answer_read(self) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-        """What the process of the last call wrote."""
+        """What the last call wrote."""
         self.answer.seek(0)
         record = json.loads(str(np.load(self.answer, allow_pickle=False)))
         arrays = [np.load(self.answer, allow_pickle=False) for _ in range(record["arrays"])]
         self.answer.truncate(0)
+        if record["spent"]:
+            self.stop()
         return record, arrays
 
     def stop(self) -> None:
-        """End it and whatever it forked."""
+        """End it and whatever it started."""
         if self.owner == os.getpid():
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.process.pid, signal.SIGKILL)
@@ -178,25 +180,25 @@ class _Server:
 
 
 _lock = threading.Lock()
-_server: _Server | None = None
+_worker: _Worker | None = None
 
 
 def _begin_anew() -> None:
-    """In a process that was forked from the caller: the server is that one's."""
-    global _lock, _server
-    _lock, _server = threading.Lock(), None
+    """In a process that was forked from the caller: the worker is that one's."""
+    global _lock, _worker
+    _lock, _worker = threading.Lock(), None
 
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_begin_anew)
 
 
-def _running_server() -> _Server:
-    global _server
-    if _server is None or _server.process.poll() is not None:
-        _server = _Server()
-        atexit.register(_server.stop)
-    return _server
+def _running_worker() -> _Worker:
+    global _worker
+    if _worker is None or _worker.process.poll() is not None:
+        _worker = _Worker()
+        atexit.register(_worker.stop)
+    return _worker
 
 
 def serve(answer: int) -> None:
@@ -206,61 +208,57 @@ def serve(answer: int) -> None:
     os.dup2(2, 1)  # what libraries print
     while size := sys.stdin.buffer.read(8):
         request = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "little")))
-        for name in request[3]:
-            with contextlib.suppress(Exception):
-                importlib.import_module(name)
-        pid = os.fork()
-        if pid == 0:
-            _answer(request, answer, told)
-        _, status = os.waitpid(pid, 0)
-        os.write(told, f"end {os.waitstatus_to_exitcode(status)}\n".encode())
-
-
-def _answer(request: Any, answer: int, told: int) -> NoReturn:
-    """In the forked process: call the function within its limits and write what it returns."""
-    folder, memory, seconds, _, function, arguments, progressing = request
-
-    def progress(share: float) -> None:
-        os.write(told, f"progress {share:.4f}\n".encode())
-
-    status = 1
-    try:
-        os.chdir(folder)
-        _limit(memory, seconds)
-        arrays: list[NDArray[Any]] = []
-        record: dict[str, Any]
-        try:
-            value = function(*arguments, **({"progress": progress} if progressing else {}))
-            record = {"value": _packed(value, arrays)}
-            json.dumps(record)
-        except MissingExtraError as error:
-            record = {"missing": str(error)}
-        except InputError as error:
-            record = {"refused": str(error)}
-        except MemoryError:
-            record = {}
-        except Exception as error:
-            record = {"refused": f"{type(error).__name__}: {error}"}
-        arrays = arrays if "value" in record else []
+        record, arrays = _answer(request, told)
         with os.fdopen(answer, "r+b", closefd=False) as file:
             file.seek(0)
             for array in (np.array(json.dumps(record | {"arrays": len(arrays)})), *arrays):
                 np.save(file, array, allow_pickle=False)
-        status = 0
-    finally:
-        os._exit(status)
+        del request, arrays
+        os.write(told, b"end\n")
+
+
+def _answer(request: Any, told: int) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+    """Call a function within its limits; what it returns, as plain values and arrays."""
+    folder, memory, seconds, function, arguments, progressing = request
+
+    def progress(share: float) -> None:
+        os.write(told, f"progress {share:.4f}\n".encode())
+
+    arrays: list[NDArray[Any]] = []
+    record: dict[str, Any] = {}
+    try:
+        os.chdir(folder)
+        _limit(memory, seconds)
+        value = function(*arguments, **({"progress": progress} if progressing else {}))
+        record = {"value": _packed(value, arrays)}
+        json.dumps(record)
+    except MissingExtraError as error:
+        record = {"missing": str(error)}
+    except InputError as error:
+        record = {"refused": str(error)}
+    except MemoryError:
+        record = {}
+    except Exception as error:
+        record = {"refused": f"{type(error).__name__}: {error}"}
+    spent = _memory_used(1) > SPENT
+    return record | {"spent": spent}, arrays if "value" in record else []
 
 
 def _limit(memory: int, seconds: int) -> None:
-    import resource
+    def limit(what: int, most: int) -> None:
+        resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
 
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    used = int(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))
-    resource.setrlimit(resource.RLIMIT_CPU, (used + seconds, used + seconds + 5))
-    size = Path("/proc/self/statm")
-    if size.exists():
-        most = int(size.read_text().split()[0]) * resource.getpagesize() + memory
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    limit(resource.RLIMIT_CORE, 0)
+    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    limit(resource.RLIMIT_CPU, int(used) + 1 + seconds)
+    if size := _memory_used(0):
+        limit(resource.RLIMIT_AS, size + memory)
+
+
+def _memory_used(which: int) -> int:
+    """Size (0) or what of it is in memory (1) [bytes]; 0 where the system does not say."""
+    told = Path("/proc/self/statm")
+    return int(told.read_text().split()[which]) * resource.getpagesize() if told.exists() else 0
 
 
 def _packed(value: Any, arrays: list[NDArray[Any]]) -> Any:

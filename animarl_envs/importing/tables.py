@@ -441,6 +441,9 @@ def _open_table(
     return Table(path=path, encoding=encoding, sheet=sheet, kind=kind, **layout)
 
 
+forget_tables = _open_table.cache_clear  # of files that may change, and with what they hold
+
+
 def _decoded(path: Path, encoding: str) -> bytes:
     try:
         return path.read_bytes().decode(encoding).encode()

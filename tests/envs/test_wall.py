@@ -92,13 +92,13 @@ def test_conditions_are_names() -> None:
 
 def test_a_forked_process_has_a_server_of_its_own() -> None:
     wall.call(many, 1, what="x")
-    theirs = wall._server
+    theirs = wall._worker
     pid = os.fork()
     if pid == 0:
         try:
             wall.call(many, 2, what="x")
-            os._exit(0 if wall._server is not theirs else 1)
+            os._exit(0 if wall._worker is not theirs else 1)
         finally:
             os._exit(2)
     assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
-    assert wall._server is theirs and len(wall.call(many, 3, what="x")["a"][0]) == 3
+    assert wall._worker is theirs and len(wall.call(many, 3, what="x")["a"][0]) == 3

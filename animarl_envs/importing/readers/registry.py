@@ -24,7 +24,7 @@ from animarl_envs.errors import InputError, MissingExtraError, printable, requir
 from animarl_envs.files import read_npz, refuse_special
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.tables import EXTENSIONS, Progress
+from animarl_envs.importing.tables import EXTENSIONS, Progress, forget_tables
 from animarl_envs.importing.tracks import (
     Tracks,
     disambiguate_by_folder,
@@ -36,12 +36,6 @@ Floats = NDArray[np.float64]
 Read = Callable[..., Demonstrations | list[Tracks]]
 # Seconds and bytes that a file may take beyond those of any file, by its size.
 BYTES_PER_SECOND, MEMORY_PER_BYTE = 5_000_000, 24
-LIBRARIES = {
-    ".parquet": ("pandas", "pyarrow.parquet"), ".pq": ("pandas", "pyarrow.parquet"),
-    ".h5": ("h5py",), ".hdf5": ("h5py",), ".mat": ("h5py", "scipy.io"),
-    ".slp": ("h5py", "sleap_io.io.slp"), ".xlsx": ("pandas", "openpyxl"), ".npz": (), ".npy": (),
-}  # fmt: skip
-"""What files of an ending are read by, loaded once; tables by pandas."""
 
 
 @dataclass(frozen=True)
@@ -234,6 +228,7 @@ def _read_plainly(path: Path, name: str, options: dict[str, Any], **told: Any) -
     """Return tracks or demonstrations as plain values and arrays."""
     with _one_sentence_for(path, name):
         found = get_reader(name).function(path, **options, **told)
+    forget_tables()
     if isinstance(found, Demonstrations):
         record = {one.name: getattr(found, one.name) for one in fields(found) if one.init}
         return record | {"arena": vars(found.arena)}
@@ -248,7 +243,6 @@ def _call_behind_wall(
         function, path, *more, what=str(path), progress=progress,
         memory=wall.MEMORY + MEMORY_PER_BYTE * size,
         seconds=wall.SECONDS + size // BYTES_PER_SECOND,
-        modules=LIBRARIES.get(path.suffix.lower(), ("pandas",)),
     )  # fmt: skip
 
 
