@@ -171,12 +171,10 @@ class _Worker:
         return record, arrays
 
     def stop(self) -> None:
-        """End it and whatever it started."""
-        if self.owner == os.getpid():
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.process.pid, signal.SIGKILL)
+        """End it, if it has not ended."""
+        if self.owner == os.getpid() and self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
             self.process.communicate()
-            self.answer.close()
 
 
 _lock = threading.Lock()
