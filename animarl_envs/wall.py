@@ -195,8 +195,13 @@ def _running_worker() -> _Worker:
     global _worker
     if _worker is None or _worker.process.poll() is not None:
         _worker = _Worker()
-        atexit.register(_worker.stop)
     return _worker
+
+
+@atexit.register
+def _stop() -> None:
+    if _worker is not None:
+        _worker.stop()
 
 
 def serve(answer: int) -> None:
