@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -151,6 +152,18 @@ def report_inputs() -> ReportInputs:
         machine={"commit": "0123456789abcdef", "processor": "Some processor"},
         wall_time={"training DQDIL": 150.0},
     )
+
+
+def bare_inputs(demos: Demonstrations, rollouts: dict[str, Rollouts], **more: Any) -> ReportInputs:
+    """A run of which nothing else is known; the first method is the learner."""
+    learner = next(iter(rollouts))
+    evaluation = evaluate(
+        rollouts, demos, seed=0, learner=learner, resamples=50, distance_resamples=50
+    )
+    return ReportInputs(
+        **{"title": "x", "learner": learner, **more},
+        demos=demos, rollouts=rollouts, evaluation=evaluation,
+    )  # fmt: skip
 
 
 def rendered(inputs: ReportInputs) -> str:

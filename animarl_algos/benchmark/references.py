@@ -171,12 +171,7 @@ class Idle:
 class Steering(Idle):
     """The action after which the velocity is nearest to ``keep`` times what it is.
 
-    Parameters
-    ----------
-    scenario
-        Whose observations hold each individual's own velocity.
-    keep
-        1 holds the velocity, 0 stops.
+    1 holds the velocity, 0 stops. The scenario's observations hold each individual's own velocity.
     """
 
     def __init__(self, scenario: Scenario, keep: float) -> None:
@@ -240,14 +235,7 @@ class NearestSegment:
     one of the ``NEIGHBOURS`` whose observations are nearest to what it sees, and does for
     ``SEGMENT`` seconds what was done from there. Observations end with the condition.
 
-    Parameters
-    ----------
-    species
-        Its locomotion tells the recorded actions.
-    demos
-        With their splits; those of the split train are looked up.
-    seed
-        Of the draws among neighbours.
+    The species' locomotion tells the recorded actions; episodes of the split train are looked up.
     """
 
     def __init__(self, species: Species, demos: Demonstrations, seed: int) -> None:

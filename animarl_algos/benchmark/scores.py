@@ -153,14 +153,8 @@ def crossed_score(
 ) -> Score:
     """Measure rollouts from the test starts of all folds against the recordings, as one set.
 
-    Parameters
-    ----------
-    folds
-        For every fold and seed the demonstrations, as this fold splits them, and the rollouts.
-    method
-        Its name.
-    resamples
-        Of the intervals.
+    ``folds`` are, for every fold and seed, the demonstrations as this fold splits them, and the
+    rollouts.
     """
     made, beside = [], {}
     for demos, rollouts in folds:
@@ -259,18 +253,10 @@ def _score(
 
 
 def start_energies(drawn: Floats, seed: Any, demo: Any, true: Floats) -> Floats:
-    """Return the energy score of every seed at every start; NaN below two rollouts.
+    """Return the energy score ``(seeds, starts)``; NaN below two rollouts.
 
-    Parameters
-    ----------
-    drawn, seed, demo
-        ``(rollouts, d)`` values, and seed and start of each.
-    true
-        ``(starts, d)``.
-
-    Returns
-    -------
-    ``(seeds, starts)``
+    Values ``drawn`` are ``(rollouts, d)``, with the seed and the start of each; the true ones are
+    ``(starts, d)``.
     """
     seeds = np.unique(seed)
     found = np.full((len(seeds), len(true)), math.nan)

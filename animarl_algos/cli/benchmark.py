@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import shlex
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Group, RenderableType
-from rich.live import Live
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from animarl_algos.benchmark.engine import RayWorkers, Watch, Workers, perform_all
@@ -25,6 +31,7 @@ from animarl_envs.errors import InputError
 
 ENGINES = ("local", "ray")
 STAGES = ("worlds", "clones", "cells", "scores")
+MOST_NAMES = 4  # of pieces that run, in a line
 
 app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
 
@@ -106,12 +113,12 @@ def benchmark_command(
     if show:
         console.print(_listing(asked, out))
         return
-    watch = LiveTable(asked, out)
+    watch = Shown(asked, out, console)
     with RayWorkers(address) if engine == "ray" else Workers(processes) as workers:
         claim_folder(out)
         if isinstance(workers, RayWorkers):
             workers.refuse_other_nodes(out)
-        with Live(watch, console=console, refresh_per_second=1):
+        with watch.progress:
             perform_all(asked.pieces, out, workers, watch)
     for name, error in watch.causes():
         console.print(f"\n{name} failed: {error}", soft_wrap=True)
@@ -145,71 +152,48 @@ def score_command(
     )
 
 
-class LiveTable(Watch):
-    """How far each stage is, what runs, and about how long it will take.
+class Shown(Watch):
+    """How far each stage is, what failed, what runs, and about how long it will take.
 
-    The time left goes by what pieces of the same method took, or else others of the stage. A Ray
-    cluster does not tell what it has begun: there the last column is empty.
+    A Ray cluster does not tell what it has begun: all that was handed over is called running.
     """
 
-    def __init__(self, asked: Plan, out: Path) -> None:
+    def __init__(self, asked: Plan, out: Path, console: Console) -> None:
         self.failed: list[tuple[Piece, str]] = []
-        self._number = 1
-        self._left = [
-            {piece.name for piece in stage if not piece.finished(out)} for stage in asked.stages
-        ]
-        self._all = [{piece.name for piece in stage} for stage in asked.stages]
-        self._running: dict[str, float] = {}
-        self._took: dict[str, list[float]] = {}
-
-    def at_once(self, number: int) -> None:
-        self._number = number
+        self.progress = Progress(
+            "{task.description}", BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.fields[said]}", markup=False), console=console,
+        )  # fmt: skip
+        self._stages: dict[str, TaskID] = {}
+        for title, stage in zip(STAGES, asked.stages):
+            there = sum(piece.finished(out) for piece in stage)
+            task = self.progress.add_task(title, total=len(stage), completed=there, said="")
+            self._stages |= {piece.name: task for piece in stage}
+        self._running: list[str] = []
 
     def started(self, piece: Piece) -> None:
-        self._running[piece.name] = time.monotonic()
+        self._running.append(piece.name)
+        self._say(piece)
 
     def ended(self, piece: Piece, done: Done) -> None:
-        self._running.pop(piece.name, None)
-        for left in self._left:
-            left.discard(piece.name)
+        self._running.remove(piece.name)
         if done.error:
             self.failed.append((piece, done.error))
         else:
-            for key in (_kind(piece.name), ""):
-                self._took.setdefault(key, []).append(done.seconds)
+            self.progress.advance(self._stages[piece.name])
+        self._say(piece)
+
+    def _say(self, piece: Piece) -> None:
+        task = self._stages[piece.name]
+        failed = sum(self._stages[other.name] == task for other, _ in self.failed)
+        running = [name for name in self._running if self._stages[name] == task]
+        said = ", ".join([f"{failed} failed"] * bool(failed) + running[:MOST_NAMES])
+        self.progress.update(task, said=said)
 
     def causes(self) -> list[tuple[str, str]]:
         """What failed by itself, not for want of what failed before it."""
         names = {piece.name for piece, _ in self.failed}
         return [(p.name, error) for p, error in self.failed if names.isdisjoint(p.needs)]
-
-    def seconds_left(self) -> float | None:
-        """As far as it can be told."""
-        if not self._took:
-            return None
-        total = 0.0
-        for left in self._left:
-            for name in left:
-                took = self._took.get(_kind(name)) or self._took[""]
-                already = time.monotonic() - self._running.get(name, time.monotonic())
-                total += max(0.0, sum(took) / len(took) - already)
-        return total / self._number
-
-    def __rich__(self) -> RenderableType:
-        table = Table("stage", "finished", "of", "failed", "running")
-        for name, left, every in zip(STAGES, self._left, self._all):
-            stage = [p for p in self._running if p in left]
-            failed = sum(p.name in every for p, _ in self.failed)
-            there = len(every) - len(left) - failed
-            table.add_row(name, str(there), str(len(every)), str(failed), ", ".join(stage))
-        left_over = self.seconds_left()
-        told = "not known yet" if left_over is None else f"{left_over / 60:.1f} min"
-        return Group(table, f"time left: about {told}")
-
-
-def _kind(name: str) -> str:
-    """What takes about as long: a method on a species, whatever the seed."""
-    return name.rpartition("/")[0] + ("/score" if name.endswith("/score") else "")
 
 
 def _listing(asked: Plan, out: Path) -> Table:

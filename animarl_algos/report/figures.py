@@ -94,14 +94,7 @@ def metric_distribution(
 ) -> Figure:
     """Draw one row per method: density above, every rollout below, mean with its 95 % interval.
 
-    Parameters
-    ----------
-    values
-        By method, the recordings first: one value per rollout that counts.
-    means
-        By method, as in the comparison table.
-    axis, label
-        What the values are, with their unit; how a method is called.
+    ``values`` are one per rollout that counts, by method, the recordings first.
     """
     names = list(values)
     samples = {name: _finite(value) for name, value in values.items()}
@@ -153,14 +146,8 @@ def interval_rows(
 ) -> Figure:
     """Draw one row per method: an estimate with its interval, over an optional null band.
 
-    Parameters
-    ----------
-    reference
-        Where a dashed line is drawn: zero difference, or the recordings' value.
-    bands
-        By method, the range that nothing but chance would give, drawn as a grey bar.
-    colours
-        By method, where it is not that of its recipe.
+    A dashed line is drawn at ``reference``; ``bands`` are what nothing but chance would give;
+    ``colours`` go over those of the recipes.
     """
     names = list(means)
     with one_panel(4.6, 0.8 + 0.36 * len(names), "x", xlabel=axis, title=title) as (figure, panel):
@@ -295,10 +282,7 @@ def chosen_curves(curves: pd.DataFrame, learner: str) -> dict[str, pd.DataFrame]
 def learning_curve(curves: pd.DataFrame, title: str, x_label: str) -> Figure:
     """Draw one quantity over training: a thin line per seed, a thick one for their mean.
 
-    Parameters
-    ----------
-    curves
-        Columns ``method, seed, step, value``.
+    ``curves`` has columns ``method, seed, step, value``.
     """
     from matplotlib.ticker import FuncFormatter
 

@@ -32,17 +32,8 @@ SEQUENTIAL = "cividis"  # readable with every colour vision deficiency, and in g
 class Stage:
     """Where animals move and who they are: what is drawn beside every path.
 
-    Parameters
-    ----------
-    arena
-        The recorded field, with walls if the world had them.
-    roles, names
-        What each individual is and is called.
-    words
-        What demonstrations and the unit of lengths are called.
-    contact_radius
-        How near a pursuer comes to touch the target, or the searcher to reach the source [arena
-        unit]; the player draws it.
+    ``contact_radius`` is how near a pursuer comes to touch the target, or the searcher to reach the
+    source [arena unit].
     """
 
     arena: Arena
@@ -65,14 +56,9 @@ def path_panels(
 ) -> Figure:
     """Draw paths from one start in one window, with a scale bar.
 
-    Parameters
-    ----------
-    paths
-        What stands above a panel, and ``(frames, individuals, 2)``, arena frame [arena unit].
-    recorded
-        The demonstration that the others started from; it stays in the window.
-    below
-        Panels below one another, with names of the individuals; else side by side.
+    Each is named, ``(frames, individuals, 2)``, arena frame [arena unit]. The demonstration that
+    they started from, ``recorded``, stays in the window. Panels stand side by side, or ``below``
+    one another with names of the individuals.
     """
     view = view_of(stage.arena, recorded, *(path for _, path in paths))
     x, y, half = view

@@ -24,11 +24,7 @@ if TYPE_CHECKING:
 
 MINUS, NOTHING, ARROW = "\u2212", "\u2013", " \u2192 "
 FEW_SEEDS = 5
-GENERATED = {
-    "recorded": "demonstrated",
-    "recordings": "demonstrations",
-    "recording": "demonstration",
-}
+ENDINGS = {"ed": "demonstrated", "ings": "demonstrations", "ing": "demonstration"}
 
 
 @dataclass(frozen=True)
@@ -48,10 +44,10 @@ class Words:
             return text
 
         def generated(found: re.Match[str]) -> str:
-            word = GENERATED[found[0].lower()]
+            word = ENDINGS[found[1].lower()]
             return word.capitalize() if found[0][0].isupper() else word
 
-        return re.sub(r"\brecord(?:ed|ings?)\b", generated, text, flags=re.IGNORECASE)
+        return re.sub(r"\brecord(ed|ings?)\b", generated, text, flags=re.IGNORECASE)
 
     def label(self, method: str) -> str:
         """Return a method's name, or what its demonstrations are called."""
@@ -217,15 +213,7 @@ WRITTEN = {"KDE": "(KDE|kernel-density)", "Q": "(?-i:Q)"}
 
 
 def glossary(methods: Iterable[str], page: str) -> list[tuple[str, str]]:
-    """Return the terms of a page, and the recipes among its methods, in alphabetical order.
-
-    Parameters
-    ----------
-    methods
-        As they are called on the page.
-    page
-        Its HTML; what stands in drawings does not count.
-    """
+    """Return the terms of a page of HTML, drawings apart, and the recipes among its methods."""
     text = re.sub(r"<svg.*?</svg>|<[^>]+>", " ", page, flags=re.DOTALL)
     parts = {part.casefold() for name in methods for part in (name, *name.split("-"))}
     used = {name: told for name, told in RECIPES.items() if name.casefold() in parts}

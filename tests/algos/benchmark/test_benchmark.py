@@ -179,33 +179,26 @@ def test_benchmark_goes_on_after_a_kill(finished: Path, tmp_path: Path) -> None:
     assert bytes_of(out) == bytes_of(finished)
 
 
-def test_benchmark_records_an_error_and_goes_on(finished: Path, tmp_path: Path) -> None:
-    bad = "test_benchmark_methods:make_raising"
-    asked = plan(tiny(recipes=[], references=["still"], seeds=[0]), {"bad": bad})
-    out = tmp_path / "out"
-    told = run_plan(asked, out)
-    assert "agent/bad/0" in told.errors and "predict raised ZeroDivisionError" in str(told.errors)
-    content = json.loads((out / "leaderboard.json").read_text())
-    assert [row["method"] for row in content["rows"]] == ["still"]
-    assert content["missing"][0]["row"] == "agent/bad"
-    assert "## Not there" in (out / "leaderboard.md").read_text()
-
-
 @pytest.mark.parametrize("processes", [1, 2])
 def test_benchmark_goes_on_where_somebody_elses_code_ends_it(
     processes: int, tmp_path: Path
 ) -> None:
-    methods = {name: f"test_benchmark_methods:make_{name}" for name in ("ending", "nothing")}
+    methods = {
+        name: f"test_benchmark_methods:make_{name}" for name in ("raising", "ending", "nothing")
+    }
     out = tmp_path / "out"
     told = run_plan(
         plan(tiny(recipes=[], references=["still"], seeds=[0]), methods), out, processes
     )
+    assert "predict raised ZeroDivisionError" in told.errors["agent/raising/0"]
     assert "method ending: its predict raised SystemExit (0)" in told.errors["agent/ending/0"]
     said = told.errors["agent/nothing/0"]
     assert "method nothing: its factory raised ValueError (bad ## fly2 second): fix it" in said
     content = json.loads((out / "leaderboard.json").read_text())
     assert [row["method"] for row in content["rows"]] == ["still"]
-    assert "\n## fly2" not in (out / "leaderboard.md").read_text()
+    assert [one["row"] for one in content["missing"]] == [f"agent/{name}" for name in methods]
+    text = (out / "leaderboard.md").read_text()
+    assert "## Not there" in text and "\n## fly2" not in text
     assert "its factory raised ValueError" in (out / "leaderboard.html").read_text()
 
 

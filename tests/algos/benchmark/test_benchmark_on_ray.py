@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import sys
 import threading
@@ -23,7 +24,7 @@ from animarl_algos.benchmark import engine
 from animarl_algos.benchmark.engine import RayWorkers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.pieces import Done, Piece
-from animarl_algos.benchmark.plan import claim_folder, plan
+from animarl_algos.benchmark.plan import MARK, claim_folder, plan
 from animarl_envs.errors import InputError, MissingExtraError
 
 
@@ -31,20 +32,6 @@ def test_ray_is_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingExtraError, match=r"animarl\[ray\]"):
         RayWorkers()
-
-
-def test_a_node_says_why_it_cannot_take_part(tmp_path: Path) -> None:
-    versions = engine.versions()
-    assert "does not see" in engine._unfit(tmp_path, versions)
-    claim_folder(tmp_path)
-    assert engine._unfit(tmp_path, versions) == ""
-    said = engine._unfit(tmp_path, versions | {"torch": "0.1"})
-    assert "has torch" in said and "this machine 0.1" in said
-
-
-def test_nobody_at_an_address_is_told_soon() -> None:
-    with pytest.raises(OSError):
-        engine._refuse_silence("127.0.0.1:1")
 
 
 def test_who_answers_and_is_no_ray_is_told(
@@ -184,10 +171,12 @@ def test_cells_whose_clone_ray_lost_train_by_themselves(tmp_path: Path) -> None:
 
 
 def test_a_node_found_unfit_later_is_named_in_the_leaderboard(tmp_path: Path) -> None:
-    asked, told = plan(tiny(recipes=[], references=["still"])), Told()
-    claim_folder(tmp_path)
-    other = on(OneNode(lambda _: False, torch="0.1"))
-    perform_all(asked.pieces, tmp_path, other, told)
-    write_leaderboard(asked, tmp_path)
-    [row] = json.loads((tmp_path / "leaderboard.json").read_text())["missing"]
-    assert "has torch" in row["why"] and "this machine 0.1" in row["why"]
+    asked = plan(tiny(recipes=[], references=["still"]))
+    for mark, said in ((MARK, r"has torch .* and this machine 0\.1"), ("moved", "does not see")):
+        folder = tmp_path / mark
+        claim_folder(folder)
+        (folder / MARK).rename(folder / mark)
+        perform_all(asked.pieces, folder, on(OneNode(lambda _: False, torch="0.1")), Told())
+        write_leaderboard(asked, folder)
+        [row] = json.loads((folder / "leaderboard.json").read_text())["missing"]
+        assert re.search(said, row["why"])

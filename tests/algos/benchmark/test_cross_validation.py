@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_benchmark import run_plan, tiny
 
-from animarl_algos.benchmark.engine import Watch, Workers, perform_all
-from animarl_algos.benchmark.leaderboard import write_leaderboard
 from animarl_algos.benchmark.matrix import Matrix
-from animarl_algos.benchmark.pieces import Done, Piece
-from animarl_algos.benchmark.plan import Plan, claim_folder, plan
+from animarl_algos.benchmark.plan import Plan, plan
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -22,13 +20,6 @@ from animarl_envs.demos.splits import cross_validated
 from animarl_envs.errors import InputError
 
 FOLDS = 3
-
-
-class Raising(Watch):
-    """Nothing may fail."""
-
-    def ended(self, piece: Piece, done: Done) -> None:
-        assert not done.error, (piece.name, done.error)
 
 
 @pytest.fixture(scope="module")
@@ -41,33 +32,25 @@ def recordings() -> Demonstrations:
 @pytest.fixture(scope="module")
 def asked(recordings: Demonstrations, tmp_path_factory: pytest.TempPathFactory) -> Plan:
     file = recordings.save(tmp_path_factory.mktemp("crossed") / "days.npz")
-    return plan(
-        Matrix(
-            files={"days": str(file)},
-            folds={"days": FOLDS},
-            recipes=("soft-bc",),
-            references=("recordings", "tracking", "still"),
-            repetitions=2,
-            resamples=20,
-            thrusts="1",
-            acting="boltzmann:1",
-            settings={
-                "soft-bc": {
-                    "offline_epochs": 1,
-                    "offline_kwargs": {"updates_per_epoch": 2, "warm_up": 1},
-                }
-            },
-        )
-    )
+    references = ("recordings", "tracking", "still")
+    mine: dict[str, Any] = {"files": {"days": str(file)}, "folds": {"days": FOLDS}}
+    return plan(tiny(species=(), episodes={}, seeds=(0,), references=references, **mine))
 
 
 @pytest.fixture(scope="module")
 def finished(asked: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("crossed") / "out"
-    claim_folder(out)
-    perform_all(asked.pieces, out, Workers(), Raising())
-    write_leaderboard(asked, out)
+    assert not run_plan(asked, out).errors
     return out
+
+
+@pytest.fixture(scope="module")
+def rows(finished: Path) -> dict[str, Any]:
+    """The rows of the leaderboard by method, and their measures by name."""
+    found = json.loads((finished / "leaderboard.json").read_text())["rows"]
+    for row in found:
+        row["measures"] = {one["measure"]: one for one in row["measures"]}
+    return {row["method"]: row for row in found}
 
 
 def test_every_episode_is_test_once_and_val_once(recordings: Demonstrations) -> None:
@@ -91,13 +74,11 @@ def test_folds_need_recordings(recordings: Demonstrations, folds: int) -> None:
         list(cross_validated(recordings, folds))
 
 
-def test_benchmark_crosses_own_recordings(finished: Path, asked: Plan) -> None:
+def test_benchmark_crosses_own_recordings(
+    finished: Path, asked: Plan, rows: dict[str, Any]
+) -> None:
     assert len(asked.worlds) == FOLDS and len(asked.cells) == 4 * FOLDS
     assert len({cell.key for cell in asked.cells}) == 4 * FOLDS
-    rows = {
-        row["method"]: row
-        for row in json.loads((finished / "leaderboard.json").read_text())["rows"]
-    }
     assert {name: row["rollouts"] for name, row in rows.items()} == {
         "soft-bc": 24, "recordings": 12, "tracking": 12, "still": 24,
     }  # fmt: skip
@@ -106,20 +87,16 @@ def test_benchmark_crosses_own_recordings(finished: Path, asked: Plan) -> None:
     assert "| days/soft-bc | 1 |" in (finished / "costs.md").read_text()  # one seed, not three
 
 
-def test_benchmark_measures_rollouts_against_their_own_starts(finished: Path, asked: Plan) -> None:
+def test_benchmark_measures_rollouts_against_their_own_starts(rows: dict[str, Any]) -> None:
     """What tracks the recordings is at zero from them, if every rollout meets its own recording."""
-    content = json.loads((finished / "leaderboard.json").read_text())
-    rows: dict[str, Any] = {row["method"]: row for row in content["rows"]}
-    measures = {m["measure"]: m for m in rows["tracking"]["measures"]}
-    near, other = measures["dtw_per_step"], measures["dtw_first_second"]
-    assert near["value"] < 0.05 * near["null"] and other["value"] < 0.05 * other["null"]
+    for key in ("dtw_per_step", "dtw_first_second"):
+        measure = rows["tracking"]["measures"][key]
+        assert measure["value"] < 0.05 * measure["null"]
 
 
-def test_recordings_are_not_told_from_themselves(finished: Path) -> None:
+def test_recordings_are_not_told_from_themselves(rows: dict[str, Any]) -> None:
     """Over all folds the same episodes stand on both sides, and the sides could be learned."""
-    content = json.loads((finished / "leaderboard.json").read_text())
-    rows: dict[str, Any] = {row["method"]: row for row in content["rows"]}
-    area = next(m for m in rows["recordings"]["measures"] if m["measure"] == "auc")
+    area = rows["recordings"]["measures"]["auc"]
     assert area["null"] == area["high"]
     assert 0.35 < area["value"] < 0.65
 

@@ -8,10 +8,8 @@ import json
 
 import numpy as np
 import pytest
-from report_inputs import make_demos, make_rollouts, report_inputs
+from report_inputs import bare_inputs, make_demos, make_rollouts, report_inputs
 
-from animarl_algos.evaluation import evaluate
-from animarl_algos.report import ReportInputs
 from animarl_algos.report import player as playing
 from animarl_algos.report.page import as_data
 from animarl_algos.report.player import (
@@ -87,11 +85,7 @@ def test_the_flipped_episode_is_of_the_same_start_network_and_repetition(player:
 
 def test_a_run_without_flips_has_one_view() -> None:
     demos = make_demos()
-    rollouts = {"bc": make_rollouts(demos, "bc")}
-    bare = ReportInputs(
-        title="x", learner="bc", demos=demos, rollouts=rollouts,
-        evaluation=evaluate(rollouts, demos, seed=0, resamples=50, distance_resamples=50),
-    )  # fmt: skip
+    bare = bare_inputs(demos, {"bc": make_rollouts(demos, "bc")})
     data = run_player(bare).data
     assert [view["key"] for view in data["views"]] == ["simulated"]
     assert data["contact"] is None
