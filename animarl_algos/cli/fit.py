@@ -137,22 +137,20 @@ def fit_command(
     console.print(f"Saved {out}")
 
 
-def format_fit_table(fit: LocomotionFit, demos: Demonstrations | None = None) -> Table:
+def format_fit_table(fit: LocomotionFit, demos: Demonstrations) -> Table:
     """Return the paper's Table 1: a row per individual, parameters with their 95 % intervals.
 
     The terminal speed u dt / d is beside the recorded top speed, as a check: the onset rule makes
     them equal, the joint fit keeps the terminal speed from being too low.
     """
-    kind, unit = "", RECORDED_SCALE
-    if demos is not None:
-        kind, unit = " synthetic" if demos.synthetic else " recorded", unit_of(demos)
+    kind, unit = "synthetic" if demos.synthetic else "recorded", unit_of(demos)
     scale = "" if unit == RECORDED_SCALE else f" of {unit.per_arena_unit:.4g} {unit.name}"
     title = f"Locomotion of {fit.species}, {fit.method} fit"
     if fit.onset_threshold is not None:
         title += f" (th_acc = {fit.onset_threshold:.3g})"
     caption = (
         f"v' = (1 - d) v + u a dt, dt = {fit.dt:g} s; {fit.individuals[0].steps} steps of "
-        f"{fit.episodes}{kind} episodes ({fit.fitted_on}); velocity RMSE on "
+        f"{fit.episodes} {kind} episodes ({fit.fitted_on}); velocity RMSE on "
         f"{fit.validation_episodes} ({fit.validated_on}); 95 % intervals over {fit.bootstrap} "
         f"resamples of episodes. Lengths in arena units{scale}."
     )

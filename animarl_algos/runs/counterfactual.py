@@ -16,7 +16,6 @@ from animarl_algos.evaluation.collect import Cue, Policy
 from animarl_algos.evaluation.effects import Answers, Asked, cue_effects
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import named_recipe
@@ -47,7 +46,6 @@ def ask_runs(
     *,
     truth: Path | None = None,
     repetitions: int | None = None,
-    resamples: int = RESAMPLES,
 ) -> CounterfactualRuns:
     """Ask trained runs about the other condition from every test start.
 
@@ -83,9 +81,7 @@ def ask_runs(
         demos=test,
         asked=asked,
         teams=teams,
-        effects=cue_effects(
-            asked, test, teams=teams, planned=species.planned_flip, resamples=resamples
-        ),
+        effects=cue_effects(asked, test, teams=teams, planned=species.planned_flip),
         seeds=runs.seeds,
         settings={name: some[0].record["learner"] for name, some in runs.methods.items()},
         command=command("counterfactual", folders, *more),

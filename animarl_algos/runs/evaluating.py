@@ -19,7 +19,6 @@ from animarl_algos.evaluation.acting_choice import NEAR
 from animarl_algos.evaluation.collect import Cue, Policy, RandomPolicy
 from animarl_algos.evaluation.decisions import Decisions, decide_along
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import RESAMPLES
 from animarl_algos.evaluation.tables import TABLES, Evaluation, evaluate, write_tables
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.losses.terms import OfflineLoss, Selection
@@ -94,7 +93,6 @@ def evaluate_rollouts(
     learner: str,
     seed: int,
     demos: Demonstrations | None = None,
-    resamples: int = RESAMPLES,
 ) -> Evaluation:
     """Return rollouts measured and compared with the test recordings of a run.
 
@@ -116,7 +114,6 @@ def evaluate_rollouts(
         perturbed=track(*moving, random_share=0.1, seed=seed),
         learner=learner,
         references=others,
-        resamples=resamples,
     )
 
 
@@ -191,10 +188,7 @@ class EvaluatedRuns:
 
 
 def compare_runs(
-    folders: Sequence[str | Path],
-    *,
-    demos: Demonstrations | None = None,
-    resamples: int = RESAMPLES,
+    folders: Sequence[str | Path], *, demos: Demonstrations | None = None
 ) -> EvaluatedRuns:
     """Methods times seeds against the recordings of the test split that all started from.
 
@@ -231,9 +225,7 @@ def compare_runs(
 
     rollouts = _join(runs, rollouts_of)
     learner = next(iter(runs.methods))
-    evaluation = evaluate_rollouts(
-        runs.first, rollouts, learner=learner, seed=0, demos=new, resamples=resamples
-    )
+    evaluation = evaluate_rollouts(runs.first, rollouts, learner=learner, seed=0, demos=new)
     return EvaluatedRuns(runs, test, rollouts, evaluation, tuple(_absent(runs, rollouts)))
 
 
