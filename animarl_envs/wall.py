@@ -175,6 +175,7 @@ class _Worker:
         if self.owner == os.getpid() and self.process.poll() is None:
             os.killpg(self.process.pid, signal.SIGKILL)
             self.process.communicate()
+        self.answer.close()
 
 
 _lock = threading.Lock()
@@ -194,6 +195,7 @@ if hasattr(os, "register_at_fork"):
 def _running_worker() -> _Worker:
     global _worker
     if _worker is None or _worker.process.poll() is not None:
+        _stop()
         _worker = _Worker()
     return _worker
 
