@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -9,6 +11,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import PURSUER_OUT, TIME_OUT, Demonstrations
 
 STARTS = 30
+MADE = {"source": "made by the test", "licence": "none", "synthetic": True}
 ARENA = Arena("square", 1.0, 1.1)
 SIMULATORS = ("true", "still", "dead", "slow", "uniform", "leaving")
 
@@ -33,16 +36,41 @@ def pair_path(rng: np.random.Generator, start: np.ndarray, kind: str) -> np.ndar
     return np.stack(path)
 
 
+def demonstrations_of(paths: list[np.ndarray], **more: Any) -> Demonstrations:
+    """Test episodes of two predators and a prey, or of others, along given paths."""
+    count, num = len(paths), paths[0].shape[1]
+    given: dict[str, Any] = {
+        "species": "agent", "individuals": ("predator_0", "predator_1", "prey"),
+        "roles": ("pursuer", "pursuer", "target"), "dt": 0.1, "arena": Arena(),
+        "positions": np.concatenate(paths), "lengths": [len(path) for path in paths],
+        "initial_velocity": np.zeros((count, num, 2)), "condition": np.zeros(count),
+        "outcome": np.zeros(count), "split": np.full(count, "test"),
+        "recording": np.array([f"r{i}" for i in range(count)]), "provenance": MADE,
+    }  # fmt: skip
+    return Demonstrations(**given | more)
+
+
+def rollouts_along(
+    paths: list[np.ndarray], demos: Demonstrations, demo: Any, **more: Any
+) -> Rollouts:
+    """Rollouts of the starts ``demo`` along given paths, told no condition."""
+    count = len(paths)
+    given: dict[str, Any] = {
+        "method": "BC", "individuals": demos.individuals, "roles": demos.roles, "dt": demos.dt,
+        "positions": np.concatenate(paths), "lengths": [len(path) for path in paths],
+        "outcome": np.ones(count), "condition": demos.condition[demo], "demo": demo,
+        "cue": np.full(count, -1), "seed": np.zeros(count), "repetition": np.zeros(count),
+    }  # fmt: skip
+    return Rollouts(**given | more)
+
+
 def recorded_pairs(seed: int = 0) -> Demonstrations:
     rng = np.random.default_rng(seed)
     paths = [pair_path(rng, rng.uniform(-0.8, 0.8, (2, 2)), "true") for _ in range(STARTS)]
-    return Demonstrations(
-        species="custom", individuals=("male", "female"), roles=("pursuer", "target"), dt=0.1,
-        arena=ARENA, positions=np.concatenate(paths), lengths=np.array([len(p) for p in paths]),
-        initial_velocity=np.zeros((STARTS, 2, 2)), condition=np.zeros(STARTS),
-        outcome=[1 if len(p) < 50 else TIME_OUT for p in paths],
-        split=np.full(STARTS, "test"), recording=np.array([f"r{i}" for i in range(STARTS)]),
-        provenance={"source": "made by the test", "licence": "none", "synthetic": True},
+    ends = [1 if len(path) < 50 else TIME_OUT for path in paths]
+    return demonstrations_of(
+        paths, species="custom", individuals=("male", "female"), roles=("pursuer", "target"),
+        arena=ARENA, outcome=ends,
     )  # fmt: skip
 
 
@@ -52,9 +80,5 @@ def simulated_pairs(demos: Demonstrations, kind: str, each: int = 2, seed: int =
     paths = [pair_path(rng, demos.episode(i).positions[0], kind) for i in demo.tolist()]
     out = [np.abs(path[-1]).max() > ARENA.boundary for path in paths]
     ends = [PURSUER_OUT if o else 1 if len(p) < 50 else TIME_OUT for o, p in zip(out, paths)]
-    return Rollouts(
-        method=kind, individuals=demos.individuals, roles=demos.roles, dt=demos.dt,
-        positions=np.concatenate(paths), lengths=[len(p) for p in paths], outcome=ends,
-        condition=np.zeros(len(demo)), cue=np.full(len(demo), -1), demo=demo,
-        seed=np.zeros(len(demo)), repetition=np.tile(np.arange(each), demos.num_episodes),
-    )  # fmt: skip
+    repetition = np.tile(np.arange(each), demos.num_episodes)
+    return rollouts_along(paths, demos, demo, method=kind, outcome=ends, repetition=repetition)

@@ -3,17 +3,11 @@
 How often boosted trees rank a simulated window (:mod:`animarl_algos.evaluation.windows`) above a
 recorded one, the area under the ROC curve, is 0.5 if nothing distinguishes the two and 1 if
 everything does. They are asked about demonstrations that they were not trained on: folds are dealt
-by demonstration, and a rollout goes with the recording that it started from.
-
-Only windows of one fold are compared. (Pooling the scores of all folds would push the null below
-0.5, since a fold's mean score moves against its share of the classes.) Of a *fixed* set dealt in
-two halves this remains: what one half has more of in the test fold, it has less of in the training
-folds, so recordings among themselves may come out a little below 0.5 in small sets.
+by demonstration, and a rollout goes with the recording that it started from. Only windows of one
+fold are compared: pooling scores of all folds would push the null below 0.5.
 
 In a verdict two judges are asked: about two seconds of motion, and about order in time over up to
-a quarter of an episode. Their areas are printed beside those of recordings among themselves, of the
-locomotion model's closed-loop tracking and of random actions. None of these excuses a row: it is
-judged by its own interval.
+a quarter of an episode. What their areas are printed beside excuses no row.
 """
 
 from __future__ import annotations
@@ -248,19 +242,11 @@ class Tracked(Protocol):
     """Closed-loop tracking of the evaluated demonstrations, frame for frame."""
 
     @property
-    def positions(self) -> Floats:
-        """``(frames, individuals, 2)``, arena frame [arena unit]."""
-        ...
+    def positions(self) -> Floats: ...
 
 
 def followed(demos: Demonstrations, tracking: Tracked) -> Rollouts:
-    """The demonstrations as tracking follows them, on the grid on which positions were stored.
-
-    Raises
-    ------
-    InputError
-        If the tracking is of other demonstrations.
-    """
+    """The demonstrations as tracking follows them, on the grid on which positions were stored."""
     if tracking.positions.shape != demos.positions.shape:
         raise InputError(
             f"the tracking has shape {tracking.positions.shape} and the demonstrations "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,6 @@ Floats = NDArray[np.float64]
 
 MAP_POINTS = 41  # along each side of the map
 OPEN_MARGIN = 1.1  # of a map of an open field, around where animals went
-
-
-class QPolicy(Protocol):
-    """What is asked of a policy: action values of all individuals, with their memory."""
-
-    def advance(self, observation: Any, state: Any, episode_start: Any) -> tuple[Any, Any, bool]:
-        """Q-values ``(slots, actions)``, next memory ``(slots, H)``, whether there was one slot."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,7 +77,7 @@ class Decisions:
 
 
 def decide_along(
-    policy: QPolicy,
+    policy: Any,
     species: Species,
     demos: Demonstrations,
     *,
@@ -98,7 +90,8 @@ def decide_along(
     Parameters
     ----------
     policy
-        Of all individuals, in the order of ``demos``, or of ``focal`` alone.
+        Of all individuals, in the order of ``demos``, or of ``focal`` alone; its ``advance`` gives
+        Q-values ``(slots, actions)`` and the next memory.
     species
         As the policy was trained in; its locomotion tells the recorded actions.
     demos, demo
@@ -144,7 +137,7 @@ def decide_along(
 
 
 def _map(
-    policy: QPolicy,
+    policy: Any,
     species: ChaseSpecies,
     one: Demonstrations,
     slots: NDArray[np.int64],

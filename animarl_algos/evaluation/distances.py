@@ -1,15 +1,10 @@
 """How far distributions of a metric are apart: kernel density, Wasserstein, energy score.
 
 The kernel-density distance is the paper's measure of similarity (Statistical analysis). It is
-biased upwards, the more so the smaller the samples, so every value comes with what a perfect
-simulator gives (:mod:`animarl_algos.evaluation.exchange_test`), and with the Wasserstein distance,
-which is less biased and has the metric's unit.
-
-The energy score (Gneiting and Raftery 2007, J. Am. Stat. Assoc. 102, 359) compares the rollouts of
-a start with the recording from there: for forecasts X, X' drawn independently and what came true,
-y, it is E|X - y| - E|X - X'| / 2, smallest on average for the distribution that y is drawn from.
-The first term alone, the mean error, is smallest for a simulator that always returns the median;
-the second one gives back what an honest spread costs.
+biased upwards, so every value comes with what a perfect simulator gives, and with the Wasserstein
+distance, which is less biased and has the metric's unit. The energy score (Gneiting and Raftery
+2007, J. Am. Stat. Assoc. 102, 359) compares the rollouts X, X' of a start with the recording y from
+there: E|X - y| - E|X - X'| / 2 is smallest on average for the distribution that y is drawn from.
 """
 
 from __future__ import annotations

@@ -6,14 +6,10 @@ answer minus that of the first. The *true shift* is what the other condition rea
 starts: for artificial agents, teams that were trained under it; for a searcher, whose condition is
 what it senses, its own search in the changed world.
 
-Two shifts stand beside it in which no effect of the condition was learned: that of untrained
-networks, which answer to any input somehow, and that of the trained networks with the flag zeroed,
-asked twice with random numbers of their own, which is chance alone.
-
-An untrained network answers to its flag as to any other input, so the answers of one network, or of
-two, always differ somehow. A claim therefore speaks of training seeds. It is worded only if there
-are at least three, their mean shift excludes zero over seeds and over starts, and it differs from
-that of networks that learned nothing.
+Untrained networks answer to their flag as to any other input, so their shift stands beside, and
+that of the trained networks with the flag zeroed, which is chance alone. A claim is worded only if
+there are at least three training seeds, their mean shift excludes zero over seeds and over starts,
+and it differs from that of networks that learned nothing.
 """
 
 from __future__ import annotations
@@ -91,10 +87,9 @@ class Asked:
 class Effects:
     """``table`` one row per quantity, ``claims`` one row per method and flip.
 
-    ``table``: ``method``, ``variant``, ``quantity``, ``condition`` (of the starts), ``told``,
-    ``planned``, ``counting``, ``value`` with ``value_low`` and ``value_high`` (95 %), ``seeds``,
-    ``starts``, ``speaks_of`` and ``reason``. ``claims``: ``method``, ``condition``, ``told``,
-    ``worded`` and ``reason``.
+    The columns ``condition`` and ``told`` are those of the starts and of the policy; ``value`` has
+    a 95 % interval; ``seeds`` and ``starts`` count, and ``reason`` says why there is no value or
+    claim.
     """
 
     table: pd.DataFrame

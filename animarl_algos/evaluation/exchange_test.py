@@ -1,20 +1,14 @@
 """What chance alone gives: exchanges of recordings with rollouts, and one test for all measures.
 
-If a simulator is perfect, the recording of a start is one more rollout of it: any of the R + 1
-episodes from that start might as well have been the recorded one. So the null of any statistic is
-found by exchanging, start by start, the recording with one of the episodes from there. That is an
-exact permutation test: a perfect simulator falls inside 95 % of its null in 95 % of experiments,
-whatever starts have in common and however values are distributed (checked in
-``tests/algos/evaluation/test_verdict.py``). Who acts by a fixed rule in a world without chance does
-the same from a start however often it is let go: such copies are one rollout, and counting them
-would make the null too narrow.
+If a simulator is perfect, the recording of a start is one more rollout of it. So the null of any
+statistic is found by exchanging, start by start, the recording with one of the episodes from there:
+an exact permutation test. Who acts by a fixed rule in a world without chance does the same from a
+start however often it is let go; such copies are one rollout.
 
-Of several measures the joint null is found in the same way. The test statistic is the largest
-standardised difference over measures (maxT; Westfall and Young 1993, *Resampling-Based Multiple
-Testing*, algorithm 2.5, single step). A measure's adjusted p is the share of exchanges whose
-*largest* statistic reaches the one found for this measure. So a perfect simulator has no measure
-below .05 in 95 % of experiments, however many measures there are and however they depend on each
-other.
+Of several measures the statistic is the largest standardised difference (maxT; Westfall and Young
+1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). So a perfect simulator has
+no measure below .05 in 95 % of experiments, however many measures there are and however they depend
+on each other.
 """
 
 from __future__ import annotations
@@ -70,8 +64,7 @@ class Exchanges:
     """Which episode of every start is called the recorded one.
 
     Both are ``(1 + exchanges, episodes)`` of zeros and ones; the first row is the truth. Episodes
-    are the recordings in their order, then the rollouts in theirs. Recordings that no rollout
-    started from are in neither, nor are copies of a rollout.
+    are the recordings in their order, then the rollouts in theirs, without those that do not count.
     """
 
     recorded: Floats

@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.order_in_time import angle
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.statistics import Floats
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
 from animarl_envs.demos.summary import RESTING_SHARE
@@ -25,8 +27,6 @@ from animarl_envs.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Floats = NDArray[np.float64]
 
 
 ARENA_UNITS = RECORDED_SCALE.name
@@ -102,11 +102,9 @@ class Episodes:
             if len(moved) == 0:
                 continue
             speed = np.linalg.norm(moved, axis=-1) / rollouts.dt
-            cross = moved[:-1, :, 0] * moved[1:, :, 1] - moved[:-1, :, 1] * moved[1:, :, 0]
-            angle = np.abs(np.arctan2(cross, (moved[:-1] * moved[1:]).sum(axis=-1)))
-            turned = angle.sum(axis=0).mean() / (len(moved) * rollouts.dt)
+            turned = np.abs(angle(moved[:-1], moved[1:])).sum(axis=0).mean()
             median = np.median(speed, axis=0).mean()
-            found[:, i] = speed.mean(), median, (speed < slow).mean(), turned
+            found[:, i] = speed.mean(), median, (speed < slow).mean(), turned / self.duration[i]
         return found
 
     def _mean_over_movers(self, values: Floats) -> Floats:

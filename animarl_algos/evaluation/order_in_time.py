@@ -1,12 +1,8 @@
 """Measures of how an episode unfolds: order in time, reactions to others, and place.
 
-Means, spreads and extremes of short windows cannot see whether motion is played backwards, whether
-turns follow each other over ten seconds, or who follows whom. The measures here can. Every measure
-is one number per episode and individual, so that it can be averaged, resampled and exchanged as any
-other measure of an episode.
-
-Frames and units: positions in the arena frame [arena unit], lags in steps, turning in rad, positive
-to the left. A measure that an episode is too short for is NaN.
+One number per episode and individual, so that it can be averaged, resampled and exchanged as any
+other. Positions are in the arena frame [arena unit], lags in steps, turning in rad, positive to the
+left. A measure that an episode is too short for is NaN.
 """
 
 from __future__ import annotations
@@ -199,17 +195,20 @@ def _interactions(series: Series, lag: int) -> Iterator[tuple[str, str, Floats]]
 
 def _places(series: Series, arena: Arena) -> Iterator[tuple[str, str, Floats]]:
     """Measures of where individuals are."""
-    position = series.position
-    if arena.shape == "square":
-        wall = arena.size - np.abs(position).max(axis=-1)
-    else:
-        radius = np.linalg.norm(position, axis=-1)
-        wall = radius if arena.shape == "open" else arena.size - radius
+    wall = distance_to_edge(series.position, arena)
     name = "distance from the source" if arena.shape == "open" else "distance from the wall"
     yield name, PLACE, _mean(wall)
     if arena.shape != "open":
         at_wall = wall < NEAR_WALL * arena.size
         yield "share at the wall", PLACE, _share(at_wall, np.isfinite(wall))
+
+
+def distance_to_edge(points: Floats, arena: Arena) -> Floats:
+    """Distance to the edge of the field, or to the origin of an open one."""
+    if arena.shape == "square":
+        return np.asarray(arena.size - np.abs(points).max(axis=-1))
+    radius = np.linalg.norm(points, axis=-1)
+    return np.asarray(radius if arena.shape == "open" else arena.size - radius)
 
 
 def _mean(series: Floats, axis: int = 1) -> Floats:

@@ -2,12 +2,9 @@
 
 The form is that of the Waymo Open Sim Agents Challenge (Montali et al. 2023, arXiv 2305.12032): for
 every start, individual and component the values of all rollouts and steps make a histogram; the
-score is exp(mean log probability) of the recorded values, between 0 and 1. Nothing is trained, the
-score is conditional on the start, and each component says what is wrong. Components and weights are
-ours: animals have no lanes, but they have bouts, turns that follow each other, and neighbours.
-
-Beside the score of a simulator stand three that need no simulator: the recording itself in place of
-every rollout (ceiling), other recordings, and random actions.
+score is exp(mean log probability) of the recorded values, between 0 and 1. Components and weights
+are ours: animals have no lanes, but they have bouts, turns that follow each other, and neighbours.
+Beside it stand the score of the recording itself (ceiling), of others, and of random actions.
 """
 
 from __future__ import annotations

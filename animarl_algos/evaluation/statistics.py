@@ -2,19 +2,9 @@
 
 Rollouts are nested: several from each recorded start, several starts, several training seeds.
 Repetitions from one start are never treated as independent; what varies are demonstrations and
-seeds, crossed, and what is compared on the same demonstrations is subtracted there first.
-
-An estimate errs for two reasons: which demonstrations there happened to be, and which networks
-training happened to give. Their margins are worked out apart and added as squares, below and above
-the estimate (the method of variance estimates recovery: Zou and Donner 2008, Stat. Med. 27, 1693;
-for crossed effects Graybill and Wang 1980, J. Am. Stat. Assoc. 75, 869).
-
-- Demonstrations: the studentised bootstrap (bootstrap-t: Efron and Tibshirani 1993, chapter 12) of
-  the mean over demonstrations, which follows skewed values; Student's t where there are too few.
-- Seeds: Student's t on what the seeds' means vary beyond their share of the demonstrations. With a
-  single seed an interval speaks of demonstrations only, for the one network that was trained.
-
-Coverage is measured by ``benchmarks/stated_coverage.py`` and told in ``docs/statistics.md``.
+seeds, crossed. Their margins are worked out apart and added as squares, below and above the
+estimate (Zou and Donner 2008, Stat. Med. 27, 1693; Graybill and Wang 1980, J. Am. Stat. Assoc. 75,
+869). ``docs/statistics.md`` says how, and how often these intervals cover.
 """
 
 from __future__ import annotations
@@ -74,13 +64,11 @@ class Cells:
 
     @property
     def cell_means(self) -> Floats:
-        """Mean per seed and demonstration, NaN where nothing counts."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.sums / self.counts)
 
     @property
     def seed_means(self) -> Floats:
-        """``(seeds,)``, NaN where nothing counts."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.sums.sum(axis=1) / self.counts.sum(axis=1))
 
@@ -100,8 +88,7 @@ class Cells:
     def deviations(self) -> Floats:
         """What each cell adds to the mean's deviation, ``(seeds, demos)``, zero on average.
 
-        The mean is a ratio of sums; this is its linear part, exact where counts are equal. A cell
-        in which nothing counts adds nothing.
+        The mean is a ratio of sums; this is its linear part, exact where counts are equal.
         """
         total = self.counts.sum()
         if total == 0:
@@ -177,7 +164,6 @@ class Draws:
         return rng if isinstance(rng, Draws) else cls(int(rng.integers(2**62)), resamples)
 
     def of(self, count: int) -> Floats:
-        """``(resamples, count)``."""
         if count not in self._known:
             rng = np.random.default_rng([self.seed, count])
             self._known[count] = draw_weights(rng, count, self.resamples)
@@ -258,12 +244,11 @@ def within_intervals(
 ) -> list[Interval]:
     """Intervals of several means on the same demonstrations, free of what these share.
 
-    A long or erratic demonstration raises the distance of every method alike. That widens the
-    interval of each mean, but says nothing of their order. It is taken out as in within-subject
-    designs (Cousineau 2005, Tutor. Quant. Methods Psychol. 1, 42; Morey 2008, ibid. 4, 61): from
-    every method the mean over the M methods is subtracted, and what is left is scaled by
-    sqrt(M / (M - 1)). These intervals compare methods with each other; they do not bound a mean.
-    Only starts that all of them have count for the width.
+    A long demonstration raises the distance of every method alike. That widens the interval of each
+    mean, but says nothing of their order. It is taken out as in within-subject designs (Cousineau
+    2005, Tutor. Quant. Methods Psychol. 1, 42; Morey 2008, ibid. 4, 61): from every method the mean
+    over the M methods is subtracted, and what is left is scaled by sqrt(M / (M - 1)). Only starts
+    that all of them have count for the width. These intervals do not bound a mean.
     """
     number = len(methods)
     tables = [data.deviations for data in shared_starts(methods)] if number > 1 else []
@@ -297,7 +282,10 @@ def margins(terms: Sequence[Floats], draws: Draws) -> Floats:
 
 
 def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
-    """Of the mean of ``values`` ``(..., demos)``, by the studentised bootstrap, or by t."""
+    """Of the mean of ``values`` ``(..., demos)``, by the studentised bootstrap (bootstrap-t: Efron
+    and Tibshirani 1993, chapter 12), which follows skewed values; by Student's t where there are
+    few.
+    """
     number = values.shape[-1]
     error = values.std(axis=-1, ddof=1) / np.sqrt(number)
     low, high = (np.full(error.shape, sign * _t(number - 1)) for sign in (-1, 1))
@@ -327,7 +315,8 @@ def _studentised_quantiles(values: Floats, weights: Floats) -> Floats:
 def seed_square(terms: Sequence[Floats]) -> Floats:
     """Square of the margin that networks add, ``(...,)``; zero for single seeds, which show none.
 
-    Variances of several terms are added, with Welch's degrees of freedom.
+    Student's t on what the seeds' means vary beyond their share of the demonstrations; variances of
+    several terms are added, with Welch's degrees of freedom.
     """
     between, within, per_freedom = np.zeros((3, *terms[0].shape[:-2]))
     for table in terms:

@@ -72,25 +72,12 @@ PHRASES = {
 class Row:
     """One row of a verdict.
 
-    Parameters
-    ----------
-    measure, label, unit
-        Key, name and unit of the numbers.
-    recorded, simulated
-        Means.
-    difference, difference_low, difference_high
-        Of the means, with its 95 % interval.
-    distance, null, p
-        What was tested, what chance stays below over all rows together, and the p that is adjusted
-        for their number.
-    judgement, verdict
-        One of ``JUDGEMENTS``, and the same in words.
-    covers, reason
-        What the interval speaks of, and why there is none.
-    wasserstein_distance, recorded_null
-        Distance of the distributions, and what recordings drawn from recordings come to.
-    energy, energy_pooled
-        Mean energy score over starts, and what recordings of other starts score.
+    ``measure``, ``label`` and ``unit`` are of the numbers: means of both sides, their difference
+    with its 95 % interval, what was tested (``distance``), what chance stays below over all rows
+    together (``null``), and the ``p`` that is adjusted for their number. ``judgement`` is one of
+    ``JUDGEMENTS``, ``verdict`` the same in words; ``covers`` says what the interval speaks of,
+    ``reason`` why there is none. ``wasserstein_distance`` and ``energy`` compare distributions;
+    beside them stand what recordings drawn from recordings, and of other starts, come to.
     """
 
     measure: str
@@ -205,11 +192,15 @@ def _metric_rows(
             p = np.nan_to_num(test.adjusted_p, nan=1.0)
             worst = spread if p[spread] < p[place] else place
         judgement, words = _judge_metric(metric, test, recorded, drawn, worst, worst != place)
-        null = distance = energy = pooled = math.nan
+        spread_too = {}
         if metric.noun:
-            null, distance = recorded_null(a[starts], len(b), rng), wasserstein(b, a[starts])
             scores = energy_scores(b, np.searchsorted(starts, counted.demo), a[starts])
-            energy, pooled = float(np.mean(scores)), pooled_score(a[starts])
+            spread_too = {
+                "wasserstein_distance": wasserstein(b, a[starts]),
+                "recorded_null": recorded_null(a[starts], len(b), rng),
+                "energy": float(np.mean(scores)),
+                "energy_pooled": pooled_score(a[starts]),
+            }
         yield Row(
             measure=metric.key,
             label=metric.label,
@@ -226,10 +217,7 @@ def _metric_rows(
             verdict=words,
             covers=covers(many),
             reason=gap.reason,
-            wasserstein_distance=distance,
-            recorded_null=null,
-            energy=energy,
-            energy_pooled=pooled,
+            **spread_too,
         )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from animarl_algos.evaluation.order_in_time import (
     angle,
+    distance_to_edge,
     lags_for,
     median_steps,
     order_measures,
@@ -249,12 +250,7 @@ def _series(
         for stride in sorted({1, quarter}):
             turned = _moved(own, stride, still[k])
             series.append((TURNING, _unsigned(turned[:, :-stride], turned[:, stride:])))
-        if arena.shape == "square":
-            place = arena.size - np.abs(own).max(axis=-1)
-        else:
-            radius = np.linalg.norm(own, axis=-1)
-            place = radius if arena.shape == "open" else arena.size - radius
-        series.append((PLACE, place))
+        series.append((PLACE, distance_to_edge(own, arena)))
         if num == 1:
             series.append((BEARING, _unsigned(moved, -own[:, :-1])))
         for other in range(num):

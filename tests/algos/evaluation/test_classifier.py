@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from moving_pairs import ARENA, recorded_pairs, simulated_pairs
+from moving_pairs import ARENA, recorded_pairs, rollouts_along, simulated_pairs
 
 from animarl_algos.evaluation.classifier import DEALS, among_themselves, tell_apart, widen_for_folds
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
@@ -203,22 +203,16 @@ def pixel_walks(rng: np.random.Generator, episodes: int) -> list[np.ndarray]:
     return paths
 
 
-def rollouts_of(paths: list[np.ndarray], starts: int) -> Rollouts:
-    count = len(paths)
-    return Rollouts(
-        method="dealt", individuals=("male", "female"), roles=("pursuer", "target"), dt=0.1,
-        positions=np.concatenate(paths), lengths=[len(path) for path in paths],
-        outcome=np.ones(count), condition=np.zeros(count), cue=np.full(count, -1),
-        demo=np.arange(count) % starts, seed=np.zeros(count), repetition=np.zeros(count),
-    )  # fmt: skip
-
-
 def test_a_redeal_of_recordings_on_a_pixel_grid_is_ranked_by_chance() -> None:
     areas = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
         paths = pixel_walks(rng, 330)
-        sides = [rollouts_of(some, 30) for some in (paths[:30], paths[30:])]
+        demos = recorded_pairs()
+        sides = [
+            rollouts_along(some, demos, np.arange(len(some)) % 30)
+            for some in (paths[:30], paths[30:])
+        ]
         sides = [replace(r, positions=smoothed(r.positions, r.lengths, 3)) for r in sides]
         sides = [window_features(each, ARENA) for each in sides]
         areas.append(tell_apart(*sides, rng, deals=1).auc.estimate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from moving_pairs import demonstrations_of, rollouts_along
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.metrics import (
@@ -37,39 +38,11 @@ def chase(frames: int, speed: float) -> NDArray[np.float64]:
 @pytest.fixture
 def demos() -> Demonstrations:
     paths = [chase(11, 0.02), chase(6, 0.01), chase(21, 0.03)]
-    return Demonstrations(
-        species="agent",
-        individuals=("predator_0", "predator_1", "prey"),
-        roles=("pursuer", "pursuer", "target"),
-        dt=0.1,
-        arena=Arena(),
-        positions=np.concatenate(paths),
-        lengths=np.array([len(p) for p in paths]),
-        initial_velocity=np.zeros((3, 3, 2)),
-        condition=np.array([0, 1, 1]),
-        outcome=np.array([1, 0, 2]),
-        split=np.array(["test"] * 3),
-        recording=np.array(["a", "b", "c"]),
-        provenance={"source": "drawn by hand", "licence": "MIT", "synthetic": True},
-    )
+    return demonstrations_of(paths, condition=[0, 1, 1], outcome=[1, 0, 2])
 
 
 def rollouts(demos: Demonstrations, demo: list[int], paths: list[NDArray[np.float64]]) -> Rollouts:
-    count = len(demo)
-    return Rollouts(
-        method="BC",
-        individuals=demos.individuals,
-        roles=demos.roles,
-        dt=demos.dt,
-        positions=np.concatenate(paths),
-        lengths=np.array([len(p) for p in paths]),
-        outcome=np.array([1, 0, -1, 2][:count]),
-        condition=demos.condition[demo],
-        cue=np.full(count, -1),
-        demo=np.array(demo),
-        seed=np.zeros(count),
-        repetition=np.arange(count),
-    )
+    return rollouts_along(paths, demos, demo, outcome=[1, 0, -1, 2][: len(demo)])
 
 
 def test_path_length_is_that_of_each_episode_alone(demos: Demonstrations) -> None:
@@ -126,21 +99,10 @@ def test_dtw_equals_a_textbook_recursion(demos: Demonstrations) -> None:
 
 def test_a_lone_searcher_is_measured_itself() -> None:
     path = line(5, (0.1, 0.0), (0.0, 0.0))[:, None]
-    demos = Demonstrations(
-        species="silkmoth",
-        individuals=("moth",),
-        roles=("searcher",),
-        dt=0.5,
-        arena=Arena("open", size=1.0),
-        positions=path,
-        lengths=np.array([5]),
-        initial_velocity=np.zeros((1, 1, 2)),
-        condition=np.array([1]),
-        outcome=np.array([1]),
-        split=np.array(["test"]),
-        recording=np.array(["a"]),
-        provenance={"source": "drawn by hand", "licence": "MIT", "synthetic": True},
-    )
+    demos = demonstrations_of(
+        [path], species="silkmoth", individuals=("moth",), roles=("searcher",), dt=0.5,
+        arena=Arena("open", size=1.0), outcome=[1],
+    )  # fmt: skip
     table = measure_recordings(demos)
     assert table["path_length"][0] == pytest.approx(0.4)
     assert table["duration"][0] == 2.0 and table["return"][0] == 1.0

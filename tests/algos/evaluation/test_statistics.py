@@ -60,13 +60,6 @@ def test_weights_are_a_resample() -> None:
     assert weights.mean() == pytest.approx(1.0)
 
 
-def test_draws_do_not_depend_on_what_was_asked_before() -> None:
-    first, second = Draws(3, 50), Draws(3, 50)
-    first.of(9)
-    assert np.array_equal(first.of(5), second.of(5))
-    assert first.of(5) is first.of(5)
-
-
 def test_a_cell_in_which_nothing_counts_adds_nothing() -> None:
     data = cells([1.0, 3.0, 10.0, 4.0], [4, 4, 4, 9], [0, 0, 2, 1], num_demos=4)
     assert data.deviations.mean() == pytest.approx(0.0)
