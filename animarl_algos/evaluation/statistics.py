@@ -24,6 +24,7 @@ CONFIDENCE = 0.95
 TAILS = (50.0 * (1 - CONFIDENCE), 50.0 * (1 + CONFIDENCE))  # [%]
 FEWEST_RESAMPLED = 8  # demonstrations; of fewer, resamples often have no spread to divide by
 FEWEST_ALONE = 20  # ... and of fewer than these a margin is at least that of Student's t
+FARTHEST = 2.0  # times as far as the farthest demonstration, or Student's t, is the longest margin
 
 NO_VALUE = "no episode counts"
 ONE_DEMO = "one demonstration: no spread to be seen"
@@ -282,20 +283,26 @@ def margins(terms: Sequence[Floats], draws: Draws) -> Floats:
 
 
 def demo_margins(values: Floats, draws: Draws) -> tuple[Floats, Floats]:
-    """Of the mean of ``values`` ``(..., demos)``, by the studentised bootstrap (bootstrap-t: Efron
-    and Tibshirani 1993, chapter 12), which follows skewed values; by Student's t where there are
-    few.
+    """Of the mean of ``values`` ``(..., demos)``, below and above it.
+
+    By the studentised bootstrap (bootstrap-t: Efron and Tibshirani 1993, chapter 12), which follows
+    skewed values; by Student's t where there are few. Resamples of values that are nearly all alike
+    have hardly an error to divide by, so that a margin has a longest length.
     """
-    number = values.shape[-1]
+    number, mean = values.shape[-1], values.mean(axis=-1)
     error = values.std(axis=-1, ddof=1) / np.sqrt(number)
-    low, high = (np.full(error.shape, sign * _t(number - 1)) for sign in (-1, 1))
-    if number >= FEWEST_RESAMPLED:
-        quantiles = _studentised_quantiles(values, draws.of(number))
-        defined = np.isfinite(quantiles).all(axis=0)
-        if number < FEWEST_ALONE:
-            quantiles = np.stack([np.minimum(quantiles[0], low), np.maximum(quantiles[1], high)])
-        low, high = np.where(defined, quantiles, [low, high])
-    return np.maximum(high, 0.0) * error, np.maximum(-low, 0.0) * error
+    by_t = _t(number - 1) * error
+    if number < FEWEST_RESAMPLED:
+        return by_t, by_t
+    low, high = _studentised_quantiles(values, draws.of(number))
+    defined = np.isfinite(low) & np.isfinite(high)
+    sides = [(high, mean - values.min(axis=-1)), (-low, values.max(axis=-1) - mean)]
+    found = []
+    for quantile, farthest in sides:
+        margin = np.where(defined, np.maximum(np.where(defined, quantile, 0.0), 0.0) * error, by_t)
+        margin = np.maximum(margin, by_t) if number < FEWEST_ALONE else margin
+        found.append(np.minimum(margin, np.maximum(FARTHEST * farthest, by_t)))
+    return found[0], found[1]
 
 
 def _studentised_quantiles(values: Floats, weights: Floats) -> Floats:

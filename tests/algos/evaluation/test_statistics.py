@@ -129,6 +129,25 @@ def test_a_margin_of_few_demonstrations_is_at_least_students_t(number: int) -> N
     assert min(demo_margins(values, Draws(4, 400))) >= half * (1 - 1e-12)
 
 
+def test_an_interval_of_values_nearly_all_alike_ends_near_them() -> None:
+    """Without a longest length the upper end is at some thousands."""
+    values = np.concatenate([np.full(9, 1.0) + 1e-4 * np.arange(9), [2.3]])
+    below, above = demo_margins(values, Draws(4, 2000))
+    half = stats.t.ppf(0.975, 9) * stats.sem(values)
+    assert below == pytest.approx(half) and half < above <= 2 * (2.3 - values.mean()) + 1e-12
+
+
+@pytest.mark.parametrize(("number", "least"), [(10, 0.82), (50, 0.93)])
+def test_coverage_where_four_in_five_values_are_alike(number: int, least: float) -> None:
+    rng, draws = np.random.default_rng(number), Draws(1, 400)
+    size = (1000, number)
+    rest, moving = 1e-3 * rng.normal(size=size), rng.exponential(size=size)
+    values = np.where(rng.random(size) < 0.8, rest, moving)
+    below, above = demo_margins(values, draws)
+    miss = 0.2 - values.mean(axis=1)
+    assert np.mean((-below <= miss) & (miss <= above)) >= least
+
+
 def test_the_difference_of_two_shares_is_newcombes() -> None:
     """Method 10 of Newcombe (1998): no width of zero, and nothing beyond 100 points."""
     every, none = (
