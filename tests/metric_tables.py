@@ -19,6 +19,11 @@ def metrics_rows(
     return pd.DataFrame(columns)
 
 
+def joined_rows(*given: tuple[object, ...]) -> pd.DataFrame:
+    """Rows of several methods and seeds, each as :func:`metrics_rows` takes them."""
+    return pd.concat([metrics_rows(*one) for one in given])  # type: ignore[arg-type]
+
+
 def row(table: pd.DataFrame, **where: object) -> pd.Series:
     chosen = table
     for key, value in where.items():

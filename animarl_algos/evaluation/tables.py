@@ -22,7 +22,7 @@ from animarl_algos.evaluation.effects import answers_of, cue_effects
 from animarl_algos.evaluation.metrics import METRICS, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts
 from animarl_algos.evaluation.statistics import RESAMPLES
-from animarl_algos.evaluation.verdict import Verdict, verdict
+from animarl_algos.evaluation.verdict import Verdict, read_table, verdict
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 TABLES = ("metrics", "comparison", "pairs", "contrasts", "counterfactual")
 NUMBERS = ("fingerprint", "seed", "resamples", "distance_resamples")
-WORDS = ("reason", "gate_unit", "variant", "speaks_of")  # columns that may be empty throughout
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,20 +71,10 @@ class Evaluation:
     @classmethod
     def load(cls, folder: str | Path) -> Evaluation:
         """Read what :meth:`save` wrote, or raise InputError if a file is missing or damaged."""
-        import pandas as pd
-
         folder = Path(folder)
-        tables: dict[str, Any] = {}
         try:
             numbers = json.loads((folder / "evaluation.json").read_text())
-            for name in TABLES:
-                try:
-                    table = pd.read_csv(folder / f"{name}.csv", float_precision="round_trip")
-                except pd.errors.EmptyDataError:
-                    table = pd.DataFrame()
-                for words in set(WORDS) & set(table):
-                    table[words] = table[words].astype(object).fillna("")
-                tables[name] = table
+            tables = {name: read_table(folder / f"{name}.csv") for name in TABLES}
             return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:
             raise InputError(

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 FEWEST = 10  # test starts, and recordings that they are of: below, there is too little to say
 WORSE = "worse than untrained"
 SUMMARY = ("duration", "path_length", "mean_speed")  # what methods are ranked by
+WORDS = {"reason", "gate_unit", "variant", "speaks_of", "unit", "covers"}
 HALF = 0.5  # of the recorded value: a larger gap is implausible
 LEAST_SHARE = 0.1  # of episodes, that an implausible gap of shares has at least
 
@@ -152,8 +153,6 @@ class Verdict:
     @classmethod
     def load(cls, folder: str | Path) -> Verdict:
         """Read what :meth:`save` wrote."""
-        import pandas as pd
-
         folder = Path(folder)
         plain = json.loads((folder / "verdict.json").read_text())
         plain |= {key: _interval(plain[key]) for key in ("auc", "sequence", "realism")}
@@ -163,12 +162,22 @@ class Verdict:
         }
         beside = plain["realism_beside"]
         plain["realism_beside"] = {k: math.nan if v is None else v for k, v in beside.items()}
-        table = pd.read_csv(folder / "verdict.csv", float_precision="round_trip")
-        for words in ("unit", "covers", "reason"):
-            table[words] = table[words].astype(object).fillna("")
+        plain |= {"table": read_table(folder / "verdict.csv"), "words": tuple(plain["words"])}
         file = folder / "realism.csv"
-        components = pd.read_csv(file, float_precision="round_trip") if file.exists() else None
-        return cls(table=table, components=components, **plain | {"words": tuple(plain["words"])})
+        return cls(components=read_table(file) if file.exists() else None, **plain)
+
+
+def read_table(file: Path) -> pd.DataFrame:
+    """Read a table as it was written: a column of :data:`WORDS` may be empty throughout."""
+    import pandas as pd
+
+    try:
+        table = pd.read_csv(file, float_precision="round_trip")
+    except pd.errors.EmptyDataError:
+        return pd.DataFrame()
+    for words in WORDS & set(table):
+        table[words] = table[words].astype(object).fillna("")
+    return table
 
 
 def _plain(value: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from metric_tables import metrics_rows, row
+from metric_tables import joined_rows, metrics_rows, row
 
 from animarl_algos.evaluation.comparison import comparison_table, contrast_table, pair_table
 
@@ -14,13 +14,11 @@ def test_comparison_counts_what_it_says() -> None:
     rng = np.random.default_rng(0)
     recorded = rng.normal(5.0, 1.0, 20)
     caught = np.arange(20) < 8
-    metrics = pd.concat(
-        [
-            metrics_rows("recorded", -1, recorded, caught),
-            metrics_rows("BC", 0, recorded + 2.0, ~caught),
-            metrics_rows("DQDIL", 0, recorded + 1.0, caught),
-            metrics_rows("DQDIL", 1, recorded + 1.0, caught),
-        ]
+    metrics = joined_rows(
+        ("recorded", -1, recorded, caught),
+        ("BC", 0, recorded + 2.0, ~caught),
+        ("DQDIL", 0, recorded + 1.0, caught),
+        ("DQDIL", 1, recorded + 1.0, caught),
     )
     table = comparison_table(metrics, 20, rng, resamples=400, distance_resamples=200)
     everything = row(table, method="DQDIL", metric="duration", counting="all")
@@ -47,12 +45,10 @@ def test_pairs_are_differences_on_the_same_demonstrations() -> None:
     rng = np.random.default_rng(0)
     recorded = rng.normal(5.0, 1.0, 20)
     caught = np.ones(20, dtype=bool)
-    metrics = pd.concat(
-        [
-            metrics_rows("recorded", -1, recorded, caught),
-            metrics_rows("BC", 0, recorded + 2.0, caught),
-            metrics_rows("DQDIL", 0, recorded + 1.0, caught),
-        ]
+    metrics = joined_rows(
+        ("recorded", -1, recorded, caught),
+        ("BC", 0, recorded + 2.0, caught),
+        ("DQDIL", 0, recorded + 1.0, caught),
     )
     table = pair_table(metrics, 20, rng, resamples=200)
     assert "recorded" not in set(table["first"]) | set(table["second"])
@@ -222,11 +218,9 @@ def test_what_is_undefined_has_its_reason_and_one_network_is_called_so() -> None
 def test_duration_and_outcome_stand_beside_dtw() -> None:
     rng = np.random.default_rng(0)
     recorded, caught = rng.normal(5.0, 1.0, 10), np.arange(10) < 4
-    metrics = pd.concat(
-        [
-            metrics_rows("recorded", -1, recorded, caught),
-            metrics_rows("BC", 0, np.full(10, 1.0), caught),
-        ]
+    metrics = joined_rows(
+        ("recorded", -1, recorded, caught),
+        ("BC", 0, np.full(10, 1.0), caught),
     )
     table = comparison_table(metrics, 10, rng, resamples=100, distance_resamples=50)
     dtw = row(table, method="BC", metric="dtw", counting="all")

@@ -109,10 +109,6 @@ def planted(start: int) -> float:
     return travelled(start + 1) - travelled(start)
 
 
-def still(demos: Demonstrations) -> bool:
-    return bool((demos.initial_velocity == 0).all())
-
-
 class PreyRests(Thrusting):
     """The same, but the prey never accelerates."""
 
@@ -148,7 +144,7 @@ def value(effects: Any, quantity: str, c: int) -> Any:
 
 
 def test_a_planted_truth_is_recovered_within_its_interval() -> None:
-    assert still(starts())
+    assert (starts().initial_velocity == 0).all()
     for c, sign in ((0, 1.0), (1, -1.0)):
         truth = sign * planted(4)
         true = value(planted_effects(), of.TRUE, c)

@@ -406,14 +406,6 @@ def test_the_null_of_a_verdict_does_not_count_copies() -> None:
         np.testing.assert_allclose(five, one, rtol=1e-12)
 
 
-def test_a_collapsed_simulator_falls_outside() -> None:
-    rng = np.random.default_rng(8)
-    demo = np.repeat(np.arange(40), 2)
-    values = np.concatenate([rng.normal(size=40), np.zeros(80)])
-    assert not Exchanges.draw(demo, 40, rng).wasserstein(values).inside
-    assert Exchanges.draw(demo, 40, rng).difference(values - values[:40].mean() * 0).inside
-
-
 def test_recordings_without_rollouts_are_left_out() -> None:
     rng = np.random.default_rng(9)
     exchanges = Exchanges.draw([0, 0, 2], 3, rng, 5)
