@@ -20,6 +20,7 @@ from animarl_algos.evaluation.effects import (
 )
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.statistics import Cells, bootstrap_mean
+from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import MlpPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
@@ -200,7 +201,8 @@ def untrained(size: int, seed: int) -> MlpPolicy:
 
     return MlpPolicy(
         Box(-np.inf, np.inf, (size,), np.float32), Discrete(13), lambda _: 1.0,
-        individuals=starts().individuals, condition_flag=True, temperature=0.1, seed=seed,
+        individuals=starts().individuals, condition_flag=True,
+        acting=Acting.boltzmann(0.1), seed=seed,
     )  # fmt: skip
 
 
