@@ -7,6 +7,7 @@ made them and however often they were killed; ``costs.*`` hold what differs from
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -208,7 +209,8 @@ def _page(boards: Sequence[Board], missing: dict[str, str]) -> Page:
         [("", missing.items())],
         "",
     )
-    reading = HOW.replace("**Bold**", "Bold, in leaderboard.md").replace("`", "").split(". ")
+    plain = HOW.replace("**Bold**", "Bold, in leaderboard.md").replace("`", "").strip()
+    reading = re.split(r"(?<=[.])\s", plain)
     return Page(
         title="Leaderboard",
         kind="Every method, every set of demonstrations, every seed",
@@ -218,7 +220,7 @@ def _page(boards: Sequence[Board], missing: dict[str, str]) -> Page:
             for board in boards
         ],
         sections=[
-            Section("reading", "How to read it", [Sentences([f"{one}." for one in reading])]),
+            Section("reading", "How to read it", [Sentences(reading)]),
             *(Section(board.name, board.name, list(board.blocks())) for board in boards),
             Section("missing", "Not there", [listed] if missing else []),
             Section("versions", "Versions", [Pairs("Versions", flattened(code()))]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -333,7 +334,7 @@ def _counterfactual(inputs: ReportInputs) -> Iterator[Block]:
         "counterfactual' shows them beside networks that learned nothing."
     )
     yield shift_table(inputs, table)
-    yield error_table(inputs, table)
+    yield replace(error_table(inputs, table), folded="Errors to the demonstrations")
 
 
 # -- the model behind it --------------------------------------------------------------------------
