@@ -74,7 +74,7 @@ class Evaluation:
         folder = Path(folder)
         try:
             numbers = json.loads((folder / "evaluation.json").read_text())
-            tables = {name: read_table(folder / f"{name}.csv") for name in TABLES}
+            tables: dict[str, Any] = {n: read_table(folder / f"{n}.csv") for n in TABLES}
             return cls(**tables, **numbers, verdict=Verdict.load(folder))
         except FileNotFoundError as error:
             raise InputError(
