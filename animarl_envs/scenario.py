@@ -18,7 +18,14 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError, also_list_options_of
 from animarl_envs.focus import lone_pursuer
-from animarl_envs.species import CUSTOM, SPECIES, ChaseSpecies, Species, get_species
+from animarl_envs.species import (
+    CUSTOM,
+    SPECIES,
+    ChaseSpecies,
+    Species,
+    get_species,
+    species_name,
+)
 from animarl_envs.species.options import with_options as with_options
 
 Condition = Literal[0, 1, "demo"]
@@ -179,7 +186,7 @@ def make_scenario(
     InputError
         If an option is not valid, or the demonstrations do not fit the species.
     """
-    given = None if isinstance(species, str) and species == CUSTOM else species
+    given = None if isinstance(species, str) and species_name(species) == CUSTOM else species
     spec = get_species(given) if isinstance(given, str) else given
     loaded = _load_demos(demos, spec)
     if loaded is not None and spec is not None:

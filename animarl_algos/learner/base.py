@@ -17,11 +17,16 @@ from stable_baselines3.common.type_aliases import GymEnv, Schedule
 
 from animarl_algos.checked import SEED
 from animarl_algos.data.slots import SlotLayout, refuse_other_actions, refuse_other_slots
+from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.learner import checkpoint
 from animarl_algos.learner.callbacks import BoundaryCallback
 from animarl_algos.learner.checks import check_setting_combinations, translate_policy_kwargs
 from animarl_algos.learner.collecting import Memory
-from animarl_algos.learner.presets import check_settings, constructor_settings
+from animarl_algos.learner.presets import (
+    check_settings,
+    constructor_settings,
+    learner_preset,
+)
 from animarl_algos.learner.pretraining import OfflineProgress
 from animarl_algos.learner.settings import (
     POLICIES,
@@ -39,7 +44,9 @@ from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy, PolicySettings
 from animarl_algos.replay.sequence_buffer import ReplaySettings, SequenceReplayBuffer
+from animarl_envs import environment_id
 from animarl_envs.errors import InputError
+from animarl_envs.species import get_species
 
 TO_SB3 = (
     "learning_rate", "buffer_size", "learning_starts", "batch_size", "tau", "gamma", "train_freq",
@@ -66,7 +73,9 @@ class BaseLearner(OffPolicyAlgorithm):
     policy
         ``"GruPolicy"`` (with a memory) or ``"MlpPolicy"``.
     env
-        Any Gymnasium environment with Discrete actions, or a VecEnv; one with the attributes
+        Any Gymnasium environment with Discrete actions, its id, or a VecEnv. An id of this package
+        (``"AnimaRL/Newt-v0"``) stands for all individuals, with the packaged demonstrations and as
+        many copies as the preset has. A VecEnv with the attributes
         ``individuals`` and ``num_copies`` trains all individuals.
     learning_rate
         Of Adam, a number or a schedule of the remaining progress.
@@ -149,6 +158,9 @@ class BaseLearner(OffPolicyAlgorithm):
             del given["offline_epochs"]
         if isinstance(own := given.get("policy_kwargs"), dict):
             given["policy_kwargs"] = translate_policy_kwargs(own)
+        if isinstance(env, str) and env.startswith("AnimaRL/"):
+            preset = learner_preset(self.preset, environment_id(get_species(env).name))
+            env = SlotVecEnv(env, preset.n_envs, condition_flag=None, **preset.env_kwargs)
         whole = constructor_settings(self.preset, self.pretrained_preset, env, given)
         policy = whole.pop("policy")
         if policy not in self.policy_aliases and isinstance(policy, str):

@@ -18,7 +18,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import PACKAGED, refuse_other_species
-from animarl_envs.species import CUSTOM, SPECIES, Species, get_species
+from animarl_envs.species import CUSTOM, SPECIES, Species, get_species, species_name
 
 if TYPE_CHECKING:
     from animarl_algos.learner.presets import LearnerPreset
@@ -78,6 +78,11 @@ class RunSettings(PipelineSettings):
     """Steps between two checkpoints."""
     overrides: dict[str, Any] = Field(default_factory=dict)
     """Settings of the learner that go over the preset's."""
+
+    @field_validator("species")
+    @classmethod
+    def _name_species(cls, species: str) -> str:
+        return species_name(species)
 
     @field_validator("algo")
     @classmethod

@@ -1,5 +1,7 @@
 """The species, by name."""
 
+import re
+
 from animarl_envs.errors import InputError
 from animarl_envs.species.agent import AGENT
 from animarl_envs.species.base import Recording, Species
@@ -17,13 +19,19 @@ CUSTOM = "custom"
 __all__ = [
     "AGENT", "CUSTOM", "FLY", "NEWT", "SILKMOTH", "SPECIES",
     "ChaseSpecies", "Recording", "SearchSpecies", "Species", "get_species",
+    "species_name",
 ]  # fmt: skip
 
 
+def species_name(text: str) -> str:
+    """Return the name in a name or an id: ``"AnimaRL/Newt-v0"`` and ``"Newt"`` are ``"newt"``."""
+    return re.sub(r"-v\d+$", "", text.removeprefix("AnimaRL/")).lower()
+
+
 def get_species(name: str) -> Species:
-    """The species of that name, or one sentence that lists the names."""
+    """Return the species of a name or an id, or raise with a sentence that lists the names."""
     try:
-        return SPECIES[name]
+        return SPECIES[species_name(name)]
     except KeyError:
         raise InputError(
             f"species {name!r} is unknown: choose one of {', '.join([*SPECIES, CUSTOM])}"
