@@ -39,6 +39,7 @@ def _homes() -> dict[str, str]:
         if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "__all__"
         for node in ast.walk(statement.value)
         if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
         and node.value not in ("RECIPES", "NamedRecipe", "named_recipe")
     }
     others = {
