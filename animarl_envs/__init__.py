@@ -8,6 +8,8 @@ environment, which is registered there too: ``pettingzoo.make("parallel", "Anima
 
 from __future__ import annotations
 
+from functools import partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -33,6 +35,19 @@ def parallel_env(species: Species | str, **options: Any) -> AnimalParallelEnv:
     from animarl_envs.views import AnimalParallelEnv
 
     return AnimalParallelEnv(species, **options)
+
+
+def __getattr__(name: str) -> Any:
+    """Return ``newt_v0`` and the like, with ``parallel_env`` and ``env`` as PettingZoo has them."""
+    species, _, version = name.rpartition("_")
+    if version != "v0" or species not in (*SPECIES, CUSTOM):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from pettingzoo.utils import parallel_to_aec
+
+    make = partial(parallel_env, species)
+    return SimpleNamespace(
+        parallel_env=make, env=lambda **options: parallel_to_aec(make(**options))
+    )
 
 
 def _register() -> None:

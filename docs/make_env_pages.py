@@ -64,7 +64,8 @@ def page(species: Species) -> str:
         ends(species),
         "## Options",
         "These are keyword arguments of `gym.make`, `gym.make_vec` and `animarl_envs.parallel_env` "
-        '(except `focal` and `others`). `info["scenario"]` at reset shows the values in force. '
+        '(except `focal` and `others`). `info["scenario"]` at reset shows the values in force, '
+        "of all individuals the attribute `scenario_data`. "
         '`reset(options={"demo": 3})` starts from demonstration 3.',
         options(species),
         "## Usage",

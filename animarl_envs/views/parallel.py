@@ -25,6 +25,7 @@ from animarl_envs.views.common import (
 )
 
 Observations = dict[str, NDArray[np.float32]]
+NONE_YET = -1  # in the place of an executed action
 
 
 class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
@@ -44,8 +45,9 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
 
     Notes
     -----
-    ``infos[agent]`` is as in :class:`~animarl_envs.views.single.AnimalEnv`, and holds
-    ``TimeLimit.truncated`` at the end, for libraries that do not look at truncations.
+    ``infos[agent]`` holds the numbers of :class:`~animarl_envs.views.single.AnimalEnv`, the same
+    names at reset (where ``executed`` is -1) and at every step, and ``TimeLimit.truncated``, for
+    libraries that do not look at truncations. ``scenario_data`` describes the world.
     """
 
     metadata: dict[str, Any] = {
@@ -72,6 +74,14 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self.agents: list[str] = []
         self.observation_spaces = {a: observation_space(self.world) for a in self.possible_agents}
         self.action_spaces = {a: action_space(self.world) for a in self.possible_agents}
+        size = 4 * len(self.possible_agents)
+        self.state_space = spaces.Box(-np.inf, np.inf, (size,), dtype=np.float32)
+
+    @property
+    def scenario_data(self) -> dict[str, Any]:
+        """All numbers of the world and its options, as plain data."""
+        data: dict[str, Any] = json.loads(self._description)
+        return data
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the space of one individual, the same object each time."""
@@ -95,10 +105,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         fresh = partial(np.random.SeedSequence().generate_state, 1, np.uint64)
         self._restart(seed, fresh, options, strict=False)  # PettingZoo's own test gives others
         self.agents = list(self.possible_agents)
-        infos = self._infos(warming=False)
-        for info in infos.values():
-            info["scenario"] = json.loads(self._description)
-        return self._observations(), infos
+        return self._observations(), self._infos([NONE_YET] * len(self.agents), False, False)
 
     def step(
         self, actions: dict[str, int]
@@ -117,12 +124,8 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
-        observations, infos = self._observations(), self._infos(warming=warming)
-        for agent, action in zip(agents, executed, strict=True):
-            infos[agent]["executed"] = action
+        observations, infos = self._observations(), self._infos(executed, warming, truncated)
         if terminated or truncated:
-            for info in infos.values():
-                info["TimeLimit.truncated"] = truncated
             self.agents = []
         return (
             observations,
@@ -162,10 +165,12 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         seen = self.world.observation
         return {agent: seen[0, i].copy() for i, agent in enumerate(self.agents)}
 
-    def _infos(self, *, warming: bool) -> dict[str, dict[str, Any]]:
-        shared, world = self._shared_info(warming), self.world
-        names = world.reward_components
+    def _infos(
+        self, executed: list[int], warming: bool, truncated: bool
+    ) -> dict[str, dict[str, Any]]:
+        shared = self._shared_info(warming) | {"TimeLimit.truncated": truncated}
+        names, parts = self.world.reward_components, self.world.components[0].tolist()
         return {
-            agent: shared | dict(zip(names, parts, strict=True))
-            for agent, parts in zip(self.agents, world.components[0].tolist(), strict=True)
+            agent: shared | dict(zip(names, own, strict=True)) | {"executed": action}
+            for agent, own, action in zip(self.agents, parts, executed, strict=True)
         }

@@ -138,6 +138,15 @@ class DTWRewardParallel(_DTW, BaseParallelWrapper):  # type: ignore[type-arg]
         super().__init__(env)
         self._follow(env.unwrapped, alpha, penalty)
 
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, Any]:
+        """Start anew; ``infos`` have the names of a step, all 0."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        for info in infos.values():
+            info |= {"task_reward": 0.0, "dtw_penalty": 0.0, "dtw_distance": 0.0, "aligned_step": 0}
+        return observations, infos
+
     def step(self, actions: dict[str, int]) -> tuple[Any, Any, Any, Any, Any]:
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         for f, (agent, reward) in enumerate(rewards.items()):

@@ -261,7 +261,8 @@ def test_numbers_may_be_numpys(view: str) -> None:
         "observation_delay": np.int8(2), "time_limit": np.int32(9), "dt": np.float64(0.1),
         "contact_radius": np.float32(0.125), "arena": Arena("square", np.float64(1.0), 1.1),
     }  # fmt: skip
-    info = MAKE[view]("agent", demos=None, **numbers).reset(seed=0)[1]
-    said = info["prey"]["scenario"] if view == "parallel" else info["scenario"]
+    env = MAKE[view]("agent", demos=None, **numbers)
+    info = env.reset(seed=0)[1]
+    said = env.scenario_data if view == "parallel" else info["scenario"]
     said = said[0] if view == "vector" else said
     assert [said[key] for key in numbers if key != "arena"] == [1, 0.5, 2, 9, 0.1, 0.125]

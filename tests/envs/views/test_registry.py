@@ -324,12 +324,10 @@ def test_registry_spec_goes_through_json(name: str) -> None:
 def test_registry_info_at_reset_is_plain_and_complete(case: Case) -> None:
     info = case.single().reset(seed=0)[1]
     infos = case.vector(2).reset(seed=0)[1]
-    everyone = case.parallel()
-    spoken = [everyone.reset(seed=0)[1][agent] for agent in everyone.possible_agents]
     said = info["scenario"]
     assert json.loads(json.dumps(said)) == said
     drivers = ("drivers",)  # differ: the others of a single view replay or follow a script
-    for other in (*infos["scenario"], *(one["scenario"] for one in spoken)):
+    for other in (*infos["scenario"], case.parallel().scenario_data):
         assert all(other[key] == said[key] for key in said if key not in drivers)
     spec = case.single().unwrapped.scenario.species  # type: ignore[attr-defined]
     assert {"species", "drivers", "condition", "start", "demonstrations", "split"} <= set(said)
@@ -339,6 +337,42 @@ def test_registry_info_at_reset_is_plain_and_complete(case: Case) -> None:
     )
     if case.name == "silkmoth":
         assert said["plume"] == "model"
+
+
+@every_case
+def test_registry_infos_of_all_individuals_have_one_shape(case: Case) -> None:
+    env = case.parallel()
+    shapes = []
+    infos = env.reset(seed=0)[1]
+    for _ in range(3):
+        shapes += [sorted(info) for info in infos.values()]
+        assert all(np.isscalar(value) for info in infos.values() for value in info.values())
+        infos = env.step({agent: env.action_space(agent).n - 1 for agent in env.agents})[4]
+    assert all(one == shapes[0] for one in shapes)
+    assert env.state().shape == env.state_space.shape and env.state() in env.state_space
+
+
+def test_registry_modules_are_as_pettingzoos_users_write() -> None:
+    from animarl_envs import newt_v0
+
+    env = newt_v0.parallel_env(render_mode=None)
+    assert env.possible_agents == ["male_0", "male_1", "female"]
+    turns = newt_v0.env()
+    turns.reset(seed=0)
+    assert turns.agent_selection == "male_0"
+    with pytest.raises(ImportError):
+        from animarl_envs import dodo_v0  # noqa: F401
+
+
+@pytest.mark.slow
+def test_registry_torchrl_takes_all_individuals() -> None:
+    torchrl = pytest.importorskip("torchrl.envs")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a newer PettingZoo than TorchRL is tested with
+        env = torchrl.PettingZooWrapper(animarl_envs.parallel_env("agent", demos=None))
+    steps = env.rollout(5)
+    assert tuple(steps.batch_size) == (5,)
+    assert {"predator", "prey"} <= set(env.group_map)
 
 
 @pytest.mark.parametrize("name", packaged_names())
