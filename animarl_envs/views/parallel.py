@@ -46,8 +46,9 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
     Notes
     -----
     ``infos[agent]`` holds the numbers of :class:`~animarl_envs.views.single.AnimalEnv`, the same
-    names at reset (where ``executed`` is -1) and at every step, and ``TimeLimit.truncated``, for
-    libraries that do not look at truncations. ``scenario_data`` describes the world.
+    names at reset (where ``executed`` is -1) and at every step, and at the end also
+    ``TimeLimit.truncated``, for libraries that do not look at truncations. ``scenario_data``
+    describes the world.
     """
 
     metadata: dict[str, Any] = {
@@ -105,7 +106,7 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         fresh = partial(np.random.SeedSequence().generate_state, 1, np.uint64)
         self._restart(seed, fresh, options, strict=False)  # PettingZoo's own test gives others
         self.agents = list(self.possible_agents)
-        return self._observations(), self._infos([NONE_YET] * len(self.agents), False, False)
+        return self._observations(), self._infos([NONE_YET] * len(self.agents), False)
 
     def step(
         self, actions: dict[str, int]
@@ -124,8 +125,10 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         self._follow([False])
         reward = world.reward[0].tolist()
         terminated, truncated = world.terminated.item(), world.truncated.item()
-        observations, infos = self._observations(), self._infos(executed, warming, truncated)
+        observations, infos = self._observations(), self._infos(executed, warming)
         if terminated or truncated:
+            for info in infos.values():  # not at reset: SuperSuit lays that info over this one
+                info["TimeLimit.truncated"] = truncated
             self.agents = []
         return (
             observations,
@@ -165,10 +168,8 @@ class AnimalParallelEnv(View, ParallelEnv[str, NDArray[np.float32], int]):
         seen = self.world.observation
         return {agent: seen[0, i].copy() for i, agent in enumerate(self.agents)}
 
-    def _infos(
-        self, executed: list[int], warming: bool, truncated: bool
-    ) -> dict[str, dict[str, Any]]:
-        shared = self._shared_info(warming) | {"TimeLimit.truncated": truncated}
+    def _infos(self, executed: list[int], warming: bool) -> dict[str, dict[str, Any]]:
+        shared = self._shared_info(warming)
         names, parts = self.world.reward_components, self.world.components[0].tolist()
         return {
             agent: shared | dict(zip(names, own, strict=True)) | {"executed": action}
