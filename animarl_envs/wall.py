@@ -212,6 +212,7 @@ def serve(answer: int) -> None:
     told = os.dup(1)
     os.dup2(2, 1)  # what libraries print
     while size := sys.stdin.buffer.read(8):
+        # From the parent that started this process, never from a file: answers are JSON and arrays.
         request = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "little")))
         record, arrays = _answer(request, told)
         with os.fdopen(answer, "r+b", closefd=False) as file:

@@ -27,6 +27,7 @@ from animarl_algos.benchmark.references import ProgrammedPolicy, expert_rollouts
 from animarl_algos.evaluation import Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.evaluation.teams import teams_of
 from animarl_envs.demos.packaged import load_packaged, packaged_names
+from animarl_envs.locomotion import Locomotion
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import SPECIES, SearchSpecies
 from animarl_envs.worlds import make_world
@@ -39,17 +40,19 @@ from tools.packaged_data.courtship_published import BEHAVIOURS
 @dataclass
 class Courtship:
     """The program of flies and newts as a policy: it looks at the world itself, not at what is seen
-    of it.
+    of it. ``believed`` is the locomotion that it takes the animals to have, by default theirs.
     """
 
     scenario: Scenario
     seed: int
+    believed: tuple[Locomotion, ...] | None = None
 
     def make_world(self, copies: int) -> ChaseWorld:
         """The world that it acts in from now on."""
         world = ChaseWorld(self.scenario, copies)
         behaviour = BEHAVIOURS[self.scenario.species.name]
-        self._acting = CourtshipPolicy(world, behaviour, np.random.default_rng([self.seed, copies]))
+        rng = np.random.default_rng([self.seed, copies])
+        self._acting = CourtshipPolicy(world, behaviour, rng, self.believed)
         return world
 
     def predict(

@@ -13,9 +13,13 @@ fiftieth of the time. Nothing was tuned on these worlds' seeds.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
 from animarl_algos.evaluation.exchange_test import Exchanges, exchange_test
 from animarl_algos.evaluation.prepared import Prepared

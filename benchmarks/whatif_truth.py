@@ -34,6 +34,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
+
 from animarl_algos import load_run
 from animarl_algos.benchmark.references import ProgrammedPolicy
 from animarl_algos.evaluation import Rollouts, collect_rollouts
@@ -49,9 +51,7 @@ from animarl_envs.species import SPECIES, SearchSpecies, Species
 from animarl_envs.species.options import change_world
 from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.chase.world import ChaseWorld
-from tools.packaged_data.courtship_behaviour import CourtshipPolicy
-from tools.packaged_data.courtship_published import BEHAVIOURS
+from benchmarks.true_programs import Courtship
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 RECORDED = "recorded-agents"
@@ -144,35 +144,11 @@ class Truth:
             assert isinstance(believed, SearchSpecies)
             policy, make = ProgrammedPolicy(believed, seed), partial(make_world, world)
         else:
-            policy = Courtship(believed, seed)
-            make = partial(policy.make_world, world)
+            policy = Courtship(world, seed, believed.locomotion)
+            make = policy.make_world
         return collect_rollouts(
             make, policy, method="truth", seed=seed, repetitions=self.repetitions
         )
-
-
-class Courtship:
-    """The program of flies and newts as a policy: it looks at the world itself."""
-
-    def __init__(self, believed: Species, seed: int) -> None:
-        self.believed, self.seed = believed, seed
-
-    def make_world(self, scenario: Any, copies: int) -> ChaseWorld:
-        """Return the world that the program acts in from now on."""
-        world = ChaseWorld(scenario, copies)
-        rng = np.random.default_rng([self.seed, copies])
-        behaviour = BEHAVIOURS[self.believed.name]
-        self._acting = CourtshipPolicy(world, behaviour, rng, self.believed.locomotion)
-        return world
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
-        return self._acting.act().ravel(), state
 
 
 def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:

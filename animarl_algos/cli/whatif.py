@@ -73,6 +73,7 @@ def whatif_command(
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.whatif.answer import ask
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
+    from animarl_algos.whatif.figure import save_answers
 
     console = Console()
     loaded = [load_run(run) for run in runs]
@@ -98,7 +99,7 @@ def whatif_command(
         separately=separately,
         on_answer=lambda answer: _print(console, answer),
     )
-    found.save(out)
+    save_answers(found, out)
     console.print(f"Tables, figures and words: {out}", highlight=False)
 
 

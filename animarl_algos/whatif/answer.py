@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,13 +16,11 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation.metrics import path_lengths
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
-from animarl_algos.evaluation.tables import write_tables
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.units import Unit, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.files import all_files_or_none
 from animarl_envs.focus import distances_to_target
 from animarl_envs.scenario import Scenario as World
 from animarl_envs.species import Species
@@ -117,15 +114,6 @@ class WhatIf:
         import pandas as pd
 
         return pd.concat([answer.table for answer in self.answers], ignore_index=True)
-
-    def save(self, folder: str | Path) -> None:
-        """Write ``whatif.csv``, ``whatif.parquet``, figures and ``README.md``, all or nothing."""
-        from animarl_algos.whatif.figure import save_figure, words
-
-        with all_files_or_none(folder) as part:
-            write_tables({"whatif": self.table}, part)
-            save_figure(self, part)
-            (part / "README.md").write_text(words(self), encoding="utf-8")
 
 
 def ask(

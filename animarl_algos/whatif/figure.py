@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from animarl_algos.evaluation.tables import write_tables
+from animarl_algos.whatif.answer import WhatIf
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution
+from animarl_envs.files import all_files_or_none
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from animarl_algos.whatif.answer import WhatIf
 
 WHAT_IT_IS = (
     "The same behaviour in another world: nobody learns, and nobody adapts. A thrust is not a "
@@ -20,6 +21,14 @@ WHAT_IT_IS = (
     "gap between the unchanged simulation and the recordings is no finding."
 )
 FORMATS = ("svg", "pdf", "png")
+
+
+def save_answers(found: WhatIf, folder: str | Path) -> None:
+    """Write ``whatif.csv``, ``whatif.parquet``, figures and ``README.md``, all or nothing."""
+    with all_files_or_none(folder) as part:
+        write_tables({"whatif": found.table}, part)
+        save_figure(found, part)
+        (part / "README.md").write_text(words(found), encoding="utf-8")
 
 
 def save_figure(found: WhatIf, folder: Path) -> None:
