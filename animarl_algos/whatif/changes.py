@@ -24,6 +24,10 @@ MOST_SCENARIOS = 50
 BODY = ("speed", "thrust", "damping")
 WORLD = {"arena": "size", "contact": "contact_radius", "time_limit": "time_limit"}
 CONDITION = "condition"
+PLUME = "plume"
+PLUMES = ("model", "continuous", "off")
+AIR = {"wind": "advection_speed", "odour": "threshold"}
+"""Constants of the plume model; the threshold goes down as the source's odour goes up."""
 NEEDS_ANOTHER_RUN = {
     "remove": "num_pursuers with one less",
     "add": "num_pursuers with one more",
@@ -59,10 +63,10 @@ class Change:
     who
         Individuals, for what is theirs; empty for the world.
     what
-        ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition`` or
-        another number of the species.
+        ``speed``, ``thrust``, ``damping``, ``arena``, ``contact``, ``time_limit``, ``condition``,
+        ``plume``, ``wind``, ``odour`` or another number of the species.
     amount
-        How much; of a condition its name.
+        How much; of a condition or a plume its name.
     text
         As the user wrote it.
     """
@@ -115,15 +119,20 @@ class Scenario:
         for name, factor in (thrusts or {}).items():
             bodies[name] = replace(bodies[name], thrust=bodies[name].thrust * factor)
         options: dict[str, Any] = {}
-        for change in self.changes:
-            if isinstance(change.amount, str) or change.what == "speed":
+        for change in sorted(self.changes, key=lambda one: one.what != PLUME):
+            if isinstance(change.amount, str):
+                options |= {PLUME: change.amount} if change.what == PLUME else {}
+            elif change.what == "speed":
                 continue
-            if change.what in BODY:
+            elif change.what in BODY:
                 for name in change.who:
                     old = getattr(bodies[name], change.what)
                     new = change.amount.of(old, {}, change.text)
                     what: dict[str, Any] = {change.what: new}
                     bodies[name] = replace(bodies[name], **what)
+            elif change.what in AIR:
+                plume = options.get(PLUME, getattr(species, PLUME))
+                options[PLUME] = _with_air(plume, change)
             elif change.what == "arena":
                 options["arena"] = change.amount.of(species.arena.size, lengths, change.text)
             elif change.what == "time_limit":
@@ -180,8 +189,8 @@ def parse_change(text: str, species: Species) -> list[Change]:
     if not (name and equals and value):
         raise InputError(f"{text!r} is no change: give NAME=VALUE, " + known(species))
     who, what = _subject(name, text, species)
-    if what == CONDITION:
-        return [Change(who, what, _condition(value, species), text)]
+    if what in (CONDITION, PLUME):
+        return [Change(who, what, _choice(what, value, species), text)]
     sweep = SWEEP.fullmatch(value)
     if sweep is None:
         return [Change(who, what, _amount(value, text), text)]
@@ -238,18 +247,42 @@ def _world_names(species: Species) -> list[str]:
     if isinstance(species, SearchSpecies):
         own = {field.name for field in fields(SearchSpecies)} - {f.name for f in fields(Species)}
         numbers = {name for name in own if isinstance(getattr(species, name), float)}
-        names = ["contact", "time_limit", *sorted(numbers)]
+        names = ["contact", "time_limit", PLUME, *AIR, *sorted(numbers)]
     if species.conditions:
         names.append(CONDITION)
     return names
 
 
-def _condition(value: str, species: Species) -> str:
-    if value not in species.conditions:
+def _choice(what: str, value: str, species: Species) -> str:
+    """A condition or a plume by its name."""
+    if what == CONDITION and value not in species.conditions:
         raise InputError(
             f"condition {value!r} was never recorded: choose one of {', '.join(species.conditions)}"
         )
+    if what == PLUME and value not in PLUMES:
+        raise InputError(f"plume {value!r} is unknown: choose one of {', '.join(PLUMES)}")
     return value
+
+
+def _with_air(plume: Any, change: Change) -> Any:
+    """The model plume with another wind [m/s] or a stronger source."""
+    from animarl_envs.worlds.plume.plume import ModelPlume, as_plume
+
+    plume = as_plume(plume)
+    if not isinstance(plume, ModelPlume):
+        raise InputError(
+            f"{change.text!r}: only the model plume has a wind and a strength: simulate with "
+            "plume=model, or give another movie"
+        )
+    assert isinstance(change.amount, Amount)
+    if change.what == "odour":
+        if not change.amount.is_factor:
+            raise InputError(f"{change.text!r}: odour is changed by a factor, as in odour=x2")
+        model = replace(plume.model, threshold=plume.model.threshold / change.amount.value)
+    else:
+        speed = change.amount.of(plume.model.advection_speed, {"m/s": 1.0}, change.text)
+        model = replace(plume.model, advection_speed=speed)
+    return replace(plume, model=model)
 
 
 def _amount(value: str, text: str) -> Amount:

@@ -20,6 +20,7 @@ from animarl_algos.whatif.figure import words
 from animarl_envs.demos.units import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import get_species
+from animarl_envs.worlds.plume.plume import ModelPlume
 
 AGENT, MOTH = get_species("agent"), get_species("silkmoth")
 MM = Unit("mm", 500.0)
@@ -84,6 +85,32 @@ def test_a_change_that_cannot_be_made_is_one_sentence(texts: list[str], said: st
         parse_scenarios(texts, AGENT)
     with pytest.raises(InputError, match="is given in 'furlong': use mm"):
         options("arena=3furlong")
+
+
+def test_the_air_of_a_moth_is_changed_by_name() -> None:
+    (air,) = parse_scenarios(["wind=x1.5", "odour=x2", "plume=model"], MOTH)
+    fitted, changed = ModelPlume.fitted().model, air.options(MOTH, MM)["plume"].model
+    assert changed.advection_speed == pytest.approx(1.5 * fitted.advection_speed)
+    assert changed.threshold == pytest.approx(0.5 * fitted.threshold)
+    (still,) = parse_scenarios(["wind=0.2m/s"], MOTH)
+    assert still.options(MOTH, MM)["plume"].model.advection_speed == 0.2
+    for text, said in [
+        ("plume=thick", "choose one of model, continuous, off"),
+        ("odour=3m", "odour is changed by a factor"),
+    ]:
+        with pytest.raises(InputError, match=said):
+            parse_scenarios([text], MOTH)[0].options(MOTH, MM)
+    (both,) = parse_scenarios(["wind=x2", "plume=continuous"], MOTH)
+    with pytest.raises(InputError, match="only the model plume has a wind"):
+        both.options(MOTH, MM)
+
+
+def test_a_moth_does_not_find_a_source_without_odour() -> None:
+    moths = [load_run("silkmoth")]
+    found = ask(moths, ["plume=off", "plume=continuous"], repetitions=1, separately=True)
+    off, steady = (a.table.set_index("quantity") for a in found.answers)
+    assert off.loc["reached", "changed"] == 0 and off.loc["reached", "high"] < 0
+    assert steady.loc["duration", "shift"] < -10 < 10 < off.loc["duration", "shift"]
 
 
 def test_an_answer_is_paired_and_right_about_a_faster_prey(chase: Run) -> None:
