@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 1_000,
     "animarl_algos.report": 3_360,
     "animarl_algos.runs": 2_460,
-    "animarl_algos.whatif": 1_320,
+    "animarl_algos.whatif": 1_340,
     "animarl_algos.zoo": 510,
     "animarl_envs": 2_110,
     "animarl_envs.demos": 1_280,
