@@ -33,7 +33,7 @@ def split_rows(demos: Demonstrations) -> list[tuple[str, float, float, float]]:
     own = prepared.measures(prepared.recorded)
     beside = prepared.measures(prepared.filtered(Rollouts.from_demonstrations(learnable(demos))))
     rows = []
-    for measure in judged_metrics():
+    for measure in judged_metrics(demos):
         a, b = own[measure.key], beside[measure.key]
         error = float(np.hypot(*(x.std(ddof=1) / np.sqrt(len(x)) for x in (a, b))))
         if error > 0:

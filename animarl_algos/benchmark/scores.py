@@ -28,9 +28,9 @@ from animarl_algos.evaluation.distances import (
 from animarl_algos.evaluation.exchange_test import Exchanges
 from animarl_algos.evaluation.metrics import (
     ARENA_UNITS,
+    METRICS,
     Metric,
     dtw_alignments,
-    judged_metrics,
 )
 from animarl_algos.evaluation.prepared import Prepared, censored, factual
 from animarl_algos.evaluation.realism import OTHERS
@@ -64,7 +64,7 @@ ROUNDING = 1e-9
 
 def differences() -> list[Metric]:
     """Return the metrics whose difference to the recordings stands on the board."""
-    return [metric for metric in judged_metrics() if metric.on_board]
+    return [metric for metric in METRICS if metric.judged and metric.on_board]
 
 
 def labels() -> dict[str, str]:
@@ -215,15 +215,18 @@ def _score(
         if np.isfinite(energies[name]).any():
             mean = bootstrap_mean(single_cells(energies[name]), draws)
         put(name, mean, pooled_score(true), unit="recorded SD")
-    row = found.row("outcomes")
-    ends = Interval(row["distance"], reason="a test: no interval")
-    put("outcomes", ends, row["null"], p=row["p"])
+    if "outcomes" in set(found.table["measure"]):  # something may end
+        row = found.row("outcomes")
+        ends = Interval(row["distance"], reason="a test: no interval")
+        put("outcomes", ends, row["null"], p=row["p"])
     for key, measured in (("dtw_per_step", dtw_per_step), ("dtw_first_second", first_second)):
         data = cells(measured(counted, test), counted.seed, counted.demo, number)
         other = float(np.nanmean(measured(beside, test)))
         put(key, bootstrap_mean(data, draws), other, unit="arena unit")
     exchanges = Exchanges.draw(counted.demo, number, rng_null, resamples, copies=counted.copies)
     for metric in differences():
+        if metric.key not in simulated:
+            continue
         many, one = simulated[metric.key], recorded[metric.key]
         gap = bootstrap_difference(
             cells(many, counted.seed, counted.demo, number),
@@ -247,7 +250,7 @@ def _score(
         rollouts=len(counted),
         covers=covers(cells(simulated["duration"], counted.seed, counted.demo, number)),
         words=found.overall,
-        measures=pd.DataFrame([rows[key] for key in labels()]).set_index("measure"),
+        measures=pd.DataFrame([rows[key] for key in labels() if key in rows]).set_index("measure"),
         energies=energies[ENERGY],
     )
 

@@ -4,7 +4,8 @@ Candidates are Boltzmann sampling at temperature 1, which a clone's logits mean,
 the temperatures that fit the demonstrated actions best, and the greedy rule; where none of them
 comes near, also sampling at one share for how hard and another for which way. Each is rolled out
 from the starts of training and validation episodes, never of a test episode, and compared by
-outcome, duration, path length, speed, rest and the memory of turns. Not by the DTW distance, which
+outcome, duration, path length, speed, rest and the memory of turns; where nobody is pursued, also
+by what the verdict judges of a group or of one animal alone. Not by the DTW distance, which
 hardly tells good simulators from bad ones. Rollouts stop where their recording merely stops.
 """
 
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from animarl_algos.evaluation.collect import Cue, Policy, collect_rollouts
-from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.metrics import judged_metrics, path_lengths
 from animarl_algos.evaluation.order_in_time import lags_for, median_steps, order_measures
 from animarl_algos.evaluation.prepared import censored
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -50,6 +51,8 @@ class Candidate:
     the others are Wasserstein distances in units of the recorded mean, ``speed`` that of all steps,
     as the mean over individuals. ``rest`` is the difference of the shares of steps at rest and
     ``order`` that of the autocorrelation of turns (circles have one), each times ``WEIGHT``.
+    ``together`` is, of a group or one animal alone, the mean difference of the metrics that are
+    about it (:mod:`animarl_algos.evaluation.metrics`): relative, or times ``WEIGHT`` without unit.
     """
 
     acting: str
@@ -169,9 +172,9 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
     speeds = [np.quantile(r.speeds(), levels, axis=0) for r in (simulated, recorded)]
     still = resting_step(recorded)
     lags = lags_for(median_steps(recorded), recorded.dt)
-    order = [order_measures(r, lags, still) for r in (simulated, recorded)]
+    order_of = [order_measures(r, lags, still) for r in (simulated, recorded)]
     rest, turns = (
-        np.subtract(*(one.mean(name) for one in order))
+        np.subtract(*(one.mean(name) for one in order_of))
         for name in ("share at rest", "turn autocorrelation")
     )
     rest, order = (WEIGHT * np.nan_to_num(np.abs(each)).mean() for each in (rest, turns))
@@ -183,6 +186,13 @@ def compared(name: str, simulated: Rollouts, recorded: Rollouts) -> Candidate:
         "rest": rest,
         "order": order,
     }
+    if alike := [metric for metric in judged_metrics(recorded) if metric.of_order]:
+        gaps = []
+        for metric in alike:
+            drawn, true = (float(one.mean(metric.of_order).mean()) for one in order_of)
+            scale = abs(true) if metric.unit else 1 / WEIGHT
+            gaps.append(abs(drawn - true) / scale if scale > 0 else 0.0)
+        distances["together"] = np.nan_to_num(gaps).mean()
     return Candidate(name, {key: float(value) for key, value in distances.items()})
 
 

@@ -23,7 +23,7 @@ from animarl_algos.evaluation.distances import (
     pooled_score,
 )
 from animarl_algos.evaluation.exchange_test import Exchanges
-from animarl_algos.evaluation.metrics import DURATION, METRICS, RETURN, Metric, compared_metrics
+from animarl_algos.evaluation.metrics import DURATION, METRICS, RETURN, Metric
 from animarl_algos.evaluation.rollouts import NO_CUE, RECORDED, copies
 from animarl_algos.evaluation.statistics import (
     NOTHING_SHARED,
@@ -107,11 +107,14 @@ class _Methods:
         return Exchanges.draw(rows["demo"], self.num_demos, rng, resamples, copies=same)
 
 
-def _counted_metrics() -> list[tuple[Metric, str]]:
-    """Every metric with every rule of what counts; a share among captures would say nothing."""
-    return [
-        (m, rule) for m in compared_metrics() for rule in COUNTING if rule == "all" or not m.share
-    ]
+def _counted_metrics(measured: pd.DataFrame) -> list[tuple[Metric, str]]:
+    """Every measured metric with every rule of what counts.
+
+    A share among captures would say nothing; where nobody can be reached, there are none.
+    """
+    known = [metric for metric in METRICS if metric.compared and metric.key in measured]
+    rules = tuple(COUNTING) if RETURN in known else ("all",)
+    return [(m, rule) for m in known for rule in rules if rule == "all" or not m.share]
 
 
 def comparison_table(
@@ -155,8 +158,8 @@ def comparison_table(
     exchanges = {
         name: methods.exchanges(name, rng, distance_resamples) for name in methods.simulated
     }
-    table = []
-    for metric, counting in _counted_metrics():
+    table, reaches = [], RETURN.key in metrics
+    for metric, counting in _counted_metrics(metrics):
         gathered = {name: methods.cells(name, metric, counting) for name in methods.rows}
         among = within_intervals([gathered[name] for name in methods.simulated], draws)
         within = dict(zip(methods.simulated, among))
@@ -194,7 +197,7 @@ def comparison_table(
                 "to_recorded_demos": int(shared.sum()) if compared else 0,
                 "energy_pooled": pooled,
                 "duration": methods.cells(name, DURATION, counting).mean,
-                "reached": methods.cells(name, RETURN, counting).mean,
+                "reached": methods.cells(name, RETURN, counting).mean if reaches else math.nan,
                 "reason": "",
             }
             mean = bootstrap_mean(data, draws, share=metric.share)
@@ -220,7 +223,7 @@ def pair_table(
 
     methods, draws = _Methods(metrics, num_demos), Draws.by(rng, resamples)
     table = []
-    for metric, counting in _counted_metrics():
+    for metric, counting in _counted_metrics(metrics):
         data = {name: methods.cells(name, metric, counting) for name in methods.simulated}
         energies = {}
         if metric.has_distribution and RECORDED in methods.rows:

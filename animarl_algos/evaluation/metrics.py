@@ -8,18 +8,27 @@ the table in the terminal all follow the entries.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.evaluation.order_in_time import angle
+from animarl_algos.evaluation.order_in_time import (
+    EpisodeMeasures,
+    angle,
+    lags_for,
+    median_steps,
+    order_measures,
+    seconds_of,
+)
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
+from animarl_algos.evaluation.windows import resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
+from animarl_envs.demos.episode import Episodes as Recorded
 from animarl_envs.demos.summary import RESTING_SHARE
 from animarl_envs.demos.units import RECORDED_SCALE
 from animarl_envs.dtw import dtw_alignment
@@ -31,6 +40,7 @@ if TYPE_CHECKING:
 
 ARENA_UNITS = RECORDED_SCALE.name
 SLOW_SHARE = 0.25  # of the recorded median moving speed: a step below it is a slow one
+GOAL, GROUP, ANIMAL = "goal", "group", "animal"  # what a metric may be about
 REACHED, NEITHER = 1, 0  # endings, beside TARGET_OUT and PURSUER_OUT
 
 
@@ -47,12 +57,24 @@ class Episodes:
         :func:`slow_speeds`; by default those of the demonstrations.
     rounding
         Who is outside the arena by no more than this [arena unit] may have been rounded there.
+    ordered
+        Measures the order in time of the rollouts, by default as they are, without smoothing.
     """
 
     rollouts: Rollouts
     demos: Demonstrations
     slow: Floats | None = None
     rounding: float = 0.0
+    ordered: Callable[[], EpisodeMeasures] | None = None
+
+    @cached_property
+    def order(self) -> EpisodeMeasures:
+        """Order in time, reactions and places, at the lags of the demonstrations."""
+        if self.ordered is not None:
+            return self.ordered()
+        recorded = Rollouts.from_demonstrations(self.demos)
+        lags = lags_for(median_steps(recorded), self.demos.dt)
+        return order_measures(self.rollouts, lags, resting_step(recorded), self.demos.arena)
 
     @cached_property
     def dtw(self) -> Floats:
@@ -139,6 +161,12 @@ class Metric:
         leaderboard.
     is_ending
         Of how an episode ended: no row in the verdict where neither side knows it.
+    about
+        ``"goal"``: only where a target is pursued or a source searched; ``"group"``: only of
+        three or more that are alike; ``"animal"``: only of one animal alone.
+    of_order
+        The measure of :mod:`animarl_algos.evaluation.order_in_time` that it is, so that the row of
+        its kind leaves it out. One that ends in ``" in"`` or ``" at"`` stands for several lags.
     too_much, too_little
         What the verdict says where rollouts have more of it, or less.
     noun
@@ -160,6 +188,8 @@ class Metric:
     judged: bool = True
     on_board: bool = True
     is_ending: bool = False
+    about: str = ""
+    of_order: str = ""
     too_much: str = ""
     too_little: str = ""
     noun: str = ""
@@ -193,6 +223,7 @@ RETURN = Metric(
     unit="share of episodes",
     measure=lambda episodes: episodes.rollouts.captured.astype(float),
     share=True,
+    about=GOAL,
     judged=False,  # "reached" is
     caption="Share of episodes in which a pursuer reached the target (the moth the source), all "
     "episodes.",
@@ -258,8 +289,22 @@ def _of_verdict(
 def _ended(key: str, label: str, end: int, much: str, little: str) -> Metric:
     return _of_verdict(
         key, label, "share", lambda e: (e.ending == end).astype(float), much, little,
-        share=True, is_ending=True,
+        share=True, is_ending=True, about=GOAL,
     )  # fmt: skip
+
+
+def _of_order(
+    key: str, name: str, unit: str, about: str, much: str, little: str, label: str = ""
+) -> Metric:
+    """A measure of order in time that has a row of its own where it is what matters."""
+    return _of_verdict(
+        key, label or name[:1].upper() + name[1:], unit, _order_of(name), much, little,
+        about=about, of_order=name,
+    )  # fmt: skip
+
+
+def _order_of(name: str) -> Callable[[Episodes], Floats]:
+    return lambda episodes: episodes.order.column(name)
 
 
 METRICS = [
@@ -285,19 +330,64 @@ METRICS = [
                 "stands still too often", "stands still too rarely", share=True),
     _of_verdict("turning", "Turning", "rad/s", lambda e: e.motion[3],
                 "turns too much", "turns too little"),
+    _of_order("nearest_neighbour", "nearest neighbour", ARENA_UNITS, GROUP,
+              "keep too far apart", "keep too close"),
+    _of_order("near_neighbour", "5 % nearest neighbour", ARENA_UNITS, GROUP,
+              "do not come close enough", "come too close", "Nearest neighbour, 5 % quantile"),
+    _of_order("extent", "extent of the group", ARENA_UNITS, GROUP,
+              "spread too wide", "crowd too much"),
+    _of_order("polarisation", "polarisation", "", GROUP,
+              "align too much", "align too little"),
+    _of_order("milling", "milling", "", GROUP,
+              "circle too much about their centre", "circle too little about their centre"),
+    _of_order("leadership_lag", "leadership lag", "s", GROUP,
+              "turn too long after each other", "turn too soon after each other"),
+    _of_order("speed_correlation", "speed with the others", "", GROUP,
+              "change speed too much together", "change speed too much alone",
+              "Speed correlation"),
+    _of_order("displacement", "displacement in", ARENA_UNITS, ANIMAL,
+              "gets too far", "does not get far enough"),
+    _of_order("turn_autocorrelation", "turn autocorrelation at", "", ANIMAL,
+              "walks in circles", "forgets its turns too soon"),
+    _of_order("bouts", "length of bouts of motion", "s", ANIMAL,
+              "moves too long at a time", "moves too briefly at a time"),
+    _of_order("rests", "length of rests", "s", ANIMAL, "rests too long", "rests too briefly"),
 ]  # fmt: skip
 """In the order in which they are shown. Resampling goes by it too: put new ones last."""
 
 
-def judged_metrics() -> list[Metric]:
-    """Return the metrics that a verdict judges: endings first."""
-    chosen = [metric for metric in METRICS if metric.judged and metric.of_recordings]
+def judged_metrics(recorded: Recorded) -> list[Metric]:
+    """Return the metrics that a verdict judges, of this kind of recordings: endings first.
+
+    Of several lags, each has a metric.
+    """
+    chosen = []
+    for metric in _of_kind(recorded):
+        if not (metric.judged and metric.of_recordings):
+            continue
+        if metric.of_order.endswith((" in", " at")):
+            for lag in lags_for(median_steps(recorded), recorded.dt):
+                after = f" {seconds_of(lag, recorded.dt)}"
+                name = metric.of_order + after
+                chosen.append(
+                    replace(
+                        metric, key=metric.key + after.replace(" ", "_"),
+                        label=metric.label + after, of_order=name, measure=_order_of(name),
+                    )
+                )  # fmt: skip
+        else:
+            chosen.append(metric)
     return sorted(chosen, key=lambda metric: not metric.is_ending)
 
 
-def compared_metrics() -> list[Metric]:
-    """Return the metrics that methods are compared by."""
-    return [metric for metric in METRICS if metric.compared]
+def compared_metrics(recorded: Recorded) -> list[Metric]:
+    """Return the metrics that methods are compared by, of this kind of recordings."""
+    return [metric for metric in _of_kind(recorded) if metric.compared]
+
+
+def _of_kind(recorded: Recorded) -> list[Metric]:
+    kind = GROUP if recorded.is_group else ANIMAL if recorded.num_individuals == 1 else ""
+    return [one for one in METRICS if one.about in ("", GOAL if recorded.has_goal else kind)]
 
 
 def slow_speeds(recorded: Rollouts) -> Floats:
@@ -307,6 +397,8 @@ def slow_speeds(recorded: Rollouts) -> Floats:
     than 5 % of its 99th percentile.
     """
     speeds = recorded.speeds()
+    if recorded.is_group:  # animals of a group are alike
+        speeds = np.repeat(speeds.reshape(-1, 1), speeds.shape[1], axis=1)
     limit = np.zeros(speeds.shape[1])
     for k, speed in enumerate(speeds.T):
         moving = speed[speed > RESTING_SHARE * np.quantile(speed, 0.99)]
@@ -380,7 +472,7 @@ def measure(rollouts: Rollouts, demos: Demonstrations) -> pd.DataFrame:
             "cue": rollouts.cue,
             "outcome": rollouts.outcome,
             "captured": rollouts.captured,
-            **{metric.key: metric.measure(episodes) for metric in compared_metrics()},
+            **{metric.key: metric.measure(episodes) for metric in compared_metrics(demos)},
         }
     )
 

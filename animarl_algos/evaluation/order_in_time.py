@@ -17,11 +17,15 @@ from numpy.typing import NDArray
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.arena import Arena
+from animarl_envs.demos.episode import Episodes
 from animarl_envs.focus import focus_directions
 
 LAGS = (0.5, 2.0, 5.0, 20.0)  # [s] at which order in time is looked at
 LONGEST_LAG = 0.5  # of the median episode: beyond it too few pairs of steps are left
 CHUNK = 4_000_000  # frames x individuals that are padded at once
+LOW = 0.05  # quantile of the distance to the nearest neighbour
+LEAD, DELAYS = 2.0, 10  # by which an animal may lead [s]; delays that are tried, to either side
+ROUNDING = 1e-24  # variance that is rounding alone: of a constant speed, which correlates with none
 NEAR_WALL = 0.1  # of the arena's size: so near a wall counts as being at it
 KINEMATIC, ORDER, INTERACTIVE, PLACE = "kinematic", "order in time", "interactive", "place"
 
@@ -68,11 +72,29 @@ class Series:
     @cached_property
     def nearest(self) -> Floats:
         """``(episodes, steps + 1, individuals)``, distance to the nearest other [arena unit]."""
-        num = self.position.shape[2]
-        apart = self.position[:, :, :, None] - self.position[:, :, None]
-        between = np.linalg.norm(apart, axis=-1)
-        between[:, :, np.arange(num), np.arange(num)] = np.inf
-        return np.where(np.isfinite(self.position[..., 0]), between.min(axis=-1), np.nan)
+        return np.asarray(np.linalg.norm(nearest_other(self.position), axis=-1))
+
+    @cached_property
+    def course(self) -> Floats:
+        """Unit vectors of all steps; NaN of one at rest."""
+        length = np.linalg.norm(self.step, axis=-1)
+        length[~self.moving] = np.nan
+        return np.asarray(self.step / length[..., None])
+
+
+def nearest_other(position: Floats) -> Floats:
+    """Return the vector from each individual to its nearest other, as ``(..., individuals, 2)``.
+
+    Takes memory in proportion to the number of individuals. NaN where a position is.
+    """
+    found = np.empty_like(position)
+    for i in range(position.shape[-2]):
+        apart = position - position[..., i : i + 1, :]
+        distance = np.nan_to_num(np.linalg.norm(apart, axis=-1), nan=np.inf)
+        distance[..., i] = np.inf
+        place = distance.argmin(axis=-1)[..., None, None]
+        found[..., i, :] = np.take_along_axis(apart, place, axis=-2)[..., 0, :]
+    return found
 
 
 def cross(first: Floats, second: Floats) -> Floats:
@@ -96,6 +118,10 @@ class EpisodeMeasures:
     kinds: tuple[str, ...]
     values: Floats
 
+    def column(self, name: str) -> Floats:
+        """Return the measure of that name of every episode, ``(episodes,)``."""
+        return np.asarray(self.values[:, self.names.index(name)])
+
     def mean(self, name: str) -> Floats:
         """Means over episodes of those measures whose name begins so."""
         chosen = [one.startswith(name) for one in self.names]
@@ -111,7 +137,12 @@ def lags_for(steps: float, dt: float) -> tuple[int, ...]:
     return tuple(sorted({max(1, round(longest / part)) for part in (8, 2)}))
 
 
-def median_steps(rollouts: Rollouts) -> float:
+def seconds_of(lag: int, dt: float) -> str:
+    """Return a lag in words."""
+    return f"{lag * dt:.3g} s"
+
+
+def median_steps(rollouts: Episodes) -> float:
     """Return the median number of steps of an episode."""
     return float(np.median(rollouts.lengths - 1))
 
@@ -135,8 +166,17 @@ def order_measures(
     found: list[tuple[str, str, Floats]] = []
     with np.errstate(invalid="ignore", divide="ignore"):
         for series in Series.of(rollouts, rest):
-            found = [*_motion(series, rollouts.dt, lags), *_interactions(series, lags[0])]
-            found += _places(series, arena) if arena is not None else ()
+            found = [*_motion(series, rollouts.dt, lags)]
+            alone = rollouts.num_individuals == 1 and not rollouts.has_goal
+            found += () if alone else _interactions(series, lags[0])
+            if alone or rollouts.is_group:
+                found.append(("length of rests", ORDER, _rests(series) * rollouts.dt))
+            found += _places(series, arena, rollouts.has_goal) if arena is not None else ()
+            if rollouts.is_group:
+                own = np.nanstd(_mean(series.speed), axis=1, keepdims=True)
+                found = [(name, kind, _mean(values)[:, None]) for name, kind, values in found]
+                found.append(("spread of speed between animals", KINEMATIC, own))
+                found += _groups(series, rollouts.dt, lags[-1])
             parts.append(np.concatenate([values for _, _, values in found], axis=1))
     names, kinds = [], []
     for name, kind, values in found:
@@ -161,7 +201,7 @@ def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[
     wound = np.abs(np.nansum(turn, axis=1)) / np.isfinite(turn).sum(axis=1)
     yield "windings", ORDER, wound / (2 * np.pi * dt)
     for lag in lags:
-        seconds = f"{lag * dt:.3g} s"
+        seconds = seconds_of(lag, dt)
         gone = np.linalg.norm(series.position[:, lag:] - series.position[:, :-lag], axis=-1)
         yield f"displacement in {seconds}", ORDER, _mean(gone)
         yield f"speed autocorrelation at {seconds}", ORDER, _correlation(speed, speed, lag)
@@ -185,16 +225,58 @@ def _interactions(series: Series, lag: int) -> Iterator[tuple[str, str, Floats]]
         return
     yield "nearest neighbour", INTERACTIVE, _mean(series.nearest)
     yield "spread of the nearest neighbour", INTERACTIVE, _spread(series.nearest)
-    unit = step / length[..., None]
-    yield "polarisation", INTERACTIVE, _mean(np.linalg.norm(_mean(unit, axis=2), axis=-1))[:, None]
+    heading = np.linalg.norm(_mean(series.course, axis=2), axis=-1)
+    yield "polarisation", INTERACTIVE, _mean(heading)[:, None]
     others = (np.nansum(series.speed, axis=2, keepdims=True) - series.speed) / (num - 1)
     yield "speed with the others", INTERACTIVE, _correlation(series.speed, others, 0)
     leading = _correlation(series.speed, others, lag) - _correlation(others, series.speed, lag)
     yield "speed ahead of the others", INTERACTIVE, leading
 
 
-def _places(series: Series, arena: Arena) -> Iterator[tuple[str, str, Floats]]:
-    """Measures of where individuals are."""
+def _groups(series: Series, dt: float, longest: int) -> Iterator[tuple[str, str, Floats]]:
+    """Measures of a group as a whole.
+
+    Milling is the angular momentum of Couzin et al. (2002, J. Theor. Biol. 218, 1): the mean over
+    animals of the sine between the direction from the group's centre and the course, 1 where all
+    circle about it. The lag is that of Nagy et al. (2010, Nature 464, 890): by how much an animal's
+    course precedes, or follows, that of the others, where their correlation is highest; the mean
+    of its size is 0 where all turn together.
+    """
+    near = series.nearest.reshape(len(series.nearest), -1)
+    yield "5 % nearest neighbour", INTERACTIVE, np.nanquantile(near, LOW, axis=1)[:, None]
+    arm = series.position - _mean(series.position, axis=2)[:, :, None]
+    extent = np.sqrt(_mean((arm**2).sum(axis=-1), axis=2))
+    yield "extent of the group", INTERACTIVE, _mean(extent)[:, None]
+    unit = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
+    around = np.abs(_mean(cross(unit[:, :-1], series.course), axis=2))
+    yield "milling", INTERACTIVE, _mean(around)[:, None]
+    lead = np.abs(_lead(series.course, min(longest, max(1, round(LEAD / dt)))))
+    yield "leadership lag", INTERACTIVE, _mean(lead, axis=1)[:, None] * dt
+
+
+def _lead(course: Floats, farthest: int) -> Floats:
+    """By how many steps each animal's course precedes that of the others, ``(episodes, K)``."""
+    episodes, steps, num, _ = course.shape
+    filled = np.nan_to_num(course)
+    others = (filled.sum(axis=2, keepdims=True) - filled) / (num - 1)
+    delays = np.unique(np.linspace(-farthest, farthest, 2 * min(farthest, DELAYS) + 1).round())
+    delays = delays[np.abs(delays) < steps]
+    agree = np.empty((len(delays), episodes, num))
+    for row, delay in zip(agree, delays.astype(int).tolist()):
+        own, later = max(0, -delay), max(0, delay)
+        both = course[:, own : steps - later] * others[:, later : steps - own]
+        row[:] = _mean(both.sum(axis=-1))
+    known = np.isfinite(agree).any(axis=0)
+    best = np.nan_to_num(agree, nan=-np.inf).argmax(axis=0)
+    return np.where(known, delays[best], np.nan)
+
+
+def _places(series: Series, arena: Arena, has_goal: bool) -> Iterator[tuple[str, str, Floats]]:
+    """Measures of where individuals are; without a goal, an open field has its start alone."""
+    if arena.shape == "open" and not has_goal:
+        gone = np.linalg.norm(series.position - series.position[:, :1], axis=-1)
+        yield "distance from the start", PLACE, _mean(gone)
+        return
     wall = distance_to_edge(series.position, arena)
     name = "distance from the source" if arena.shape == "open" else "distance from the wall"
     yield name, PLACE, _mean(wall)
@@ -241,8 +323,9 @@ def _correlation(first: Floats, second: Floats, lag: int) -> Floats:
     a = np.where(np.isfinite(b), a, np.nan)
     b = np.where(np.isfinite(a), b, np.nan)
     a, b = (side - _mean(side)[:, None] for side in (a, b))
-    spread = np.sqrt(_mean(a**2) * _mean(b**2))
-    return np.asarray(_mean(a * b) / np.where(spread > 0, spread, np.nan))
+    one, other = _mean(a**2), _mean(b**2)
+    varies = np.minimum(one, other) > ROUNDING
+    return np.asarray(_mean(a * b) / np.where(varies, np.sqrt(one * other), np.nan))
 
 
 def _turn_autocorrelation(turn: Floats, lag: int) -> Floats:
@@ -255,11 +338,16 @@ def _turn_autocorrelation(turn: Floats, lag: int) -> Floats:
 
 
 def _bouts(moving: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:
-    """Mean length of uninterrupted motion [steps]; 0 where there is none."""
+    """Mean length of uninterrupted stretches [steps]; 0 where there is none."""
     moving = moving & defined
     begins = moving & ~np.concatenate([np.zeros_like(moving[:, :1]), moving[:, :-1]], axis=1)
     count = begins.sum(axis=1)
     return np.asarray(moving.sum(axis=1) / np.maximum(count, 1))
+
+
+def _rests(series: Series) -> Floats:
+    """Mean length of uninterrupted rest [steps]; 0 where there is none."""
+    return _bouts(~series.moving, np.isfinite(series.speed))
 
 
 def _longest(true: NDArray[np.bool_]) -> Floats:

@@ -8,8 +8,9 @@ know (the area under the survival curve).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +39,9 @@ class Prepared:
 
     demos: Demonstrations
     smoothing: int = 1
+    _orders: WeakKeyDictionary[Rollouts, EpisodeMeasures] = field(
+        default_factory=WeakKeyDictionary, init=False, repr=False
+    )
 
     @cached_property
     def recorded(self) -> Rollouts:
@@ -69,15 +73,19 @@ class Prepared:
     def measures(self, rollouts: Rollouts) -> dict[str, Floats]:
         """Every judged metric of every episode, lengths in the recordings' unit."""
         grid, scale = self.demos.resolution(), self.unit.per_arena_unit
-        episodes = Episodes(rollouts, self.demos, self.slow, 0.0 if grid is None else grid.reach)
+        reach = 0.0 if grid is None else grid.reach
+        episodes = Episodes(rollouts, self.demos, self.slow, reach, lambda: self.order(rollouts))
         return {
             metric.key: (scale if metric.is_length else 1.0) * metric.measure(episodes)
-            for metric in judged_metrics()
+            for metric in judged_metrics(self.demos)
         }
 
     def order(self, rollouts: Rollouts) -> EpisodeMeasures:
         """Order in time, reactions and places of every episode."""
-        return order_measures(rollouts, self.lags, self.rest, self.demos.arena)
+        if rollouts not in self._orders:
+            measured = order_measures(rollouts, self.lags, self.rest, self.demos.arena)
+            self._orders[rollouts] = measured
+        return self._orders[rollouts]
 
 
 def factual(rollouts: Rollouts, recorded: Demonstrations) -> Rollouts:

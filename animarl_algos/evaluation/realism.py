@@ -49,6 +49,10 @@ WEIGHTS: Mapping[str, float] = {
 """Shares of the kinds in the total. A kind that a recording does not have is left out, and the
 others keep their proportions; components of a kind weigh alike."""
 
+WHOLE = (
+    "speed with", "speed ahead", "polarisation", "milling", "extent", "leadership",
+)  # fmt: skip
+"""Measures of how individuals go together, of whole episodes."""
 BINS = 10
 PSEUDO_COUNT = 0.1  # added to every bin, as the challenge does
 LIMITS = (0.005, 0.995)  # quantiles of the recordings between which bins lie
@@ -176,7 +180,7 @@ def _components(prepared: Prepared, rollouts: Rollouts) -> Iterator[Component]:
     measured = prepared.order(rollouts)
     for name, kind, values in zip(measured.names, measured.kinds, measured.values.T):
         known = np.flatnonzero(np.isfinite(values))
-        if kind == ORDER or name.startswith(("speed with", "speed ahead", "polarisation")):
+        if kind == ORDER or name.startswith(WHOLE):
             yield Component(name, kind, values[known], known, np.zeros(len(known), dtype=np.int64))
 
 
@@ -188,8 +192,9 @@ def _step_series(series: Series, prepared: Prepared) -> Iterator[tuple[str, str,
     yield "acceleration", KINEMATIC, np.diff(speed, axis=1) / dt
     yield "turning", KINEMATIC, turn
     yield "angular acceleration", KINEMATIC, np.diff(turn, axis=1) / dt
-    bearing = angle(series.focus[:, :-1], series.step)
-    yield "course beside the focus", INTERACTIVE, np.where(series.moving, bearing, np.nan)
+    if position.shape[2] > 1 or prepared.demos.has_goal:
+        bearing = angle(series.focus[:, :-1], series.step)
+        yield "course beside the focus", INTERACTIVE, np.where(series.moving, bearing, np.nan)
     if position.shape[2] > 1:
         yield "nearest neighbour", INTERACTIVE, series.nearest
         closing = -np.diff(series.nearest, axis=1) / dt

@@ -50,7 +50,8 @@ KINDS = {
 }
 """Rows of several measures each; the one that differs most stands for them."""
 LIKE_SHARES = (
-    "share", "correlation", "course", "polarisation", "speed with", "speed ahead", "speed before"
+    "share", "correlation", "course", "polarisation", "milling", "speed with", "speed ahead",
+    "speed before",
 )  # fmt: skip
 """Measures that may be zero: a difference of ``LITTLE_SHARE`` is little."""
 PHRASES = {
@@ -110,7 +111,8 @@ def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
     true, simulated = (prepared.measures(side) for side in sides)
     names, columns = [], []
     alone = np.concatenate([np.ones(len(sides[0]), dtype=bool), ~counted.copies])
-    for metric in judged_metrics():
+    metrics = judged_metrics(prepared.demos)
+    for metric in metrics:
         both = np.concatenate([true[metric.key], simulated[metric.key]])
         if _is_censored(metric, prepared):
             both = -log_rank_scores(both, np.concatenate([has_ended(side) for side in sides]))
@@ -119,10 +121,14 @@ def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
         if metric.noun:
             names.append(_spread(metric))
             columns.append(np.abs(both - np.median(both[alone])))
-    order = [prepared.order(side) for side in sides]
-    values = [np.stack(columns, axis=1), np.concatenate([one.values for one in order])]
-    kinds = (*("" for _ in names), *order[0].kinds)
-    return EpisodeMeasures((*names, *order[0].names), kinds, np.concatenate(values, axis=1))
+    order = prepared.order(sides[0])
+    own = {metric.of_order for metric in metrics}  # these have rows of their own
+    rest = [i for i, name in enumerate(order.names) if name not in own]
+    later = np.concatenate([prepared.order(side).values for side in sides])[:, rest]
+    kinds = (*("" for _ in names), *(order.kinds[i] for i in rest))
+    names += [order.names[i] for i in rest]
+    values = np.concatenate([np.stack(columns, axis=1), later], axis=1)
+    return EpisodeMeasures(tuple(names), kinds, values)
 
 
 def verdict_rows(
@@ -139,7 +145,7 @@ def verdict_rows(
     test = exchange_test(
         columns.values, exchanges, level=LEVEL, start=start, group=group, rng=rng
     )  # fmt: skip
-    rows = [_endings_row(prepared, counted, exchanges)]
+    rows = [_endings_row(prepared, counted, exchanges)] if _can_end(prepared, counted) else []
     rows += _metric_rows(prepared, counted, columns.names, test, rng)
     return rows + [_kind_row(kind, columns, test) for kind in KINDS if kind in columns.kinds]
 
@@ -176,9 +182,10 @@ def _metric_rows(
 ) -> Iterator[Row]:
     starts = np.unique(counted.demo)
     true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
-    for metric in judged_metrics():
+    endless = not _can_end(prepared, counted)
+    for metric in judged_metrics(prepared.demos):
         a, b = true[metric.key], simulated[metric.key]
-        if metric.is_ending and not (a.any() or b.any()):
+        if (metric.is_ending and not (a.any() or b.any())) or (metric is DURATION and endless):
             continue
         many = cells(b, counted.seed, counted.demo, len(a))
         one = cells(a[starts], np.full(len(starts), -1), starts, len(a))
@@ -233,7 +240,8 @@ def _judge_metric(
     if by_spread:
         wrong = f"{metric.noun} {'too varied' if more else 'too much alike'}"
         size = _gap(test, worst)
-    if size > (LITTLE_SHARE if metric.share else LITTLE * abs(recorded)):
+    allowed = LITTLE_SHARE if metric.share else LITTLE * abs(recorded)
+    if size > (allowed if metric.unit else max(allowed, LITTLE_SHARE)):
         return DIFFERS, wrong
     points = f"{100 * size:.2g} percentage points"
     by = points if metric.share else f"{100 * size / abs(recorded):.2g} %"
@@ -294,6 +302,12 @@ def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tupl
     limit = float(min(known) if known else max(d.max() for d in lasted))
     first, second = (mean_survival(d, e, limit) for d, e in zip(lasted, ended))
     return first, second
+
+
+def _can_end(prepared: Prepared, counted: Rollouts) -> bool:
+    """Whether episodes end by themselves on either side, not with the film alone."""
+    sides = (prepared.recorded, counted)
+    return prepared.demos.has_goal or any(has_ended(side).any() for side in sides)
 
 
 def _is_censored(metric: Metric, prepared: Prepared) -> bool:

@@ -20,6 +20,7 @@ from animarl_algos.evaluation.order_in_time import (
     distance_to_edge,
     lags_for,
     median_steps,
+    nearest_other,
     order_measures,
 )
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -85,6 +86,7 @@ def window_features(
 ) -> Windows:
     """Describe all windows of ``WINDOW`` seconds of all episodes.
 
+    Of a group every animal has its own, which holds its neighbours and the group as it sees them.
     Windows lie end to end from the first frame of an episode. What is left over at its end is a
     window too if it is at least half as long; an episode shorter than a window is one short window.
 
@@ -109,8 +111,12 @@ def window_features(
     offsets = np.arange(steps + 1)
     paths = rollouts.positions[first[:, None] + np.minimum(offsets, count[:, None])]
     paths[offsets > count[:, None]] = np.nan
-    rest = np.zeros(paths.shape[2]) if still is None else still
-    described = [(kind, _summary(series)) for kind, series in _series(paths, rollouts, arena, rest)]
+    num = paths.shape[2]
+    rest = np.zeros(num) if still is None else still
+    series = list(_series(paths, rollouts, arena, rest))
+    if rollouts.is_group:
+        group = np.repeat(group, num)
+    described = [(kind, _summary(one)) for kind, one in series]
     kinds = [kind for kind, columns in described for _ in range(columns.shape[1])]
     values = np.concatenate([columns for _, columns in described], axis=1)
     return Windows(values, group, np.array(kinds))
@@ -203,7 +209,10 @@ def resting_step(recorded: Rollouts) -> Floats:
     one at rest are those of rounding and of tracking noise on the one side, of the smallest thrust
     on the other, which would tell any simulation from any recording.
     """
-    fast = np.quantile(recorded.speeds(), 0.99, axis=0)
+    speeds = recorded.speeds()
+    fast = np.quantile(speeds, 0.99, axis=0)
+    if recorded.is_group:  # animals of a group are alike
+        fast[:] = np.quantile(speeds, 0.99)
     return np.asarray(RESTING_SHARE * fast * recorded.dt)
 
 
@@ -235,9 +244,25 @@ def _cut(rollouts: Rollouts, steps: int) -> tuple[Ints, Ints, Ints]:
 def _series(
     paths: Floats, rollouts: Rollouts, arena: Arena, still: Floats
 ) -> list[tuple[str, Floats]]:
-    """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``."""
+    """What is looked at along windows ``(windows, frames, K, 2)``, each ``(windows, times)``.
+
+    Of a group, ``(windows * K, times)``.
+    """
     steps, num, dt = paths.shape[1] - 1, paths.shape[2], rollouts.dt
     series: list[tuple[str, Floats]] = []
+    if rollouts.is_group:
+        nearest, centre = nearest_other(paths), paths.mean(axis=2, keepdims=True)
+        each, near, arm = (
+            one.swapaxes(1, 2).reshape(-1, steps + 1, 1, 2)
+            for one in (paths, nearest, centre - paths)
+        )
+        moved = _moved(each[:, :, 0], 1, float(still.max()))
+        for vectors in (near[:, :, 0], arm[:, :, 0]):
+            series.append((DISTANCE, np.linalg.norm(vectors, axis=-1)))
+            series.append((BEARING, _unsigned(moved, vectors[:, :-1])))
+        mean = np.diff(paths, axis=1).mean(axis=2)
+        series.append((BEARING, _unsigned(moved, np.repeat(mean, num, axis=0))))
+        paths, num = each, 1
     quarter = max(1, steps // 4)
     for k in range(num):
         own = paths[:, :, k]
@@ -251,7 +276,7 @@ def _series(
             turned = _moved(own, stride, still[k])
             series.append((TURNING, _unsigned(turned[:, :-stride], turned[:, stride:])))
         series.append((PLACE, distance_to_edge(own, arena)))
-        if num == 1:
+        if num == 1 and rollouts.has_goal:
             series.append((BEARING, _unsigned(moved, -own[:, :-1])))
         for other in range(num):
             between = paths[:, :, other] - own

@@ -109,14 +109,16 @@ def _trajectories(inputs: ReportInputs) -> Iterator[Block]:
         images = []
         for i in chosen:
             demo = int(rollouts.demo[i])
-            ending = "reached" if rollouts.captured[i] else "not reached"
             distance = f"DTW {number(dtw[i] * words.factor(DTW))}"
+            ending = ""
+            if inputs.demos.has_goal:
+                ending = ",\nreached" if rollouts.captured[i] else ",\nnot reached"
             recorded = inputs.demos.episode(demo).positions
             figure = path_panels(
                 [("simulated", rollouts.path(i)), (inputs.recorded, recorded)],
                 recorded,
                 inputs.stage,
-                f"start {demo}: {distance},\n{ending}",
+                f"start {demo}: {distance}{ending}",
                 below=True,
             )
             what = words.say(f"Simulated and recorded paths of test demonstration {demo}")
@@ -168,7 +170,9 @@ def _metrics(inputs: ReportInputs) -> Iterator[Block]:
             "interval; the dashed line is the recorded mean. Intervals add the margin of "
             f"demonstrations (studentised bootstrap, {evaluation.resamples:,} resamples) and that "
             "of training seeds (Student's t); repetitions from one start are never counted as "
-            "independent. Captures are episodes in which the target was reached."
+            "independent."
+            + " Captures are episodes in which the target was reached."
+            * inputs.demos.has_goal
         )
     )
     measured = set(evaluation.comparison["metric"])
@@ -189,7 +193,7 @@ def _metric_images(inputs: ReportInputs, metric: Metric) -> Iterator[Image]:
         value = words.interval(row, "mean", metric)
         return scaled(value, 100.0) if metric.share else value
 
-    for counting, title in COUNTING.items():
+    for counting, title in countings(comparison).items():
         means = {name: mean(name, counting) for name in names}
         alt = f"{words.axis(metric) if metric.share else metric.label} by method, {title}"
         look: Any = {"title": title.capitalize(), "label": words.label}
@@ -244,9 +248,10 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
     if not metric.of_recordings:
         # A distance to the recordings stands beside duration and outcome: an episode that ends at
         # once would pass for a close one.
+        reaches = rows["reached"].notna().any()
         columns |= {
             "Duration\n(s)": lambda row: number(row["duration"]),
-            "Reached\n(%)": lambda row: number(100.0 * row["reached"]),
+            **({"Reached\n(%)": lambda row: number(100.0 * row["reached"])} if reaches else {}),
             "Within starts": told("within"),
             f"Minus {method_label(inputs.learner)}": minus(inputs.learner),
         }
@@ -265,7 +270,7 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
             note += " Per step: the mean distance of aligned positions."
     groups = [
         ("" if metric.share else title.capitalize(), _rows(rows[rows["counting"] == counting]))
-        for counting, title in COUNTING.items()
+        for counting, title in countings(rows).items()
     ]
     return tabulate(
         f"{metric.label} by method",
@@ -275,6 +280,11 @@ def _metric_table(inputs: ReportInputs, metric: Metric) -> Table:
         strong=lambda row: row["method"] == inputs.learner,
         folded=f"{metric.label} by method",
     )
+
+
+def countings(table: pd.DataFrame) -> dict[str, str]:
+    """Return the rules of what counts that a table has rows of."""
+    return {rule: title for rule, title in COUNTING.items() if (table["counting"] == rule).any()}
 
 
 def _rows(table: pd.DataFrame) -> list[Any]:

@@ -52,7 +52,8 @@ def evaluation_table(
     MissingExtraError
         If rich is not installed.
     """
-    shown = [metric for metric in METRICS if metric.heading]
+    known = set(evaluation.comparison["metric"])
+    shown = [metric for metric in METRICS if metric.heading and metric.key in known]
     headings = [h for m in shown for h in (m.heading, *(["KDE"] if m.has_distribution else []))]
     rows = []
     for name in evaluation.comparison["method"].unique():

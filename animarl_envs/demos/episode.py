@@ -152,6 +152,19 @@ class Episodes:
         return len(self.individuals)
 
     @property
+    def has_goal(self) -> bool:
+        """Whether a target is pursued or a source searched; else one animal, or a group."""
+        return "target" in self.roles or "searcher" in self.roles
+
+    @property
+    def is_group(self) -> bool:
+        """Whether three or more animals are alike: what is measured is a mean over them.
+
+        The animals of a pair keep their names, such as male and female.
+        """
+        return self.num_individuals > 2 and not self.has_goal
+
+    @property
     def offsets(self) -> NDArray[np.int64]:
         """First frame of each episode, and one past the last: ``(episodes + 1,)``."""
         return np.concatenate([[0], np.cumsum(self.lengths)])

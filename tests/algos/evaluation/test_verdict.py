@@ -293,7 +293,7 @@ def test_measures_of_a_known_path() -> None:
         recorded.select(np.array([0])), positions=both, lengths=np.array([5]), outcome=[-2]
     )
     episodes = Episodes(one, demos, slow=np.array([5.0, 5.0]))
-    found = {metric.key: metric.measure(episodes) for metric in judged_metrics()}
+    found = {metric.key: metric.measure(episodes) for metric in judged_metrics(demos)}
     assert set(found) < {metric.key for metric in METRICS}
     assert found["duration"][0] == pytest.approx(0.4)
     assert found["path_length"][0] == pytest.approx(4.0)  # of the pursuer
