@@ -265,10 +265,10 @@ def verdict(
     if untrained is not None and words != (SAME,):
         farther = _farther(prepared, counted, counting(untrained), streams[3])
         words = (WORSE, *words) if farther else words
-    total = scored.table.iloc[-1]
+    total, table = scored.table.iloc[-1], pd.DataFrame(rows)
     starts = np.unique(counted.demo)
     return Verdict(
-        table=pd.DataFrame(rows),
+        table=table.drop(columns="strangers") if table["strangers"].isna().all() else table,
         words=words,
         learner=rollouts.method,
         starts=len(starts),

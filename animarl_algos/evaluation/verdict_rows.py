@@ -9,8 +9,9 @@ measures of all rows together, so that more rows are no more false alarms.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from animarl_algos.evaluation.distances import (
     wasserstein,
 )
 from animarl_algos.evaluation.exchange_test import Exchanges, ExchangeTest, exchange_test, least_p
-from animarl_algos.evaluation.metrics import DURATION, Metric, ending, judged_metrics
+from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, ending, judged_metrics
 from animarl_algos.evaluation.order_in_time import (
     INTERACTIVE,
     KINEMATIC,
@@ -31,7 +32,7 @@ from animarl_algos.evaluation.order_in_time import (
 )
 from animarl_algos.evaluation.prepared import Prepared, has_ended, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.statistics import Ints, bootstrap_difference, cells, covers
+from animarl_algos.evaluation.statistics import Floats, Ints, bootstrap_difference, cells, covers
 from animarl_envs.demos.episode import UNFINISHED
 
 SAME, BY_LITTLE, DIFFERS, UNKNOWN = JUDGEMENTS = (
@@ -79,6 +80,7 @@ class Row:
     ``JUDGEMENTS``, ``verdict`` the same in words; ``covers`` says what the interval speaks of,
     ``reason`` why there is none. ``wasserstein_distance`` and ``energy`` compare distributions;
     beside them stand what recordings drawn from recordings, and of other starts, come to.
+    ``strangers``: of a group, the recorded mean were its animals of different recordings.
     """
 
     measure: str
@@ -100,6 +102,7 @@ class Row:
     recorded_null: float = math.nan
     energy: float = math.nan
     energy_pooled: float = math.nan
+    strangers: float = math.nan
 
 
 def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
@@ -182,7 +185,7 @@ def _metric_rows(
 ) -> Iterator[Row]:
     starts = np.unique(counted.demo)
     true, simulated = prepared.measures(prepared.recorded), prepared.measures(counted)
-    endless = not _can_end(prepared, counted)
+    endless, alone = not _can_end(prepared, counted), _strangers(prepared)
     for metric in judged_metrics(prepared.demos):
         a, b = true[metric.key], simulated[metric.key]
         if (metric.is_ending and not (a.any() or b.any())) or (metric is DURATION and endless):
@@ -224,6 +227,7 @@ def _metric_rows(
             verdict=words,
             covers=covers(many),
             reason=gap.reason,
+            strangers=float(np.nanmean(alone[metric.key])) if metric.about == GROUP else math.nan,
             **spread_too,
         )
 
@@ -302,6 +306,25 @@ def _mean_durations(recorded: Rollouts, counted: Rollouts, starts: Ints) -> tupl
     limit = float(min(known) if known else max(d.max() for d in lasted))
     first, second = (mean_survival(d, e, limit) for d, e in zip(lasted, ended))
     return first, second
+
+
+def _strangers(prepared: Prepared) -> Mapping[str, Floats]:
+    """Return the metrics of groups put together of animals that never met.
+
+    Each goes where it went, in another episode than its neighbours: what animals of the same
+    motion and places come to that do not see each other.
+    """
+    recorded, count = prepared.recorded, len(prepared.recorded)
+    if not recorded.is_group or count < 2:
+        return defaultdict(lambda: np.array([math.nan]))
+    paths = []
+    for i in range(count):
+        each = [recorded.path((i + k) % count)[:, k] for k in range(recorded.num_individuals)]
+        shortest = min(map(len, each))
+        paths.append(np.stack([path[:shortest] for path in each], axis=1))
+    lengths = np.array([len(path) for path in paths])
+    mixed = replace(recorded, positions=np.concatenate(paths), lengths=lengths)
+    return prepared.measures(mixed)
 
 
 def _can_end(prepared: Prepared, counted: Rollouts) -> bool:

@@ -170,6 +170,7 @@ def verdict_as_table(verdict: Verdict, words: Words) -> Table:
                 NOTHING if row["measure"] in judges else scaled("distance")(row)
             ),
             "Null": null,
+            **({"Strangers": scaled("strangers")} if "strangers" in verdict.table else {}),
             "Verdict": lambda row: words.say(str(row["verdict"])),
         },
         [("", (row for _, row in verdict.table.iterrows()))],
@@ -186,6 +187,9 @@ def _caption(verdict: Verdict) -> str:
         "with one of its rollouts. For the classifiers: recordings among themselves. Of each kind "
         "of order the measure that differs most is told."
     )
+    if "strangers" in verdict.table:
+        said += " Strangers: recorded animals of different episodes put together, a group without"
+        said += " reactions."
     for key, name in ((AUC, "classifier's AUC"), (SEQUENCE, "AUC of order")):
         areas = verdict.areas.get(key, {})
         told = [

@@ -71,7 +71,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 2_530,
     "animarl_algos.cli": 2_430,
     "animarl_algos.data": 1_000,
-    "animarl_algos.evaluation": 5_700,
+    "animarl_algos.evaluation": 5_730,
     "animarl_algos.learner": 3_120,
     "animarl_algos.losses": 710,
     "animarl_algos.networks": 2_080,

@@ -145,6 +145,9 @@ def test_a_shoal_is_judged_as_a_group(group: Demonstrations) -> None:
     assert not rows & {"reached", "target_out", "pursuer_out", "outcomes", "duration", "rests"}
     judged = true.table.set_index("measure")["judgement"]
     assert (judged[list(GROUP_ROWS)] == "not distinguishable").all()
+    extent = true.row("extent")
+    assert abs(extent["simulated"] - extent["recorded"]) < 0.1 * extent["recorded"]
+    assert extent["strangers"] > 1.5 * extent["recorded"]
     assert wrong.row("extent")["judgement"] == "differs"
     assert {"spread too wide", "align too little"} & set(wrong.words)
     chosen = {
