@@ -227,7 +227,7 @@ def _metric_rows(
             verdict=words,
             covers=covers(many),
             reason=gap.reason,
-            strangers=float(np.nanmean(alone[metric.key])) if metric.about == GROUP else math.nan,
+            strangers=_known_mean(alone[metric.key]) if metric.about == GROUP else math.nan,
             **spread_too,
         )
 
@@ -325,6 +325,11 @@ def _strangers(prepared: Prepared) -> Mapping[str, Floats]:
     lengths = np.array([len(path) for path in paths])
     mixed = replace(recorded, positions=np.concatenate(paths), lengths=lengths)
     return prepared.measures(mixed)
+
+
+def _known_mean(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan
 
 
 def _can_end(prepared: Prepared, counted: Rollouts) -> bool:

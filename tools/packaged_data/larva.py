@@ -4,9 +4,9 @@ Davies, Louis and Webb (2015), A model of Drosophila larva chemotaxis, PLoS Comp
 11(11), e1004606, without an odour: a run at constant speed ends at a constant rate; then the larva
 stops and sweeps its head from side to side, at a constant rate of turning, until it accepts a
 direction, again at a constant rate, and runs on that way. During runs the head swings a little to
-either side, and the tail follows it. Here the larva is its head's course and a point; the numbers
-are those of the paper as its authors' model and larvaworld (github.com/nawrotlab/larvaworld) have
-them.
+either side, and the tail follows it. Here the larva is a point that goes where its head points, and
+its speed varies a little (both ours); the numbers are those that larvaworld
+(github.com/nawrotlab/larvaworld) has of the paper.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 FINE = 0.02  # step of the simulation [s]
-SLOW = 0.75  # of the median speed: a frame in which the larva stood for a while
+SLOW = 0.65  # of the median way in two frames: the larva stood for a while
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +27,8 @@ class RunAndTurnLaw:
     """The numbers of the model; rates are per second."""
 
     speed: float = 1.0  # of a run [mm/s]
+    speed_varies: float = 0.05  # standard deviation, of the speed
+    speed_lasts: float = 1.0  # correlation time of these variations [s]
     turn_rate: float = 0.148  # at which a run ends
     shortest_run: float = 1.0  # before it may end [s]
     sweep: float = 240.0  # of the head while it stands [deg/s]
@@ -47,6 +49,7 @@ def simulate(
     most, every = np.deg2rad(law.largest_turn), round(dt / FINE)
     body = rng.uniform(-np.pi, np.pi, larvae)
     head, age, position = np.zeros(larvae), np.zeros(larvae), np.zeros((larvae, 2))
+    pace, keeps = rng.normal(size=larvae), np.exp(-FINE / law.speed_lasts)
     standing, swinging = np.zeros((2, larvae), dtype=bool)
     side = rng.choice([-1.0, 1.0], larvae)
     path = np.empty((larvae, frames, 2))
@@ -71,7 +74,8 @@ def simulate(
         follows = np.where(standing, 0.0, law.speed / law.length * np.sin(head))
         head, body = head + FINE * (rate * side - follows), body + FINE * follows
         way = body + np.where(standing, 0.0, head)
-        moved = law.speed * FINE * ~standing
+        pace = keeps * pace + np.sqrt(1 - keeps**2) * rng.normal(size=larvae)
+        moved = law.speed * FINE * np.exp(law.speed_varies * pace) * ~standing
         position = position + moved[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
     return path
 
@@ -79,14 +83,15 @@ def simulate(
 def recovered_turn_rate(law: RunAndTurnLaw, paths: list[Floats], dt: float) -> float:
     """Return at what rate runs end along paths ``(frames, 2)`` [1/s].
 
-    A turn is an uninterrupted stretch of frames in which the larva is slower than ``SLOW`` of its
-    usual speed. The rate is the number of turns over the time in which a turn could begin, which
+    A turn is an uninterrupted stretch of frames whose way, over two frames, is shorter than
+    ``SLOW`` of the usual one. The rate is the number of turns over the time in which a turn could begin, which
     does not include the shortest run.
     """
     turns, running = 0, 0.0
-    usual = np.median(np.concatenate([np.linalg.norm(np.diff(p, axis=0), axis=1) for p in paths]))
-    for path in paths:
-        slow = np.linalg.norm(np.diff(path, axis=0), axis=1) < SLOW * usual
+    ways = [np.linalg.norm(path[2:] - path[:-2], axis=1) for path in paths]
+    usual = np.median(np.concatenate(ways))
+    for way in ways:
+        slow = way < SLOW * usual
         begins = slow[1:] & ~slow[:-1]
         turns += int(begins.sum())
         running += float((~slow).sum()) * dt

@@ -5,7 +5,8 @@ groups, Journal of Theoretical Biology 218, 1-11: animals of constant speed turn
 are nearer than the zone of repulsion; where nobody is, they align with those in the zone of
 orientation and turn to those in the zone of attraction, of which neither reaches behind them. The
 paper swims in free space of three dimensions, this shoal in the plane, in a round tank: the nearest
-point of the wall repels from its own distance as a neighbour does (ours).
+point of the wall repels from its own distance as a neighbour does, and speeds vary a little (both
+ours).
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ class ZonalLaw:
     perception: float = 270.0  # alpha, the field of view [deg]
     turning: float = 100.0  # theta, the highest turning rate [deg/s]
     speed: float = 2.0  # s [body lengths / s]
+    speed_varies: float = 0.15  # standard deviation, of the speed
+    speed_lasts: float = 1.0  # correlation time of these variations [s]
     noise: float = 0.1  # sigma of the direction of each step [rad]
     dt: float = 0.1  # tau [s]
     tank: float = 10.0  # radius
@@ -54,11 +57,14 @@ def continued(
     groups, animals = heading.shape
     path = np.empty((groups, steps + 1, animals, 2))
     path[:, 0] = position
-    most = np.deg2rad(law.turning) * law.dt
+    most, keeps = np.deg2rad(law.turning) * law.dt, np.exp(-law.dt / law.speed_lasts)
+    pace = rng.normal(size=heading.shape)
     for step in range(1, steps + 1):
+        pace = keeps * pace + np.sqrt(1 - keeps**2) * rng.normal(size=heading.shape)
+        moved = law.speed * law.dt * np.exp(law.speed_varies * pace)
         wanted = wanted_turn(law, position, heading) + law.noise * rng.normal(size=heading.shape)
         heading = heading + np.clip(_wrapped(wanted), -most, most)
-        position = position + law.speed * law.dt * _unit(heading)
+        position = position + moved[..., None] * _unit(heading)
         out = np.maximum(1.0, np.linalg.norm(position, axis=-1, keepdims=True) / law.tank)
         position = position / out
         path[:, step] = position
