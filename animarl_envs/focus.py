@@ -3,8 +3,8 @@
 The focus of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at
 each frame (ties: the lower index). Where one pursues several, the focus of each target is the
 pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
-its focus is the fixed upwind direction. Individuals of a group without a target face their nearest
-companion.
+its focus is the fixed upwind direction. Where nobody is pursued each animal has its own course:
+where it has been going over about a second, averaged over :data:`COURSE_STEPS` steps.
 """
 
 from __future__ import annotations
@@ -14,15 +14,62 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.compiling import jit
+
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
 
 FALLBACK = (1.0, 0.0)
-"""Focus direction at zero distance, and of an individual that is alone."""
+"""Focus direction at zero distance, and of an animal that has not moved yet."""
+
+COURSE_STEPS = 6
+"""Steps over which a course is averaged, exponentially. With that of the last step alone, speeds
+would lie on a lattice: all thrusts would be along or across the velocity."""
 
 
-def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> NDArray[np.float64]:
+def is_free(roles: Sequence[str]) -> bool:
+    """Whether nobody pursues and nobody searches: one animal, or a group without a target."""
+    return "target" not in roles and "searcher" not in roles
+
+
+def courses(velocities: NDArray[np.floating], steps: NDArray[np.integer]) -> NDArray[np.float64]:
+    """Unit vectors ``(frames, individuals, 2)`` along the course of each free animal.
+
+    Parameters
+    ----------
+    velocities
+        ``(frames, individuals, 2)``, episodes end to end [arena unit / s].
+    steps
+        ``(frames,)`` since the start of each episode.
+    """
+    mean: NDArray[np.float64] = np.array(velocities, dtype=np.float64)
+    _average(mean, np.asarray(steps, dtype=np.int64))
+    length = np.hypot(mean[..., 0], mean[..., 1])[..., None]
+    return np.where(length > 0, mean / np.where(length > 0, length, 1.0), np.array(FALLBACK))
+
+
+@jit
+def _average(mean, steps):  # type: ignore[no-untyped-def]
+    """Average velocities with those before, in place."""
+    for t in range(1, len(mean)):
+        if steps[t] > 0:
+            for i in range(mean.shape[1]):
+                for x in range(2):
+                    mean[t, i, x] = (
+                        mean[t - 1, i, x] + (mean[t, i, x] - mean[t - 1, i, x]) / COURSE_STEPS
+                    )
+
+
+def focus_directions(
+    positions: NDArray[np.floating],
+    roles: Sequence[str],
+    velocities: NDArray[np.floating] | None = None,
+    steps: NDArray[np.integer] | None = None,
+) -> NDArray[np.float64]:
     """Unit vectors towards the focus of each individual.
+
+    Free animals have their course where ``velocities`` and ``steps`` are given (:func:`courses`),
+    else they face their nearest companion.
 
     Parameters
     ----------
@@ -36,6 +83,8 @@ def focus_directions(positions: NDArray[np.floating], roles: Sequence[str]) -> N
     -------
     ``(..., individuals, 2)``, arena frame; ``FALLBACK`` where the distance is zero.
     """
+    if is_free(roles) and velocities is not None and steps is not None:
+        return courses(velocities, steps)
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     out = np.empty_like(points)
     for i, candidates in enumerate(foci(roles)):

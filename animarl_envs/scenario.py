@@ -17,7 +17,7 @@ from animarl_envs.checks import is_number, is_whole
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError, also_list_options_of
-from animarl_envs.focus import lone_pursuer
+from animarl_envs.focus import is_free, lone_pursuer
 from animarl_envs.species import (
     CUSTOM,
     SPECIES,
@@ -215,6 +215,8 @@ def make_scenario(
         options.setdefault("individuals", loaded.individuals)
         if lone_pursuer(loaded.roles):
             options.setdefault("lone_pursuer", True)
+        if isinstance(spec, ChaseSpecies) and is_free(loaded.roles):
+            options.setdefault("free", True)
     with also_list_options_of(make_scenario):
         spec = with_options(spec, **options)
     if start is None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.files import read_npz, write_then_rename
+from animarl_envs.focus import is_free
 
 SPLITS = ("train", "val", "test")
 
@@ -154,7 +155,7 @@ class Episodes:
     @property
     def has_goal(self) -> bool:
         """Whether a target is pursued or a source searched; else one animal, or a group."""
-        return "target" in self.roles or "searcher" in self.roles
+        return not is_free(self.roles)
 
     @property
     def is_group(self) -> bool:

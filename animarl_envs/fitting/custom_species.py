@@ -20,7 +20,7 @@ from animarl_envs.demos.episode import HEADING
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.turning import fit_turning
-from animarl_envs.focus import distances_to_target, lone_pursuer
+from animarl_envs.focus import distances_to_target, is_free, lone_pursuer
 from animarl_envs.locomotion import Locomotion, check_thrusts
 from animarl_envs.species import (
     CUSTOM,
@@ -51,8 +51,8 @@ def species_of(
     Parameters
     ----------
     demos
-        One or more pursuers and a target, one pursuer and its targets, or one searcher. Test
-        episodes are not looked at.
+        One or more pursuers and a target, one pursuer and its targets, one searcher, or animals
+        of whom nobody is pursued. Test episodes are not looked at.
     fit
         Locomotion of each individual; by default fitted, see :func:`fitted_locomotion`.
     base
@@ -82,7 +82,7 @@ def species_of(
     Raises
     ------
     InputError
-        If nobody is the target, or the roles do not fit the species.
+        If the roles do not fit the species.
     """
     demos = learnable(demos)
     name = base or demos.species
@@ -102,7 +102,7 @@ def species_of(
         turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
         own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}
     if numbers.name == CUSTOM and isinstance(numbers, ChaseSpecies):
-        own["senses_past"] = locomotion[0].thrusts > 1
+        own["senses_past"] = locomotion[0].thrusts > 1 or numbers.free
         cutting = _cutting(demos)  # do all episodes begin at the same event?
         apart = (cutting.get("mode"), cutting.get("start")) == ("approach", "separation")
         own["senses_time"] = apart and _seconds(cutting.get("keep_last")) == math.inf
@@ -126,6 +126,8 @@ def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
     if "searcher" in demos.roles:
         return Arena("open", demos.arena.size)
     name = base or demos.species
+    if demos.arena.shape == "open":
+        return demos.arena
     walled = get_species(name).arena.rebound if name in SPECIES else True
     return replace(demos.arena, rebound=walled)
 
@@ -207,9 +209,11 @@ def _plain_species(demos: Demonstrations) -> Species:
     return ChaseSpecies(
         individuals=demos.individuals,
         locomotion=still,
-        arena=replace(demos.arena, rebound=True),
+        arena=arena_of(demos, CUSTOM),
         dt=demos.dt,
         start_half_side=max(0.5 * demos.arena.size, common["contact_radius"]),
+        free=is_free(demos.roles),
+        senses_compass=not is_free(demos.roles),
         **common,
     )
 
@@ -227,10 +231,11 @@ def _check_roles(demos: Demonstrations, species: Species) -> None:
             f"{demos.name}: its roles are {roles}, which do not fit {species.name}: choose the "
             "species custom, or import with other roles"
         )
-    if not searching and ("target" not in demos.roles or demos.num_individuals < 2):
+    if is_free(demos.roles) != is_free(species.roles):
         raise InputError(
-            f"{demos.name}: nobody is pursued (its roles are {', '.join(demos.roles)}): import it "
-            "with --target NAME, --target auto or --pursuer NAME, and at least one other individual"
+            f"{demos.name}: its roles are {', '.join(demos.roles)}, which do not fit "
+            f"{species.name}: choose the species custom, or import it with --target NAME, "
+            "--target auto or --target none"
         )
 
 

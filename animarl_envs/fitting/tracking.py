@@ -19,7 +19,7 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
-from animarl_envs.focus import FALLBACK, UPWIND, foci, focus_directions
+from animarl_envs.focus import COURSE_STEPS, FALLBACK, UPWIND, foci, focus_directions, is_free
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
 
@@ -91,13 +91,14 @@ def track(
     paths, speeds = np.empty_like(recorded), np.empty_like(velocity)
     actions = np.full(recorded.shape[:2], -1, dtype=np.int64)
     candidates, otherwise = _foci(demos.roles)
+    course = velocity_now.copy() if is_free(demos.roles) else np.zeros((0, 2, 0))
     damping = np.array([own.damping for own in locomotion])
     thrust = np.array([own.thrust for own in locomotion])
     pushes = np.stack([own.action_vectors for own in locomotion])
     for t in range(int(demos.lengths.max())):
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
-            float(horizon), position_now, velocity_now, paths, speeds, forced, actions,
+            float(horizon), position_now, velocity_now, paths, speeds, forced, actions, course,
         )  # fmt: skip
         if arena.rebound:
             rebound(field, position_now, velocity_now)
@@ -119,7 +120,7 @@ def one_step_misses(
     recorded, recorded_velocity = demos.positions, demos.velocities()
     positions = recorded if tracking is None else tracking.positions
     velocities = recorded_velocity if tracking is None else tracking.velocities
-    focus = focus_directions(positions, demos.roles)
+    focus = focus_directions(positions, demos.roles, velocities, demos.steps())
     misses = np.zeros((*positions.shape[:2], locomotion[0].num_actions))
     for i, own in enumerate(locomotion):
         for action in range(own.num_actions):
@@ -182,11 +183,12 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
 @jit
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
-    horizon, position, velocity, paths, speeds, forced, actions,
+    horizon, position, velocity, paths, speeds, forced, actions, course,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
     ``forced`` ``(frames, K)`` are actions that are taken whatever they lead to, -1 for none.
+    ``course`` ``(K, 2, episodes)`` is where free animals have been going, else empty.
     """
     K = position.shape[0]
     towards = np.empty((K, 2))
@@ -203,6 +205,14 @@ def _follow(  # type: ignore[no-untyped-def]
         for i in range(K):  # all look before anyone moves
             nearest = np.inf
             towards[i] = otherwise[i]
+            if len(course):
+                for x in range(2):
+                    course[i, x, b] += (velocity[i, x, b] - course[i, x, b]) / COURSE_STEPS
+                length = np.hypot(course[i, 0, b], course[i, 1, b])
+                if length > 0.0:
+                    towards[i, 0] = course[i, 0, b] / length
+                    towards[i, 1] = course[i, 1, b] / length
+                continue
             for j in range(K):
                 dx = position[j, 0, b] - position[i, 0, b]
                 dy = position[j, 1, b] - position[i, 1, b]

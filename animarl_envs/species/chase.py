@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from animarl_envs.checks import is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.species.base import Species
 from animarl_envs.species.turning import Turning, turnings_of
@@ -16,7 +17,8 @@ from animarl_envs.species.turning import Turning, turnings_of
 class ChaseSpecies(Species):
     """Pursuers and a target in an arena; with ``lone_pursuer`` targets and one pursuer.
 
-    The last individual is the one whom all others face, the target or the lone pursuer.
+    The last individual is the one whom all others face, the target or the lone pursuer. ``free``
+    animals have nobody to face: one alone, or a group of animals that are alike.
     """
 
     world: ClassVar[str] = "chase"
@@ -32,11 +34,20 @@ class ChaseSpecies(Species):
     turning: tuple[Turning | None, ...] = ()  # of each body, if one does not point where it walks
     shared_reward: bool = False  # in condition 1 a capture pays every pursuer
     lone_pursuer: bool = False  # the last individual pursues all others, as a dog does a flock
+    free: bool = False  # nobody is pursued: each goes its own way, and contact ends nothing
+    neighbours: int = 4  # how many of the others a free animal sees, the nearest
+    shoaling_reward: bool = (
+        False  # pays a free animal for time within the contact radius of another
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.num_individuals < 2:
+        if self.num_individuals < 2 and not self.free:
             raise InputError("a chase needs at least one pursuer and a target: name them both")
+        if not is_whole(self.neighbours) or self.neighbours < 0:
+            raise InputError(f"neighbours is {self.neighbours!r}: give a whole number, 0 or more")
+        if self.free and self.lone_pursuer:
+            raise InputError("free animals have no pursuer: leave lone_pursuer out")
         object.__setattr__(self, "turning", turnings_of(self.turning, self.individuals))
 
     def check_uniform_starts(self) -> None:
@@ -54,7 +65,15 @@ class ChaseSpecies(Species):
             )
 
     @property
+    def num_seen(self) -> int:
+        """How many of the others each individual sees."""
+        others = self.num_individuals - 1
+        return min(self.neighbours, others) if self.free else others
+
+    @property
     def roles(self) -> tuple[str, ...]:
+        if self.free:
+            return ("pursuer",) * self.num_individuals
         many, one = ("target", "pursuer") if self.lone_pursuer else ("pursuer", "target")
         return (many,) * (self.num_individuals - 1) + (one,)
 

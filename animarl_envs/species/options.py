@@ -43,7 +43,9 @@ def with_options(species: Species, **options: Any) -> Species:
     lone = options.get("lone_pursuer") is True
     if isinstance(species, ChaseSpecies) and lone and not species.lone_pursuer:
         species = _with_targets(species, species.num_individuals - 1)
-    if "individuals" in options:
+    if isinstance(species, ChaseSpecies) and options.pop("free", species.free):
+        species = _with_animals(species, options.pop("individuals", None), counts)
+    elif "individuals" in options:
         species = _with_individuals(species, tuple(options.pop("individuals")), counts)
     else:
         species = _with_counts(species, counts)
@@ -82,6 +84,24 @@ def change_world(species: Species, reading: Reading = "habit", **options: Any) -
             changed, sense_scales=changed.scales.with_bodies(changed.locomotion, changed.dt)
         )
     return changed
+
+
+def _with_animals(
+    species: ChaseSpecies, names: Sequence[str] | None, counts: Mapping[str, Any]
+) -> ChaseSpecies:
+    """Return the species with other animals, all alike, of whom nobody is pursued."""
+    if counts["num_targets"] is not None:
+        raise InputError(f"num_targets does not apply to {species.name}, which has none: drop it")
+    count = counts["num_pursuers"]
+    if count is not None and not (is_whole(count) and count >= 1):
+        raise InputError(f"num_pursuers is {count!r}: it must be a whole number, 1 or more")
+    if names is None:
+        kind = species.individuals[0].rpartition("_")[0] or "animal"
+        number = species.num_individuals if count is None else int(count)
+        same = number == species.num_individuals
+        names = species.individuals if same else tuple(f"{kind}_{i}" for i in range(number))
+    chosen = [i % species.num_individuals for i in range(len(names))]
+    return _select(species, chosen, tuple(names), free=True)
 
 
 def _with_individuals(

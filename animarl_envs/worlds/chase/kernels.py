@@ -10,6 +10,7 @@ by index, not cut out as views, which would cost more than the row when there is
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
 
 from numba.core import types
@@ -82,8 +83,8 @@ ChaseState = namedtuple(
     "ChaseState",
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
     "warming actions drivers driven fixed half_side sharing damping thrust pushes dt penalty field "
-    "walled lone position velocity acceleration past towards bodies neighbours nearest code "
-    "components reward observation senses",
+    "walled lone free shoaling position velocity acceleration past towards bodies neighbours "
+    "nearest code components reward observation senses",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.chase.world.ChaseWorld`, where they
 are made. ``actions`` ``(K, B)``, ``nearest`` and ``code`` ``(B,)`` and ``neighbours`` are scratch;
@@ -136,10 +137,16 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
         replay(drivers, warmup, demos, demo, step_count, position, velocity, warming)
     accelerate(velocity, state.senses, acceleration)
     turn_bodies(drivers, warmup, demos, demo, step_count, velocity, state.bodies)
-    judge(
-        position, state.sharing, field, state.walled, lone, state.contact_radius, dt,
-        state.penalty, state.nearest, code, state.components, state.reward,
-    )  # fmt: skip
+    if state.free:
+        judge_free(
+            position, field, state.walled, state.shoaling, state.contact_radius, dt, state.penalty,
+            code, state.components, state.reward,
+        )  # fmt: skip
+    else:
+        judge(
+            position, state.sharing, field, state.walled, lone, state.contact_radius, dt,
+            state.penalty, state.nearest, code, state.components, state.reward,
+        )  # fmt: skip
     for b in range(B):
         outcome[b] = code[b]
         terminated[b] = code[b] != TIME_OUT
@@ -286,3 +293,29 @@ def judge(  # type: ignore[no-untyped-def]
             reward[i, b] = (
                 components[i, TOUCH, b] + components[i, ELAPSED, b] + components[i, BOUNDARY, b]
             )
+
+
+@part
+def judge_free(  # type: ignore[no-untyped-def]
+    position, field, walled, shoaling, contact_radius, dt, penalty, code, components, reward
+):
+    """Of animals that nobody pursues: leaving ends and costs, time near another may pay."""
+    K, _, B = position.shape
+    shape, _, boundary = field
+    for b in range(B):
+        code[b] = TIME_OUT
+    for i in range(K):
+        for b in range(B):
+            x = position[i, 0, b]
+            y = position[i, 1, b]
+            far = max(abs(x), abs(y)) if shape == SQUARE else math.sqrt(x * x + y * y)
+            out = not walled and shape in (SQUARE, DISC) and far > boundary
+            near = False
+            for j in range(K if shoaling else 0):
+                dx = position[j, 0, b] - x
+                dy = position[j, 1, b] - y
+                near |= j != i and dx * dx + dy * dy < contact_radius * contact_radius
+            components[i, ELAPSED, b] = dt if near else 0.0
+            components[i, BOUNDARY, b] = penalty if out else 0.0
+            code[b] = PURSUER_OUT if out else code[b]
+            reward[i, b] = components[i, ELAPSED, b] + components[i, BOUNDARY, b]

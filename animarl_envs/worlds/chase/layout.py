@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from animarl_envs.focus import COURSE_STEPS
 from animarl_envs.locomotion import residual
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import ObservationComponent
@@ -29,7 +30,9 @@ COMPASS = "senses_compass"
 REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
-PAST = (2, 6)  # velocities before the present one are averaged over so many steps, exponentially
+PAST = (2, COURSE_STEPS, 20)
+"""Steps over which velocities before the present one are averaged, exponentially; the last by free
+animals alone, which would forget where they were going."""
 HARMONICS = (2, 3, 4)  # of a direction, where it is seen as finely as actions divide the circle
 FAINT = 0.1  # a vector of this length [u dt, or u] counts half in its direction
 BODY, REACH = 0.03, 0.1  # distances kept by animals that follow a wall [arena size]
@@ -86,7 +89,10 @@ def _scaled(velocity: str, speed: str, sense: str = "") -> list[Group]:
 
 _OWN = _scaled("own velocity", "own speed")
 _MEANS = [f"mean velocity over {over} steps" for over in PAST]
-_SHORT, _LONG = (_scaled(mean, mean, "senses_past") for mean in _MEANS)
+_SHORT, _LONG, _LONGEST = (
+    _scaled(mean, mean, sense)
+    for mean, sense in zip(_MEANS, ("senses_past", "senses_past", "free"))
+)
 _BOTH = (PAPER, FULL)
 _WALL = "tanh of distance to the wall /"
 
@@ -118,6 +124,7 @@ class Seen(IntEnum):
     TIME = Group("log of (1 + steps since the start)", "any", "1", "log steps", sense="senses_time")
     FINE_SHORT, COARSE_SHORT, LOG_SHORT = _SHORT
     FINE_LONG, COARSE_LONG, LOG_LONG = _LONG
+    FINE_LONGEST, COARSE_LONGEST, LOG_LONGEST = _LONGEST
     HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
     COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
     PUSH = Group(_directions("own acceleration"), EGO, "1", "unit", sense="senses_course")
@@ -164,9 +171,9 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
 
     for seen, group in held(Seen.POSITION, Seen.PLACE):
         yield 0, seen, group
-    for rank in range(1, species.num_individuals):
+    for rank in range(1, 1 + species.num_seen):
         for seen, group in held(Seen.PLACE, Seen.CENTRE_DISTANCE):
-            if rank > 1 or group.of_focus or kind == PAPER:
+            if rank > 1 or species.free or group.of_focus or kind == PAPER:
                 yield rank, seen, group
     for seen, group in held(Seen.CENTRE_DISTANCE, len(Seen)):
         if senses_field and (species.arena.rebound or not group.of_walls):
@@ -175,7 +182,9 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
 
 def past_scales(species: ChaseSpecies) -> int:
     """How many averages of past velocities are seen."""
-    return len(PAST) if species.senses_past and species.observation == FULL else 0
+    if species.free:
+        return len(PAST)
+    return len(PAST) - 1 if species.senses_past and species.observation == FULL else 0
 
 
 def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
@@ -183,7 +192,7 @@ def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
 
     The first row is of the individual itself and the arena, the following of the others in order.
     """
-    first = np.full((species.num_individuals, len(Seen)), ABSENT, dtype=np.int64)
+    first = np.full((1 + species.num_seen, len(Seen)), ABSENT, dtype=np.int64)
     end = 0
     for rank, seen, group in rows(species):
         first[rank, seen] = end

@@ -3,7 +3,8 @@
 The last individual comes first (unless it is the one that sees): the target, or the pursuer where
 one pursues several. Then the many others by distance, ties by index. Few are sorted in all copies
 at once, without branches; many in each copy by itself, from their order at the last step, which is
-nearly right: the cost per neighbour stays the same.
+nearly right: the cost per neighbour stays the same. Free animals see their nearest few, who are
+selected in one pass over all.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.compiling import jit, part
+from animarl_envs.species import ChaseSpecies
 
 DX, DY, DVX, DVY, APART, WHO = range(6)
 FEW = 4  # up to so many are sorted in all copies at once
@@ -30,9 +32,13 @@ class Neighbours(NamedTuple):
     distance: NDArray[np.float64]  # (LINE, K), of each from the one that is looking
 
 
-def neighbours_of(num_individuals: int, num_copies: int) -> Neighbours:
-    """Scratch for so many individuals and copies."""
-    K, B = num_individuals, num_copies
+def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
+    """Scratch for the individuals of a species in so many copies."""
+    K, B = species.num_individuals, num_copies
+    if species.free:
+        seen = species.num_seen
+        others, order = np.zeros((max(1, seen), WHO + 1, B)), np.zeros((1, 1, seen), dtype=np.int16)
+        return Neighbours(others, order, np.zeros((B if seen else 0, 4, K)), np.zeros((1, seen)))
     many = K - 1 if K - 1 > FEW else 0
     order = np.zeros((K, B, many), dtype=np.int16)
     for i in range(K if many else 0):
@@ -112,6 +118,36 @@ def look(i, position, velocity, neighbours):  # type: ignore[no-untyped-def]
         for rank in range(sorted_from, end):
             _exchange(rank, others)
     return seen
+
+
+@jit
+def look_around(i, neighbours):  # type: ignore[no-untyped-def]
+    """Fill ``neighbours.others`` with the nearest of all others, in order; how many these are."""
+    others, state = neighbours.others, neighbours.state
+    best, who = neighbours.distance[0], neighbours.order[0, 0]
+    most = len(who)
+    for b in range(state.shape[0]):
+        count = 0
+        for j in range(state.shape[2]):
+            dx, dy = state[b, 0, j] - state[b, 0, i], state[b, 1, j] - state[b, 1, i]
+            apart = dx * dx + dy * dy
+            if j == i or (count == most and not apart < best[most - 1]):
+                continue
+            at = min(count, most - 1)
+            while at > 0 and best[at - 1] > apart:
+                best[at] = best[at - 1]
+                who[at] = who[at - 1]
+                at -= 1
+            best[at] = apart
+            who[at] = j
+            count = min(count + 1, most)
+        for rank in range(most):
+            j = who[rank]
+            for row in range(4):  # place, then velocity
+                others[rank, row, b] = state[b, row, j] - state[b, row, i]
+            others[rank, APART, b] = math.sqrt(best[rank])
+            others[rank, WHO, b] = j
+    return most
 
 
 @part

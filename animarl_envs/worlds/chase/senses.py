@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
-from animarl_envs.focus import FALLBACK
+from animarl_envs.focus import COURSE_STEPS, FALLBACK
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (
@@ -38,12 +38,14 @@ from animarl_envs.worlds.chase.neighbours import (
     find_focus,
     lay_out,
     look,
+    look_around,
 )
 from animarl_envs.worlds.fast_math import angle_of, log_of, tanh_of, tanh_tripled
 
 FINE_PAST, COARSE_PAST, LOG_PAST = (
     int(each) for each in (Seen.FINE_SHORT, Seen.COARSE_SHORT, Seen.LOG_SHORT)
 )
+COURSE = PAST.index(COURSE_STEPS)
 SQUARE = SHAPE_CODES["square"]
 
 
@@ -61,6 +63,7 @@ class Senses(NamedTuple):
     shape: int
     edge: float  # half side or radius [arena unit]
     limit: int  # of an episode [steps]
+    free: bool  # each has its course for its focus, and sees its nearest few
 
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
@@ -78,6 +81,7 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         SHAPE_CODES[arena.shape],
         arena.edge,
         scales.time_limit,
+        species.free,
     )
 
 
@@ -93,24 +97,33 @@ def observe(  # type: ignore[no-untyped-def]
     ``steps`` ``(B,)`` count from the start. The first of the others is the focus; see
     :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    first, observers, stride, _, _, own_velocity, near, scales, shape, edge, limit = senses
+    first, observers, stride, _, _, own_velocity, near, scales, shape, edge, limit, free = senses
     others = neighbours.others
     turning = first[0, Seen.HEADING] != ABSENT
     if turning:
         face(bodies)
     lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
+        if free:
+            _go_on(i, velocity, past, towards)
         if not observers[i]:
-            find_focus(i, position, others)
-            _face(i, others, towards)
+            if not free:
+                find_focus(i, position, others)
+                _face(i, others, towards)
             continue
-        seen = look(i, position, velocity, neighbours)
-        _face(i, others, towards)
+        if free:
+            seen = look_around(i, neighbours)
+        else:
+            seen = look(i, position, velocity, neighbours)
+            _face(i, others, towards)
         observe_own(
             i, position, velocity, acceleration, past, steps, towards, first, stride[i],
             own_velocity[i], limit, observation,
         )  # fmt: skip
-        _observe_others(i, seen, position, velocity, others, towards, first, near, observation)
+        faced = 0 if free else 1  # how many of the others lie straight ahead by definition
+        _observe_others(
+            i, seen, faced, position, velocity, others, towards, first, near, observation
+        )
         _observe_field(i, position, towards, first, shape, edge, observation)
         if first[0, Seen.AT_WALL] != ABSENT:
             observe_wall(
@@ -127,6 +140,18 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
         for b in range(others.shape[2]):
             apart = others[0, APART, b]
             towards[i, x, b] = others[0, DX + x, b] / apart if apart > 0.0 else FALLBACK[x]
+
+
+@part
+def _go_on(i, velocity, past, towards):  # type: ignore[no-untyped-def]
+    """The unit vector along the course: the mean velocity, the present one included."""
+    for b in range(velocity.shape[2]):
+        mx, my = past[COURSE, i, 0, b], past[COURSE, i, 1, b]
+        dx = mx + (velocity[i, 0, b] - mx) / COURSE_STEPS
+        dy = my + (velocity[i, 1, b] - my) / COURSE_STEPS
+        length = math.sqrt(dx * dx + dy * dy)
+        towards[i, 0, b] = dx / length if length > 0.0 else FALLBACK[0]
+        towards[i, 1, b] = dy / length if length > 0.0 else FALLBACK[1]
 
 
 @part
@@ -163,8 +188,10 @@ def _put_plane(i, at, source, j, k, factor, observation):  # type: ignore[no-unt
 
 
 @part
-def _observe_others(i, seen, position, velocity, others, towards, first, near, observation):  # type: ignore[no-untyped-def]
-    """The others, seen from individual ``i``; the focus lies straight ahead, by definition."""
+def _observe_others(  # type: ignore[no-untyped-def]
+    i, seen, faced, position, velocity, others, towards, first, near, observation
+):
+    """The others, seen from individual ``i``; ``faced`` of them lie straight ahead."""
     B = others.shape[2]
     for rank in range(seen):
         who = rank + 1
@@ -174,16 +201,16 @@ def _observe_others(i, seen, position, velocity, others, towards, first, near, o
         for b in range(B):
             observation[i, apart_at, b] = others[rank, APART, b]
         _put(i, at, others, rank, DX, 1.0, towards, observation)
-        if rank == 0 and at != ABSENT:
+        if rank < faced and at != ABSENT:
             for b in range(B):
                 observation[i, at + 1, b] = 0.0
         if bearing_at != ABSENT:
             for b in range(B):
                 ahead, left = egocentric(others[rank, DX, b], others[rank, DY, b], i, b, towards)
-                bearing = np.float32(0.0) if rank == 0 else angle_of(ahead, left)
+                bearing = np.float32(0.0) if rank < faced else angle_of(ahead, left)
                 observation[i, bearing_at, b] = bearing
         _put(i, first[who, Seen.DRIFT], others, rank, DVX, 1.0, towards, observation)
-        if rank > 0 and first[who, Seen.BEARING_CIRCLE] != ABSENT:
+        if rank >= faced and first[who, Seen.BEARING_CIRCLE] != ABSENT:
             _observe_direction_of(i, rank, others, towards, first, observation)
         if inverse_at != ABSENT:
             for b in range(B):

@@ -5,7 +5,8 @@ unit vector towards the focus, and where the species has it the heading and its 
 of a pursuer is the target; the focus of the target is its nearest pursuer, chosen anew at each step
 (ties: the lower index). Where one pursues several, the focus of each target is the pursuer and that
 of the pursuer its nearest target: positions, senses and contact know the last individual and the
-many others, whoever pursues.
+many others, whoever pursues. Of free animals each has its own course for its focus, sees its
+nearest few others, and only leaving ends an episode.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class ChaseWorld(World):
         self._towards[:, 0] = 1.0
         self.towards = self._towards.transpose(2, 0, 1)
         self._senses = senses.senses_of(species, self.observers)
-        self._neighbours = neighbours_of(K, B)
+        self._neighbours = neighbours_of(species, B)
         recorded = None if scenario.demos is None else scenario.demos.headings()
         self._bodies = bodies_of(species, B, recorded)
         self.heading, self.turn = self._bodies.heading.T, self._bodies.turn.T
@@ -103,6 +104,8 @@ class ChaseWorld(World):
                 field=(SHAPE_CODES[arena.shape], float(arena.size), float(arena.boundary)),
                 walled=arena.rebound,
                 lone=species.lone_pursuer,
+                free=species.free,
+                shoaling=species.shoaling_reward,
                 position=self._position,
                 velocity=self._velocity,
                 acceleration=self._acceleration,
@@ -180,8 +183,8 @@ def observe(
     senses.remembered(velocity, steps, past)
     everybody = senses.senses_of(species, np.ones(K, dtype=bool))
     senses.observe(
-        position, velocity, acceleration, past, steps, towards, bodies, neighbours_of(K, frames),
-        everybody, observation,
+        position, velocity, acceleration, past, steps, towards, bodies,
+        neighbours_of(species, frames), everybody, observation,
     )  # fmt: skip
     return (
         np.ascontiguousarray(observation.transpose(2, 0, 1)),
