@@ -168,6 +168,8 @@ class BaseLearner(OffPolicyAlgorithm):
                 f"policy {policy!r} is unknown: choose {' or '.join(self.policy_aliases)}"
             )
         policy_kwargs = dict(whole["policy_kwargs"])
+        if getattr(getattr(env, "demos", None), "is_group", False):  # animals that are alike
+            policy_kwargs.setdefault("shared", True)
         try:
             super().__init__(
                 policy,

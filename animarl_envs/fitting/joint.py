@@ -71,13 +71,14 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
         If ``thrusts`` is none of 1 to 10, or an individual has too few steps or never moves.
     """
     check_thrusts(thrusts)
-    every = [transitions(demos, i) for i in range(demos.num_individuals)]
+    names = demos.individuals[:1] if demos.is_group else demos.individuals
+    alike = demos.num_individuals // len(names)  # of a group one stands for all
+    every = [transitions(demos, i) for i in range(len(names))]
     ones = [
-        fit_joint(data, f"{demos.name}: {name}")
-        for data, name in zip(every, demos.individuals, strict=True)
+        fit_joint(data, f"{demos.name}: {name}") for data, name in zip(every, names, strict=True)
     ]
     if thrusts == 1:  # or the best fit that reaches the fast speed
-        return tuple(
+        return alike * tuple(
             one if one.terminal_speed(demos.dt) >= fast_speed(data)
             else fit_joint(data, least_speed=fast_speed(data))
             for data, one in zip(every, ones, strict=True)
@@ -85,8 +86,11 @@ def joint_locomotion(demos: Demonstrations, thrusts: int = 1) -> tuple[Locomotio
     multiples = fixed_multiples(thrusts)
     fitted = [_fit_magnitudes(data, one, thrusts) for data, one in zip(every, ones, strict=True)]
     fixed = [_with_multiples(data, one, multiples) for data, one in zip(every, ones, strict=True)]
-    errors = [tracking_errors(demos, track(demos, each)) for each in (fitted, fixed)]
-    return tuple(
+    errors = [
+        tracking_errors(demos, track(demos, alike * each)).reshape(alike, -1).mean(axis=0)
+        for each in (fitted, fixed)
+    ]
+    return alike * tuple(
         own if own_error < other_error else other
         for own, other, own_error, other_error in zip(fitted, fixed, *errors, strict=True)
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -175,6 +175,9 @@ def fit_locomotion(
     joint = joint_locomotion(training, thrusts) if method == "joint" else ()
     fits = []
     for i, name in enumerate(demos.individuals):
+        if fits and demos.is_group:  # animals that are alike have one locomotion
+            fits.append(replace(fits[0], name=name))
+            continue
         more: dict[str, Any] = {}
         samples: NDArray[np.float64] | None = None
         if method == "noise":

@@ -37,17 +37,19 @@ class Transitions:
 def transitions(demos: Demonstrations, individual: int) -> Transitions:
     """The transitions of ``individual`` (an index), episodes end to end.
 
-    Last steps that are shorter than the others are left out.
+    Last steps that are shorter than the others are left out. Animals of a group that are alike
+    have one locomotion, so these are the transitions of them all.
     """
     steps, episode = step_frames(demos), np.repeat(np.arange(demos.num_episodes), demos.lengths - 1)
     whole = demos.intervals()[steps + 1] > 0.999 * demos.dt
     steps, episode = steps[whole], episode[whole]
-    velocity = demos.velocities()[:, individual]
+    who = slice(None) if demos.is_group else slice(individual, individual + 1)
+    velocity, focus = demos.velocities()[:, who], demos.focus()[:, who]
     return Transitions(
-        velocity=velocity[steps],
-        next_velocity=velocity[steps + 1],
-        focus=demos.focus()[steps, individual],
-        episode=episode,
+        velocity=velocity[steps].reshape(-1, 2),
+        next_velocity=velocity[steps + 1].reshape(-1, 2),
+        focus=focus[steps].reshape(-1, 2),
+        episode=np.repeat(episode, velocity.shape[1]),
         num_episodes=demos.num_episodes,
         dt=demos.dt,
     )
