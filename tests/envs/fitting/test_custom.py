@@ -235,7 +235,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"demos": dogs(2), "num_pursuers": 0}, "num_pursuers is 0"),
     ({"demos": dogs(2), "num_pursuers": 1.5}, "num_pursuers is 1.5"),
     ({"demos": search(), "num_pursuers": 1}, "num_pursuers does not apply"),
-    ({"demos": replace(dogs(2), **GROUP)}, "--target"),
+    ({"demos": replace(dogs(2), species="fly", **GROUP)}, "--target"),
     ({"demos": replace(dogs(2), species="silkmoth")}, "do not fit silkmoth"),
     ({"demos": search(species="fly")}, "do not fit fly"),
     ({"demos": dogs(2), "condition": 1}, "condition"),

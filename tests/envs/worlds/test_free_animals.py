@@ -1,0 +1,151 @@
+"""The world without a target: one animal, and groups of animals that are alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import animarl_envs
+from animarl_envs.arena import Arena
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.errors import InputError
+from animarl_envs.fitting import joint_locomotion, track
+from animarl_envs.focus import COURSE_STEPS
+from animarl_envs.scenario import make_scenario
+from animarl_envs.worlds import demonstration_observations, make_world, observation_components
+from tools.packaged_data import shoal
+
+DT, STEPS = 0.1, 40
+
+
+def group(animals: int, episodes: int = 6, arena: str = "disc") -> Demonstrations:
+    """Synthetic shoals of the zonal model, by the test split and the others."""
+    law = shoal.ZonalLaw()
+    paths = shoal.simulate(law, episodes, animals, STEPS, np.random.default_rng(0)) / 10.0
+    return Demonstrations(
+        species="custom",
+        individuals=tuple(f"fish_{k}" for k in range(animals)),
+        roles=("pursuer",) * animals,
+        dt=DT,
+        arena=Arena(arena, 1.0, 1.1, rebound=True) if arena != "open" else Arena("open", 1.0),
+        positions=np.concatenate(list(paths)),
+        lengths=np.full(episodes, STEPS + 1),
+        initial_velocity=(paths[:, 1] - paths[:, 0]) / DT,
+        condition=np.zeros(episodes),
+        outcome=np.full(episodes, UNFINISHED),
+        split=["train"] * (episodes - 2) + ["val", "test"],
+        recording=np.arange(episodes).astype(str),
+        provenance={"source": "a test", "licence": "MIT", "synthetic": True},
+    )
+
+
+@pytest.mark.parametrize("animals", [1, 2, 7])
+def test_world_labels_and_tracking_have_one_focus(animals: int) -> None:
+    """What replayed animals observe and where they head are those of the recorded frames."""
+    demos = group(animals)
+    drivers = dict.fromkeys(demos.individuals, "replay")
+    scenario = make_scenario("custom", demos=demos, split="train", drivers=drivers)
+    world = make_world(scenario)
+    world.seed([0])
+    world.reset()
+    assert scenario.demos is not None
+    seen = demonstration_observations(scenario.species, scenario.demos)
+    first, focus = int(scenario.demos.offsets[world.demo[0]]), scenario.demos.focus()
+    for t in range(STEPS - 1):
+        np.testing.assert_allclose(world.observation[0], seen[first + t], atol=2e-5)
+        np.testing.assert_allclose(world.towards[0], focus[first + t], atol=1e-12)
+        world.step(np.zeros((1, animals), dtype=np.int64))
+    # A course is the exponential mean of the velocities so far.
+    velocity = scenario.demos.velocities()[first : first + 5, 0]
+    mean = velocity[0]
+    for one in velocity[1:]:
+        mean = mean + (one - mean) / COURSE_STEPS
+    np.testing.assert_allclose(focus[first + 4, 0], mean / np.linalg.norm(mean))
+
+
+def test_the_nearest_few_are_seen_in_order() -> None:
+    demos = group(9)
+    species = make_scenario("custom", demos=demos, neighbours=3).species
+    names = [one.name for one in observation_components(species)]
+    distances = [i for i, name in enumerate(names) if name.endswith(" distance")]
+    assert len(distances) == 3 and not any(name.startswith("other 4") for name in names)
+    seen = demonstration_observations(species, demos)
+    apart = np.linalg.norm(demos.positions[:, None] - demos.positions[:, :, None], axis=-1)
+    apart.sort(axis=-1)
+    np.testing.assert_allclose(seen[..., distances], apart[..., 1:4], rtol=1e-5)
+
+
+def test_who_is_who_does_not_matter() -> None:
+    demos = group(5)
+    fitted = joint_locomotion(demos, 2)
+    assert len(set(fitted)) == 1
+    dealt = [3, 0, 4, 1, 2]
+    other = make_scenario("custom", demos=demos).species
+    seen = demonstration_observations(other, demos)
+    mixed = replace(
+        demos,
+        positions=demos.positions[:, dealt],
+        initial_velocity=demos.initial_velocity[:, dealt],
+    )
+    np.testing.assert_allclose(demonstration_observations(other, mixed), seen[:, dealt], atol=1e-6)
+    assert joint_locomotion(mixed, 2)[0].thrust == pytest.approx(fitted[0].thrust, rel=1e-6)
+
+
+def test_tracking_follows_free_animals() -> None:
+    demos = group(4)
+    followed = track(demos, joint_locomotion(demos, 3))
+    miss = np.linalg.norm(followed.positions - demos.positions, axis=-1)
+    assert np.median(miss) < 0.25 * np.median(
+        np.linalg.norm(np.diff(demos.path(0), axis=0), axis=-1)
+    )
+
+
+def test_nothing_ends_but_by_leaving() -> None:
+    """In a walled field only time does; where the edge is open, who leaves it."""
+    demos = group(3)
+    env = gym.make("AnimaRL/Custom-v0", demos=demos, time_limit=STEPS, contact_radius=0.5)
+    env.reset(seed=0)
+    for _ in range(STEPS):
+        _, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        assert not terminated and reward == 0.0
+    assert truncated
+    fleeing = make_world(make_scenario("custom", demos=demos, rebound=False, boundary=1.1), 2)
+    fleeing.seed([0, 1])
+    fleeing.reset()
+    for _ in range(400):
+        fleeing.step(np.zeros((2, 3), dtype=np.int64))
+        if fleeing.terminated.all():
+            break
+    assert fleeing.terminated.all() and (fleeing.reward < 0).any()
+
+
+def test_a_shoal_may_be_paid_for_company() -> None:
+    demos = group(4)
+    start = np.array([[0.0, 0.0], [0.05, 0.0], [0.5, 0.0], [-0.5, 0.0]])
+    scenario = make_scenario(
+        "custom", demos=demos, start=start, shoaling_reward=True, contact_radius=0.2
+    )
+    world = make_world(scenario)
+    world.seed([0])
+    world.reset()
+    world.step(np.full((1, 4), world.num_actions - 1))
+    np.testing.assert_allclose(world.reward[0], [DT, DT, 0.0, 0.0])
+
+
+def test_views_and_options_of_free_animals() -> None:
+    demos = group(3)
+    both = animarl_envs.parallel_env("custom", demos=demos)
+    observed, _ = both.reset(seed=0)
+    assert set(observed) == set(demos.individuals)
+    fewer = make_scenario("custom", demos=demos, num_pursuers=2)
+    assert fewer.species.individuals == demos.individuals[:2]
+    more = make_scenario("custom", demos=demos, num_pursuers=20, start="uniform")
+    assert more.species.num_individuals == 20 and more.species.free
+    with pytest.raises(InputError, match="num_targets does not apply"):
+        make_scenario("custom", demos=demos, num_targets=2)
+    with pytest.raises(InputError, match="neighbours is -1"):
+        make_scenario("custom", demos=demos, neighbours=-1)
