@@ -173,7 +173,7 @@ def fit_locomotion(
         )
     weights = resampling_weights(training.num_episodes, bootstrap, seed)
     joint = joint_locomotion(training, thrusts) if method == "joint" else ()
-    fits = []
+    fits: list[IndividualFit] = []
     for i, name in enumerate(demos.individuals):
         if fits and demos.is_group:  # animals that are alike have one locomotion
             fits.append(replace(fits[0], name=name))

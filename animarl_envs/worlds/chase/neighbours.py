@@ -37,8 +37,9 @@ def neighbours_of(species: ChaseSpecies, num_copies: int) -> Neighbours:
     K, B = species.num_individuals, num_copies
     if species.free:
         seen = species.num_seen
-        others, order = np.zeros((max(1, seen), WHO + 1, B)), np.zeros((1, 1, seen), dtype=np.int16)
-        return Neighbours(others, order, np.zeros((B if seen else 0, 4, K)), np.zeros((1, seen)))
+        order = np.zeros((1, 1, seen), dtype=np.int16)
+        state, distance = np.zeros((B if seen else 0, 4, K)), np.zeros((1, seen))
+        return Neighbours(np.zeros((max(1, seen), WHO + 1, B)), order, state, distance)
     many = K - 1 if K - 1 > FEW else 0
     order = np.zeros((K, B, many), dtype=np.int16)
     for i in range(K if many else 0):
