@@ -2,8 +2,8 @@
 
 Nothing here was recorded from animals. Larvae run and turn after Davies et al. (2015)
 (:mod:`~tools.packaged_data.larva`), fish keep to the zones of Couzin et al. (2002)
-(:mod:`~tools.packaged_data.shoal`). Positions have the noise of a tracker. Episodes begin when the first moments are over, and merely end,
-as a film does.
+(:mod:`~tools.packaged_data.shoal`). Positions have the noise of a tracker. Episodes begin when the
+first moments are over, and merely end, as a film does.
 
     python -m tools.packaged_data.free_animals solo --seed 1 --out solo.npz
     python -m tools.packaged_data.free_animals shoal --seed 1 --out shoal.npz

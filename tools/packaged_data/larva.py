@@ -84,8 +84,8 @@ def recovered_turn_rate(law: RunAndTurnLaw, paths: list[Floats], dt: float) -> f
     """Return at what rate runs end along paths ``(frames, 2)`` [1/s].
 
     A turn is an uninterrupted stretch of frames whose way, over two frames, is shorter than
-    ``SLOW`` of the usual one. The rate is the number of turns over the time in which a turn could begin, which
-    does not include the shortest run.
+    ``SLOW`` of the usual one. The rate is the number of turns over the time in which a turn could
+    begin, which does not include the shortest run.
     """
     turns, running = 0, 0.0
     ways = [np.linalg.norm(path[2:] - path[:-2], axis=1) for path in paths]
