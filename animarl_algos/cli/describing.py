@@ -175,9 +175,9 @@ def hints(demos: Demonstrations) -> list[str]:
     found = []
     if set(demos.roles) == {"pursuer"} and demos.num_individuals > 1:
         found.append(
-            "nobody is pursued, so these are simulated as animals that go their own ways and see each "
-            "other; if one is pursued name it by --target NAME, or the pursuer of all others by "
-            "--pursuer NAME"
+            "nobody is pursued, so these are simulated as animals that go their own ways and see "
+            "each other; if one is pursued name it by --target NAME, or the pursuer of all others "
+            "by --pursuer NAME"
         )
     sizes = _unit_sizes(demos)
     if sizes and max(sizes) > UNLIKE * min(sizes):
