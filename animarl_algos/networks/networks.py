@@ -40,8 +40,7 @@ from torch import nn
 from animarl_algos.checked import Checked
 from animarl_algos.losses.losses import reverse_gradient
 from animarl_algos.losses.values import take_action
-from animarl_algos.networks.kernels import chosen_head, feed_forward, runs_compiled
-from animarl_algos.networks.kernels.feed_forward import WeightViews
+from animarl_algos.networks.kernels import WeightViews, chosen_head, runs_compiled
 from animarl_algos.networks.layers import (
     DuelingHead,
     Packing,
@@ -343,31 +342,20 @@ class StackedQNetwork(nn.Module):
         observed = self._standardised(packing.pack(observations))
         previous = packing.pack(previous_actions)
         known, head = None, None
-        if self.fits_loops and masks is None and feed_forward.usable(observed):
-            features, known = feed_forward.features_and_values(
-                observed,
-                previous,
-                self.weights,
-                self.num_actions,
-                flagged=self.flag_in_head,
-                sees_previous=self.previous_action,
-            )
+        features = seen = self._encode(observed, previous, packing, masks)
+        if self.gru is not None:
+            encoded, features = seen, self.gru(seen, state, packing)
             seen = features
+            if masks is not None:
+                seen = features * packing.repeat_per_row(masks[self.depth])
+            if self.skip:
+                seen = torch.cat((encoded, seen), dim=-1)
+        weight, bias = self.dueling.combined()
+        units = self.dueling.units(self._with_flag(seen, observed))
+        if self.num_quantiles > 1:
+            head = (units, weight, bias)
         else:
-            features = seen = self._encode(observed, previous, packing, masks)
-            if self.gru is not None:
-                encoded, features = seen, self.gru(seen, state, packing)
-                seen = features
-                if masks is not None:
-                    seen = features * packing.repeat_per_row(masks[self.depth])
-                if self.skip:
-                    seen = torch.cat((encoded, seen), dim=-1)
-            weight, bias = self.dueling.combined()
-            units = self.dueling.units(self._with_flag(seen, observed))
-            if self.num_quantiles > 1:
-                head = (units, weight, bias)
-            else:
-                known = torch.baddbmm(bias, units, weight).unsqueeze(-1)
+            known = torch.baddbmm(bias, units, weight).unsqueeze(-1)
         logits = None
         if self.treatment is not None:
             logits = packing.unpack(self.treatment(reverse_gradient(seen, self.reversal))[..., 0])
@@ -376,38 +364,22 @@ class StackedQNetwork(nn.Module):
         )
 
     @property
-    def fits_loops(self) -> bool:
-        """Whether the feed-forward loops can compute a network of this shape."""
-        return self.gru is None and self.depth == 2 and self.dueling.hidden is not None
-
-    @property
     def hidden_layers(self) -> int:
         """Layers that dropout thins."""
         return self.depth + self.recurrent
 
     @cached_property
     def weights(self) -> WeightViews:
-        """Weights and biases of all layers in the order of the equations, but the GRU's.
+        """Weights and biases of all layers in the order of the equations, the GRU's last.
 
-        The encoder's come first; the head's hidden layer is empty where there is none.
+        Those of a layer that is not there are empty.
         """
+        none = torch.zeros((0, 0, 0))
         dueling = self.dueling
-        hidden = [torch.zeros((0, 0, 0))] * 2
-        if dueling.hidden is not None:
-            hidden = [dueling.hidden.weight, dueling.hidden.bias]
-        encoder = [p for layer in self.encoder for p in (layer.weight, layer.bias)]
-        streams = [
-            p for layer in (dueling.value, dueling.advantage) for p in (layer.weight, layer.bias)
-        ]
-        return WeightViews([*encoder, *hidden, *streams])
-
-    @cached_property
-    def gru_weights(self) -> WeightViews:
-        """Weights and biases of the GRU, empty without one."""
-        gru = self.gru
-        if gru is None:
-            return WeightViews([torch.zeros((0, 0, 0))] * 4)
-        return WeightViews(gru.weights)
+        layers = [*self.encoder, dueling.hidden, dueling.value, dueling.advantage]
+        linear = [(none, none) if one is None else (one.weight, one.bias) for one in layers]
+        gru = 4 * (none,) if self.gru is None else self.gru.weights
+        return WeightViews([*(array for pair in linear for array in pair), *gru])
 
     @cached_property
     def all_parameters(self) -> list[nn.Parameter]:
@@ -452,5 +424,5 @@ class StackedQNetwork(nn.Module):
 
 def _look_parameters_up_anew(network: StackedQNetwork, _: Any) -> None:
     """After ``load_state_dict(assign=True)`` the parameters are other ones."""
-    for name in ("weights", "gru_weights", "all_parameters", "shared_parameters"):
+    for name in ("weights", "all_parameters", "shared_parameters"):
         network.__dict__.pop(name, None)

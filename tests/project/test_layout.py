@@ -74,7 +74,7 @@ BUDGETS = {
     "animarl_algos.evaluation": 5_730,
     "animarl_algos.learner": 3_120,
     "animarl_algos.losses": 710,
-    "animarl_algos.networks": 2_080,
+    "animarl_algos.networks": 1_820,
     "animarl_algos.recipes": 210,
     "animarl_algos.replay": 1_000,
     "animarl_algos.report": 3_370,

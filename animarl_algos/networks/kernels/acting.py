@@ -6,30 +6,68 @@ spends most of its time starting them.
 
 from __future__ import annotations
 
-from typing import Any
-
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.networks.kernels.feed_forward import affine, head_units, rectify
 from animarl_algos.networks.kernels.gru_kernels import sigmoid_float32, tanh_float32
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_envs.compiling import jit
+
+_ZERO = np.float32(0.0)
+
+
+@nb.njit(inline="always")
+def affine(out, inputs, weight, bias):  # type: ignore[no-untyped-def]
+    """``out = inputs @ weight + bias[0]`` for one row, four inputs at once to load ``out`` less."""
+    for j in range(len(out)):
+        out[j] = bias[0, j]
+    fours = len(inputs) // 4 * 4
+    for i in range(0, fours, 4):
+        a, b, c, d = inputs[i], inputs[i + 1], inputs[i + 2], inputs[i + 3]
+        for j in range(len(out)):
+            out[j] += (
+                a * weight[i, j]
+                + b * weight[i + 1, j]
+                + c * weight[i + 2, j]
+                + d * weight[i + 3, j]
+            )
+    for i in range(fours, len(inputs)):
+        for j in range(len(out)):
+            out[j] += inputs[i] * weight[i, j]
+
+
+@nb.njit(inline="always")
+def rectify(x):  # type: ignore[no-untyped-def]
+    """``x = relu(x)`` for one row."""
+    for j in range(len(x)):
+        x[j] = max(x[j], _ZERO)
+
+
+@nb.njit(inline="always")
+def head_units(features, flag, flagged, weight, bias, head):  # type: ignore[no-untyped-def]
+    """The dueling head's hidden layer for one row; the treatment flag is its last input."""
+    affine(head, features, weight, bias)
+    if flagged:
+        for j in range(len(head)):
+            head[j] += flag * weight[len(features), j]
+    rectify(head)
 
 
 @jit(fastmath={"contract", "nsz"})
 def _decide(  # type: ignore[no-untyped-def]
     observation, previous_action, hidden, q_values,
-    flagged, sees_previous, recurrent, skip, hidden_head, mean, sd, limit,
-    encoder_weights, encoder_biases,
-    weight_head, bias_head, weight_value, bias_value, weight_advantage, bias_advantage,
-    weight_input, weight_hidden, bias_input, bias_hidden,
-    inputs, first, second, from_input, from_state, seen, head, value, advantage,
+    settings, statistics, encoder_weights, encoder_biases, dueling, gru, scratch,
 ):  # fmt: skip
     """Fill ``q_values`` (S, actions), overwrite ``hidden`` (S, H); slot s is individual s mod K.
 
     Where the previous action is below zero, values are zero and the hidden state stays.
     """
+    flagged, sees_previous, recurrent, skip, hidden_head = settings
+    mean, sd, limit = statistics
+    weight_head, bias_head, weight_value, bias_value, weight_advantage, bias_advantage = dueling
+    weight_input, weight_hidden, bias_input, bias_hidden = gru
+    inputs, first, second, from_input, from_state, seen, head, value, advantage = scratch
     slots, actions = q_values.shape
     individuals = len(mean)
     units = hidden.shape[1]
@@ -111,7 +149,7 @@ class CompiledActor:
             *(seen, head, quantiles, network.num_actions * quantiles),
         )
         self._network = network
-        self._scratch = [np.empty(size, dtype=np.float32) for size in sizes]
+        self._scratch = tuple([np.empty(size, dtype=np.float32) for size in sizes])
         self._settings = (
             int(network.flag_in_head),
             network.previous_action,
@@ -129,15 +167,10 @@ class CompiledActor:
         """Q-values (S, actions); ``hidden`` (S, H) becomes the next state. All are C-contiguous."""
         q_values = np.empty((len(observations), self._network.num_actions), dtype=np.float32)
         weights, layers = self._network.weights.arrays(), 2 * self._network.depth
-        arguments: list[Any] = [
+        _decide(
             *(observations, previous_actions, hidden, q_values),
-            *self._settings,
-            *self._network.input_statistics(),
-            weights[0:layers:2],
-            weights[1:layers:2],
-            *weights[layers:],
-            *self._network.gru_weights.arrays(),
-            *self._scratch,
-        ]
-        _decide(*arguments)
+            *(self._settings, self._network.input_statistics()),
+            *(weights[0:layers:2], weights[1:layers:2]),
+            *(weights[layers : layers + 6], weights[layers + 6 :], self._scratch),
+        )
         return q_values

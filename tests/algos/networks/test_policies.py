@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,12 @@ def test_acting_follows_training_and_moved_parameters() -> None:
     policy.q_net.dueling.value.bias.data.add_(1.0)
     moved, _, _ = policy.advance(observations, None, None)
     np.testing.assert_allclose(moved, before + 2, atol=1e-5)
+    other = make(seed=1)
+    policy.q_net.load_state_dict(other.q_net.state_dict(), assign=True)  # other parameters
+    np.testing.assert_array_equal(
+        policy.advance(observations, None, None)[0], other.advance(observations, None, None)[0]
+    )
+    assert all(map(operator.is_, policy.q_net.all_parameters, policy.q_net.parameters()))
 
 
 def test_episode_start_resets_those_slots_only() -> None:
