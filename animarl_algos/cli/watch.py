@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -45,6 +46,7 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
     episodes=Option(min=1, help="Number of episodes."),
     steps=Option(min=1, help="Most steps of an episode; by default to its end."),
     focal="The model drives this individual only: by default all that it learned.",
+    beside="Show the recordings on the left and the model from the same starts on the right.",
     by="What moves those without a model: their demonstration (default, where there is one) or "
     "their script.",
     condition="0, 1, or that of the demonstration.",
@@ -62,6 +64,7 @@ def watch_command(
     episodes: int = 1,
     steps: int | None = None,
     focal: str | None = None,
+    beside: bool = False,
     by: Rule | None = None,
     condition: Literal["0", "1", "demo"] = "demo",
     demos: str = "packaged",
@@ -82,7 +85,7 @@ def watch_command(
 
       animarl watch AnimaRL/Agent-v0 --model runs/agents --split test --out clip.mp4
 
-      animarl watch --model fly --out out/fly.gif
+      animarl watch --model fly --beside --split test --out out/flies.gif
     """
     if env is None and model is None:
         raise InputError("there is nothing to watch: name an environment, or give --model")
@@ -90,41 +93,69 @@ def watch_command(
         raise InputError(f"{out}: a clip cannot be written as {out.suffix!r}: use .gif or .mp4")
     if focal is not None and model is None:
         raise InputError("--focal names whom the model drives, but there is no model: give --model")
+    if beside and (model is None or out is None):
+        raise InputError("--beside shows a model beside its recordings: give --model and --out")
     seed = SEED.check("seed", seed)
-    world, actor = prepare(
-        env,
-        model=model,
-        focal=focal,
-        by=by,
-        seed=seed,
-        acting=acting,
-        demos=None if demos == "none" else demos,
-        split=named_split(split),
-        condition="demo" if condition == "demo" else int(condition),
-    )
-    renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
-    world.seed([seed])
+    endings: dict[str, list[str]] = {"recorded": [], "simulated": []} if beside else {"": []}
+    sides = []
+    for title in endings:
+        world, actor = prepare(
+            env,
+            model=model,
+            focal=focal,
+            by=by,
+            seed=seed,
+            acting=acting,
+            replayed=title == "recorded",
+            demos=None if demos == "none" else demos,
+            split=named_split(split),
+            condition="demo" if condition == "demo" else int(condition),
+        )
+        renderer = Renderer("human" if out is None else "rgb_array", size=size, fps=fps)
+        world.seed([seed])
+        sides.append((title, world, actor, renderer))
+    if beside and not world.scenario.paired:
+        raise InputError("--beside needs recordings to show: give --demos, or leave it out")
     console = PlainConsole()
-    endings: list[str] = []
+    total = episodes * len(sides) * min(steps or world.scenario.species.time_limit, 10**6)
     with Progress(console=console, transient=True) as progress:
-        total = episodes * min(steps or world.scenario.species.time_limit, 10**6)
         task = progress.add_task("step", total=total)
-        pictures = play(
-            world, actor, renderer, episodes=episodes, steps=steps, endings=endings,
-            on_step=lambda: progress.advance(task),
-        )  # fmt: skip
+
+        def pictures(episode: int, most: int) -> Iterator[Iterator[NDArray[np.uint8]]]:
+            for title, world, actor, renderer in sides:
+                world.seed([seed + episode])
+                made_up = world.demos is not None and world.demos.synthetic
+                yield play(
+                    world, actor, renderer, episodes=most, steps=steps, endings=endings[title],
+                    on_step=lambda: progress.advance(task),
+                    title=f"{title} (synthetic)" if made_up and title == "recorded" else title,
+                )  # fmt: skip
+
         try:
             if out is None:
-                for _ in pictures:
+                for _ in next(pictures(0, episodes)):
                     pass
+            elif beside:
+                pairs = (pair for n in range(episodes) for pair in abreast(pictures(n, 1)))
+                write_clip(pairs, out, fps)
             else:
-                write_clip(pictures, out, fps)
+                write_clip(next(pictures(0, episodes)), out, fps)
         finally:
-            renderer.close()
-    for number, ending in enumerate(endings):
-        console.print(f"episode {number}: {ending}")
+            for *_, renderer in sides:
+                renderer.close()
+    for number in range(max(map(len, endings.values()))):
+        for title, said in endings.items():
+            console.print(f"episode {number}{', ' * bool(title)}{title}: {said[number]}")
     if out is not None:
         console.print(f"Wrote {out} ({fps * world.scenario.species.dt:g} x real time)")
+
+
+def abreast(sides: Iterable[Iterator[NDArray[np.uint8]]]) -> Iterator[NDArray[np.uint8]]:
+    """Yield pictures side by side; a side that ends first keeps its last picture."""
+    last: list[NDArray[np.uint8] | None] = []
+    for shown in zip_longest(*sides):
+        last = [old if new is None else new for new, old in zip_longest(shown, last)]
+        yield np.concatenate([picture for picture in last if picture is not None], axis=1)
 
 
 def prepare(
@@ -135,6 +166,7 @@ def prepare(
     by: Rule | None = None,
     seed: int = 0,
     acting: str | None = None,
+    replayed: bool = False,
     **options: Any,
 ) -> tuple[World, Actor]:
     """Return the world of an environment id with one copy, and who acts in it.
@@ -145,6 +177,8 @@ def prepare(
         Id of an environment made of a species; None: that of the model.
     model, focal, by, seed, acting
         As for :func:`watch_command`.
+    replayed
+        Whether all individuals of the model's world follow its recordings.
     options
         Of :func:`animarl_envs.scenario.make_scenario`; they win over those of the id.
 
@@ -194,13 +228,13 @@ def prepare(
     names = plain.names
     if focal is not None and focal not in names:
         raise InputError(f"focal is {focal!r}: choose one of {', '.join(names)}")
-    driven = set() if run is None else {focal} if focal is not None else set(names)
+    driven = set() if run is None or replayed else {focal} if focal is not None else set(names)
     rule = by or ("demonstration" if plain.paired else "script")
     programmed = rule == "script" and plain.species.script == PROGRAMMED
     other = {"demonstration": "replay", "script": "action" if programmed else "scripted"}[rule]
     drivers = {name: "action" if name in driven else other for name in names}
     world = make_world(make_scenario(species, drivers=drivers, **options), 1)
-    if run is not None:
+    if run is not None and not replayed:
         return world, trained_actor(run.for_all(run.policy))
     return world, programmed_actor(world.scenario, seed) if programmed else idle_actor
 
@@ -264,12 +298,14 @@ def play(
     steps: int | None = None,
     endings: list[str] | None = None,
     on_step: Callable[[], None] = lambda: None,
+    title: str = "",
 ) -> Iterator[NDArray[np.uint8]]:
     """Run episodes and draw every step; yields the pictures, or nothing for a window.
 
-    ``endings`` collects one sentence per episode; ``on_step`` is called after every step.
+    ``endings`` collects one sentence per episode; ``on_step`` is called after every step; ``title``
+    stands in the pictures in place of the species' title.
     """
-    recorder = SceneRecorder(world)
+    recorder = SceneRecorder(world, title=title)
     for _ in range(episodes):
         world.reset()
         recorder.start()

@@ -354,7 +354,7 @@ class Renderer:
         """Two lines below the field: what and when; who has earned how much."""
         species, pad = scene.species, 0.03 * self.size
         right, top = self.size - pad, 1.016 * self.size
-        x = self._write(species.title, pad, top, palette.TEXT)
+        x = self._write(scene.title or species.title, pad, top, palette.TEXT)
         if scene.condition:
             self._write(f"  \u00b7  {scene.condition}", x, top, palette.MUTED_TEXT)
         clock = f"{scene.step * species.dt:.1f} s   step {scene.step}"

@@ -33,8 +33,9 @@ class Scene:
         ``(t, K, 2)``, positions so far, oldest first; t may be 0.
     rewards
         ``(K,)``, shown beside the names; the views give the return of the episode so far.
-    condition, note
-        Text: the experimental condition, and how the episode ended.
+    condition, note, title
+        Text: the experimental condition, how the episode ended, and what stands in place of the
+        species' title.
     step
         Decisions taken.
     unit
@@ -51,6 +52,7 @@ class Scene:
     rewards: NDArray[np.floating]
     condition: str = ""
     note: str = ""
+    title: str = ""
     step: int = 0
     unit: Unit = RECORDED_SCALE
     plume: PlumeField | None = None
@@ -78,8 +80,8 @@ class SceneRecorder:
     Call :meth:`start` after every reset, :meth:`follow` after every step, :meth:`scene` to look.
     """
 
-    def __init__(self, world: Any, copy: int = 0) -> None:
-        self.world, self.copy = world, copy
+    def __init__(self, world: Any, copy: int = 0, title: str = "") -> None:
+        self.world, self.copy, self.title = world, copy, title
         self._trail: list[NDArray[np.float64]] = []
         self._glow: NDArray[np.float32] | None = None  # the plume, last drawn at this time [s]
         self._drawn = -np.inf
@@ -128,6 +130,7 @@ class SceneRecorder:
             positions=world.position[b].copy(),
             trails=np.stack(self._trail),
             rewards=self._returns.copy(),
+            title=self.title,
             step=int(world.step_count[b]),
             unit=self._unit,
             **shown,
