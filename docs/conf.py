@@ -89,6 +89,12 @@ def list_public_names(app: Any) -> None:
     (folder / "api.md").write_text("\n".join(lines), encoding="utf-8")
 
 
+def copy_changelog(app: Any) -> None:
+    """Write the changelog as a page of the site."""
+    text = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    (HERE / "_generated" / "changes.md").write_text(text.replace("](docs/", "](../"), "utf-8")
+
+
 def resolve_links(app: Any, docname: str, source: list[str]) -> None:
     """Let links to a folder lead to its README.md; the repository's other files become text."""
     page = HERE / f"{docname}.md"
@@ -109,4 +115,5 @@ def setup(app: Any) -> None:
     """Connect what is made at build."""
     app.connect("builder-inited", make_live_pages)
     app.connect("builder-inited", list_public_names)
+    app.connect("builder-inited", copy_changelog)
     app.connect("source-read", resolve_links)

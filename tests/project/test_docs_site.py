@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -35,6 +36,10 @@ def test_docs_site_builds_without_a_warning(tmp_path: Path) -> None:
         assert "<title>What if" in page and len(page) < 5_000_000
     assert re.search(r"steps/s", (out / "tutorials" / "environments.html").read_text())
     assert (out / "searchindex.js").exists()
+    for name in ("own_tracks", "environments"):
+        (file,) = out.glob(f"_downloads/*/{name}.ipynb")
+        cells = [one for one in json.loads(file.read_text())["cells"] if one["cell_type"] == "code"]
+        assert len(cells) >= 5 and all(one["execution_count"] for one in cells)
 
 
 def test_docs_site_lists_every_page_once() -> None:

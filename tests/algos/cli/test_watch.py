@@ -67,6 +67,21 @@ def positions_of(world, actor, steps):
     return np.stack([world.position[0].copy() for _ in pictures])
 
 
+def test_recorded_animals_beside_simulated_ones(tmp_path):
+    clip = tmp_path / "flies.gif"
+    run = watch(
+        "--model", "fly", "--beside", "--episodes", "2", "--steps", "4", "--size", "100",
+        "--split", "test", "--out", str(clip),
+    )  # fmt: skip
+    assert run.exit_code == 0, run.output
+    assert run.output.count(", recorded: ") == run.output.count(", simulated: ") == 2
+    first = imageio.imread(clip, index=0)[:100, :, :3]
+    assert first.shape[1] == 200
+    assert (first[:, :100] == first[:, 100:]).mean() > 0.99  # both begin at the same places
+    replayed, _ = prepare(None, model="fly", replayed=True, split="test")
+    assert replayed.scenario.drivers == ("replay",) * 3
+
+
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_without_a_model_the_recorded_paths_are_followed(demos, split):
     world, actor = prepare(NEWT, demos=demos, split=split)
@@ -166,6 +181,7 @@ def test_a_closed_window_ends_the_show(monkeypatch):
         (("CartPole-v1",), "no species"),
         ((NEWT, "--out", "clip.avi"), r"\.gif or \.mp4"),
         ((NEWT, "--focal", "male_0"), "--model"),
+        ((NEWT, "--beside", "--out", "a.gif"), "--beside shows a model"),
         ((NEWT, "--demos", "none", "--condition", "1", "--out", "a.gif"), "condition"),
         ((NEWT, "--demos", "nowhere.npz", "--out", "a.gif"), "nowhere.npz"),
     ],

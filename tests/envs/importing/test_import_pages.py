@@ -18,7 +18,7 @@ from tools.fuzz.layouts import KINDS, POSE, write_slp
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 PAGES = DOCS / "data"
-WITH_FILES, WITH_DATA = ("README.md", "readers.md"), "examples.md"
+WITH_FILES, WITH_DATA = ("README.md", "readers.md"), "../gallery.md"
 
 
 def console_lines(page: str) -> list[list[str]]:
@@ -67,12 +67,12 @@ def test_the_readers_page_has_a_line_for_every_reader(folder: Path) -> None:
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(5))
 def test_import_of_the_worked_examples(
     number: int, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert len(re.findall(r"^## ", (PAGES / WITH_DATA).read_text(), flags=re.MULTILINE)) == 4
+    assert len(re.findall(r"^## ", (PAGES / WITH_DATA).read_text(), flags=re.MULTILINE)) == 5
     for words in section(WITH_DATA, number):
         given = [word.replace("$DATA", str(data_dir)) for word in words]
         said = animarl(*(name for word in given for name in expanded(word)))
