@@ -1,7 +1,8 @@
 """AnimaRL environments: recorded animals as a Gymnasium environment suite.
 
 Importing this package registers ``AnimaRL/Agent-v0``, ``AnimaRL/Fly-v0``, ``AnimaRL/Newt-v0``,
-``AnimaRL/Silkmoth-v0`` and, for your own demonstrations, ``AnimaRL/Custom-v0`` with Gymnasium;
+``AnimaRL/Silkmoth-v0``, ``AnimaRL/Solo-v0``, ``AnimaRL/Shoal-v0`` and, for your own demonstrations,
+``AnimaRL/Custom-v0`` with Gymnasium;
 ``parallel_env("agent")`` is the same world with all individuals acting, as a PettingZoo
 environment, which is registered there too: ``pettingzoo.make("parallel", "AnimaRL/Agent-v0")``.
 """

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 from custom_page import custom_page
-from option_notes import CHASE_ONLY, NOTES, SEARCH_ONLY
+from option_notes import CHASE_ONLY, FREE_ONLY, NOTES, SEARCH_ONLY
 from page_text import DOCS, NOTICE, markdown, number, paragraphs
 
 import animarl_envs
@@ -52,11 +52,11 @@ def page(species: Species) -> str:
         facts(species),
         "## Observation",
         f"`Box({len(world.observation_components)},)`, float32, one vector per individual."
-        + ORDER.get(species.world, ""),
+        + ORDER.get(kind(species), ""),
         observations(world.observation_components),
-        *OTHER_OBSERVATION.get(species.world, ()),
+        *OTHER_OBSERVATION.get(kind(species), ()),
         "## Actions",
-        ACTIONS.format(count=species.num_actions, focus=FOCUS[species.world]),
+        ACTIONS.format(count=species.num_actions, focus=FOCUS[kind(species)]),
         actions(species),
         "## Rewards",
         rewards(world, species),
@@ -79,14 +79,21 @@ def page(species: Species) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def kind(species: Species) -> str:
+    """Return its world, or ``"free"`` where nobody is pursued."""
+    return "free" if isinstance(species, ChaseSpecies) and species.free else species.world
+
+
 FOCUS = {
+    "free": "the course of each animal, its velocity averaged over about six steps",
     "chase": "the focus of a pursuer is the target, that of the target the nearest pursuer; a "
     "single pursuer of several targets has the nearest target as focus, and they have it",
     "search": "the direction upwind, -x, since the moth is not told where the source is",
 }
 ORDER = {
+    "free": " The others, if there are any, follow by distance, the nearest first.",
     "chase": " The others follow in this order: first the target (or the single pursuer of several "
-    "targets), then the others by distance."
+    "targets), then the others by distance.",
 }
 OTHER_OBSERVATION = {
     "chase": (
@@ -101,6 +108,10 @@ ACTIONS = (
 
 
 OUTCOMES = {
+    "free": (
+        '`info["outcome"]`: 0 for the time limit (and while the episode lasts), -2 if an animal '
+        "left. Recordings that were cut have -3."
+    ),
     "chase": (
         '`info["outcome"]`: k above 0 for contact by individual k - 1 (of several targets: with '
         "it), 0 for the time limit (and while the episode lasts), -1 if the target left, -2 if a "
@@ -111,6 +122,11 @@ OUTCOMES = {
         "Recordings that were cut for another reason have -3."
     ),
 }
+REWARDS_FREE = (
+    "None by default: nobody is pursued. With `shoaling_reward=True` every step within the contact "
+    "radius of another animal pays its duration [s]. Where the edge is open, leaving costs "
+    "`boundary_penalty`. The wrapper `DTWReward` pays for staying near the demonstration."
+)
 WRAPPERS = (
     "`animarl_envs.wrappers` has each wrapper for the single, the vector (`...Vector`) and the "
     "parallel view (`...Parallel`). `DTWReward` rewards staying near the demonstration. "
@@ -124,7 +140,11 @@ def facts(species: Species) -> str:
     rows = [
         ("individuals", ", ".join(f"`{name}`" for name in species.individuals)),
         ("arena", f"{field[arena.shape]} {arena.size:g}{', with walls' if arena.rebound else ''}"),
-        ("contact", f"closer than {species.contact_radius:g}"),
+        *(
+            []
+            if kind(species) == "free" and species.num_individuals == 1
+            else [("contact", f"closer than {species.contact_radius:g}")]
+        ),
         ("decision step", f"{species.dt:g} s"),
         ("time limit", f"{species.time_limit} steps, {species.time_limit * species.dt:g} s"),
         ("warm-up", f"{species.warmup} steps replayed from the demonstration, where there is one"),
@@ -132,10 +152,11 @@ def facts(species: Species) -> str:
     rows += [
         (f"condition {k}", name) for k, name in enumerate(species.conditions)
     ] or [("conditions", "none")]  # fmt: skip
-    for name, motion in zip(species.individuals, species.locomotion, strict=True):
+    alike = kind(species) == "free" and species.num_individuals > 1
+    for name, motion in zip(species.individuals[: 1 if alike else None], species.locomotion):
         top = motion.terminal_speed(species.dt)
         text = f"d = {motion.damping:g}, u = {motion.thrust:g}, terminal speed {top:.3g} / s"
-        rows.append((f"locomotion of `{name}`", text))
+        rows.append(("locomotion of all" if alike else f"locomotion of `{name}`", text))
     if species.name in packaged_names():
         rows.append(("packaged demonstrations", packaged(species.name)))
     unit = f"{species.length_unit}s"
@@ -184,6 +205,8 @@ def actions(species: Species) -> str:
 
 def rewards(world: World, species: Species) -> str:
     """The paragraph of the world's docstring, and the names in ``info``."""
+    if kind(species) == "free":
+        return REWARDS_FREE
     doc = inspect.getdoc(type(world)) or ""
     text = next(p for p in re.split(r"\n\s*\n", doc) if p.startswith("Reward"))
     said = markdown(text).partition(": ")[2]
@@ -194,7 +217,9 @@ def rewards(world: World, species: Species) -> str:
 
 
 def ends(species: Species) -> str:
-    if species.world == "search":
+    if kind(species) == "free":
+        rows = []
+    elif species.world == "search":
         rows = [(f"the moth is closer than {species.contact_radius:g} to the source", "terminated")]
     else:
         rows = [
@@ -209,7 +234,7 @@ def ends(species: Species) -> str:
         when = "only with `rebound=False`" if species.arena.rebound else "not with `rebound=True`"
         rows.append((f"{beyond[species.arena.shape]} ({when})", "terminated"))
     rows.append((f"step {species.time_limit} has been taken", "truncated"))
-    return "\n\n".join([markdown_table(("when", "then"), rows), OUTCOMES[species.world]])
+    return "\n\n".join([markdown_table(("when", "then"), rows), OUTCOMES[kind(species)]])
 
 
 def option_defaults(species: Species) -> dict[str, str]:
@@ -221,7 +246,9 @@ def option_defaults(species: Species) -> dict[str, str]:
         for name, parameter in inspect.signature(function).parameters.items():
             if parameter.kind is inspect.Parameter.KEYWORD_ONLY and name != "drivers":
                 shown[name] = repr(parameter.default)
-    if isinstance(species, ChaseSpecies):
+    if kind(species) == "free":
+        shown["num_pursuers"] = str(species.num_individuals)
+    elif isinstance(species, ChaseSpecies):
         shown["num_pursuers"] = str(species.num_pursuers)
         shown["num_targets"] = str(species.roles.count("target"))
     shown |= {"arena": arena_text(species.arena), "boundary": number(species.arena.boundary)}
@@ -240,6 +267,7 @@ def arena_text(arena: Arena) -> str:
 
 def options(species: Species) -> str:
     notes = NOTES | (CHASE_ONLY if isinstance(species, ChaseSpecies) else SEARCH_ONLY)
+    notes |= FREE_ONLY if kind(species) == "free" else {}
     rows = []
     for name, default in option_defaults(species).items():
         allowed, meaning = notes[name]

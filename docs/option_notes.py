@@ -139,6 +139,27 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
         "separation",
     ),
     "shared_reward": ("`True`, `False`", "whether in condition 1 a capture pays every pursuer"),
+    "free": (
+        "`True`, `False`",
+        "nobody is pursued: each goes its own way, contact ends nothing; default of your own "
+        "animals without a target",
+    ),
+    "neighbours": (
+        "a whole number, at least 0",
+        "how many of the others a free animal sees, the nearest",
+    ),
+    "shoaling_reward": (
+        "`True`, `False`",
+        "whether time within the contact radius of another pays a free animal [s]",
+    ),
+}
+
+FREE_ONLY: dict[str, tuple[str, str]] = {
+    "num_pursuers": (
+        "a whole number, at least 1",
+        "number of animals; with demonstrations the first ones, or more where starts are random "
+        '(`start="uniform"`)',
+    ),
 }
 
 SEARCH_ONLY: dict[str, tuple[str, str]] = {

@@ -9,15 +9,17 @@ from animarl_envs.species.chase import ChaseSpecies
 from animarl_envs.species.fly import FLY
 from animarl_envs.species.newt import NEWT
 from animarl_envs.species.search import SearchSpecies
+from animarl_envs.species.shoal import SHOAL
 from animarl_envs.species.silkmoth import SILKMOTH
+from animarl_envs.species.solo import SOLO
 
-SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH)}
+SPECIES: dict[str, Species] = {s.name: s for s in (AGENT, FLY, NEWT, SILKMOTH, SOLO, SHOAL)}
 
 CUSTOM = "custom"
 """Name of a species made from demonstrations, by :mod:`animarl_envs.fitting.custom_species`."""
 
 __all__ = [
-    "AGENT", "CUSTOM", "FLY", "NEWT", "SILKMOTH", "SPECIES",
+    "AGENT", "CUSTOM", "FLY", "NEWT", "SHOAL", "SILKMOTH", "SOLO", "SPECIES",
     "ChaseSpecies", "Recording", "SearchSpecies", "Species", "get_species",
     "species_name",
 ]  # fmt: skip

@@ -86,7 +86,7 @@ BUDGETS = {
     "animarl_envs.drawing": 1_060,
     "animarl_envs.fitting": 1_995,
     "animarl_envs.importing": 5_280,
-    "animarl_envs.species": 1_075,
+    "animarl_envs.species": 1_085,
     "animarl_envs.views": 920,
     "animarl_envs.worlds": 3_765,
     "animarl_envs.wrappers": 290,

@@ -25,6 +25,7 @@ from recordings import dogs, recordings_of
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import animarl_envs
+from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import CUSTOM, SPECIES
@@ -403,6 +404,9 @@ def test_registry_packaged_demonstrations_end_as_recorded(name: str) -> None:
         world.step(np.zeros((len(demos), demos.num_individuals), dtype=int))
         running = steps >= t
         over = world.terminated | world.truncated
+        if not demos.has_goal:  # the film ends; the animals go on
+            assert not world.terminated[running].any() and (demos.outcome == UNFINISHED).all()
+            continue
         assert np.array_equal(over[running], steps[running] == t)
         assert np.array_equal(world.outcome[steps == t], demos.outcome[steps == t])
 
@@ -412,4 +416,8 @@ def test_registry_another_seed_is_another_episode(name: str) -> None:
     vector = gym.make_vec(animarl_envs.environment_id(name), num_envs=8, demos=None)
     vector.reset(seed=0)  # copy b is seeded with b
     paths = np.stack([vector.step(np.zeros(8, dtype=int))[0] for _ in range(15)])
+    if name == "solo":  # one animal in the open sees the same everywhere, so its place is compared
+        paths = vector.unwrapped.world.position  # type: ignore[attr-defined]
+        assert np.abs(paths - paths[:1]).max() > 0.0
+        return
     assert np.abs(paths - paths[:, :1]).max() > 0.0
