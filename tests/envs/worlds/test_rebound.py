@@ -84,7 +84,7 @@ def test_who_is_replayed_keeps_to_the_recording_beyond_a_wall() -> None:
 
 def test_dishes_and_boxes_of_animals_have_walls_and_the_others_none() -> None:
     assert {name: s.arena.rebound for name, s in SPECIES.items()} == {
-        "agent": False, "fly": True, "newt": True, "silkmoth": False
+        "agent": False, "fly": True, "newt": True, "silkmoth": False, "solo": False, "shoal": True
     }  # fmt: skip
     assert make_scenario("custom", demos=dogs(1)).species.arena.rebound
     fly = with_options(SPECIES["fly"], rebound=False)

@@ -61,7 +61,7 @@ def test_no_component_is_constant_or_a_copy_of_another(name: str, options: Any) 
 
 
 def test_every_species_is_looked_at() -> None:
-    assert {name for name, _ in CHASES} | {"silkmoth"} == {*SPECIES, CUSTOM}
+    assert {name for name, _ in CHASES} | {"silkmoth", "solo", "shoal"} == {*SPECIES, CUSTOM}
 
 
 def test_a_searcher_s_documented_ranges_are_reached_by_random_steps() -> None:
