@@ -235,8 +235,10 @@ def _check_outcome(
     if "target" in test.roles:
         target = test.roles.index("target")
         goal, movers = path[-1, target], np.delete(path[-1], target, axis=0)
-    else:
+    elif test.has_goal:
         goal, movers = np.zeros(2), path[-1]
+    else:
+        goal, movers = np.full(2, np.inf), path[-1]  # nobody can be reached
     if outcome not in (TIME_OUT, TARGET_OUT, PURSUER_OUT) and not 1 <= outcome <= len(movers):
         raise InputError(f"{place}: outcome {outcome} is none: see its codes")
     distance = np.linalg.norm(movers - goal, axis=1).min()

@@ -145,7 +145,7 @@ def test_the_command_exports_and_refuses(
 
 
 def test_packaged_models_are_small_and_hold_no_code() -> None:
-    assert set(pretrained_names()) == set(packaged_names())
+    assert set(pretrained_names()) == set(packaged_names()) - {"solo", "shoal"}
     for name in pretrained_names():
         files = [file for file in (FOLDER / name).rglob("*") if file.is_file()]
         assert sum(file.stat().st_size for file in files) < LARGEST
