@@ -68,7 +68,7 @@ ALLOWED: dict[tuple[str, str], str] = {
 LONGEST = 600  # lines of a file: one idea, and one class, a file
 BUDGETS = {
     "animarl_algos": 230,
-    "animarl_algos.benchmark": 2_530,
+    "animarl_algos.benchmark": 2_535,
     "animarl_algos.cli": 2_460,
     "animarl_algos.data": 1_000,
     "animarl_algos.evaluation": 5_730,
