@@ -9,9 +9,10 @@ import numpy as np
 import torch
 import toys
 from stable_baselines3.common.utils import LinearSchedule
+from torch.nn import functional
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.losses.losses import mean_recall, treatment_counts, treatment_cross_entropy
+from animarl_algos.losses.losses import mean_recall, treatment_counts
 from animarl_algos.networks.acting_rule import Acting
 
 SETTINGS: dict[str, Any] = {
@@ -54,9 +55,8 @@ class Reading:
     def head_cross_entropy(self) -> float:
         """Of the treatment head [nat]; chance is log 2."""
         assert self.logits is not None
-        everywhere = torch.ones_like(self.logits, dtype=torch.bool)
-        weights = torch.ones_like(self.condition, dtype=self.logits.dtype)
-        return float(treatment_cross_entropy(self.logits, self.condition, everywhere, weights))
+        condition = self.condition.unsqueeze(1).expand_as(self.logits).to(self.logits.dtype)
+        return float(functional.binary_cross_entropy_with_logits(self.logits, condition))
 
 
 def read_condition(model: SequenceQLearning, seed: int, copies: int = 512) -> Reading:

@@ -45,9 +45,8 @@ def probe_balanced_accuracy(
     features, condition = test
     with torch.no_grad():
         logits = probe((features - centre) / scale)[:, 0].view(1, 1, -1)
-    truth = condition.view(1, 1, -1)
-    everywhere = torch.ones_like(truth, dtype=torch.bool)
-    return float(mean_recall(treatment_counts(logits, truth, everywhere)))
+    everywhere = torch.ones_like(logits, dtype=torch.bool)
+    return float(mean_recall(treatment_counts(logits, condition.view(1, -1), everywhere)))
 
 
 def share_of_variance(features: torch.Tensor, condition: torch.Tensor) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -26,7 +25,7 @@ from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece
 from animarl_algos.benchmark.plan import Plan, claim_folder, plan, refuse_other_results
 from animarl_algos.benchmark.submission import score_submission
-from animarl_algos.cli.shared import PlainConsole
+from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_envs.errors import InputError
 
 ENGINES = ("local", "ray")
@@ -37,40 +36,30 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
 
 
 @app.callback()
+@helps(
+    preset="smoke (minutes), short (default trainings) or paper.",
+    config="A YAML file of your own instead of a preset.",
+    out="Folder of the results; what is finished in it is kept.",
+    species="Only these of the matrix; repeatable.",
+    only="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'.",
+    method="Your own method, NAME=module:factory; repeatable.",
+    engine="local: processes of this machine; ray: tasks of a Ray cluster.",
+    processes="So many of engine local, one thread each.",
+    address="Of the Ray cluster; auto: RAY_ADDRESS, or this machine's, if need be new.",
+    show=typer.Option("--list", help="Say what there is to do, and do nothing."),
+)
 def benchmark_command(
     context: typer.Context,
-    preset: Annotated[
-        str, typer.Option(help="smoke (minutes), short (default trainings) or paper.")
-    ] = "smoke",
-    config: Annotated[
-        Path | None, typer.Option(help="A YAML file of your own instead of a preset.")
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Folder of the results; what is finished in it is kept.")
-    ] = Path("out/benchmark"),
-    species: Annotated[
-        list[str] | None, typer.Option(help="Only these of the matrix; repeatable.")
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(help="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'."),
-    ] = None,
-    method: Annotated[
-        list[str] | None, typer.Option(help="Your own method, NAME=module:factory; repeatable.")
-    ] = None,
-    engine: Annotated[
-        str, typer.Option(help="local: processes of this machine; ray: tasks of a Ray cluster.")
-    ] = "local",
-    processes: Annotated[int, typer.Option(help="So many of engine local, one thread each.")] = 1,
-    address: Annotated[
-        str,
-        typer.Option(
-            help="Of the Ray cluster; auto: RAY_ADDRESS, or this machine's, if need be new."
-        ),
-    ] = "auto",
-    show: Annotated[
-        bool, typer.Option("--list", help="Say what there is to do, and do nothing.")
-    ] = False,
+    preset: str = "smoke",
+    config: Path | None = None,
+    out: Path = Path("out/benchmark"),
+    species: list[str] | None = None,
+    only: list[str] | None = None,
+    method: list[str] | None = None,
+    engine: str = "local",
+    processes: int = 1,
+    address: str = "auto",
+    show: bool = False,
 ) -> None:
     """Train, roll out and score every method on every species with every seed.
 
@@ -129,9 +118,8 @@ def benchmark_command(
 
 
 @app.command("score")
-def score_command(
-    file: Annotated[Path, typer.Argument(help="A submission: one JSON with rollouts.")],
-) -> None:
+@helps(file="A submission: one JSON with rollouts.")
+def score_command(file: Path) -> None:
     """Check and score somebody's rollouts; none of their code is run.
 
     Example:

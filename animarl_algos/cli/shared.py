@@ -78,6 +78,9 @@ def helps(**texts: Any) -> Callable[[Command], Command]:
     def decorate(command: Command) -> Command:
         kinds, listed = get_type_hints(command), []
         for name, one in inspect.signature(command).parameters.items():
+            if kinds[name] is typer.Context:
+                listed.append(one.replace(annotation=typer.Context))
+                continue
             info = texts[name]
             if isinstance(info, str):
                 of = typer.Argument if one.default is one.empty else typer.Option

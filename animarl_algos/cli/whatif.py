@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
+from animarl_algos.cli.shared import helps
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED
 
@@ -19,35 +20,27 @@ if TYPE_CHECKING:
 COLOURS = {"none": "green", "some": "yellow", "red": "red"}
 
 
-def whatif_command(
-    runs: Annotated[
-        list[Path], typer.Argument(help="Run folders (training seeds of one learner), or 'fly'.")
-    ],
-    change: Annotated[
-        list[str],
-        typer.Option(help="NAME=VALUE, such as prey.speed=+20%. Several hold together."),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for tables, figures and words.")] = Path(
-        "out/whatif"
+@helps(
+    runs="Run folders (training seeds of one learner), or 'fly'.",
+    change=typer.Option(help="NAME=VALUE, such as prey.speed=+20%. Several hold together."),
+    out="Folder for tables, figures and words.",
+    repetitions=typer.Option(min=1, help="Rollouts from each start."),
+    separately=typer.Option("--separately", help="Ask each change by itself."),
+    permutations=typer.Option(
+        min=0, help="For a condition: train so many networks on permuted conditions, as the null."
     ),
-    repetitions: Annotated[int, typer.Option(min=1, help="Rollouts from each start.")] = 5,
-    separately: Annotated[
-        bool, typer.Option("--separately", help="Ask each change by itself.")
-    ] = False,
-    permutations: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="For a condition: train so many networks on permuted conditions, as the null.",
-        ),
-    ] = 0,
-    knows: Annotated[
-        bool,
-        typer.Option(
-            "--knows",
-            help="Individuals know their changed body; by default they act by habit.",
-        ),
-    ] = False,
+    knows=typer.Option(
+        "--knows", help="Individuals know their changed body; by default they act by habit."
+    ),
+)
+def whatif_command(
+    runs: list[Path],
+    change: list[str],
+    out: Path = Path("out/whatif"),
+    repetitions: int = 5,
+    separately: bool = False,
+    permutations: int = 0,
+    knows: bool = False,
 ) -> None:
     """Ask trained runs what would happen in a changed world.
 
@@ -103,15 +96,12 @@ def whatif_command(
     console.print(f"Tables, figures and words: {out}", highlight=False)
 
 
-def page_command(
-    run: Annotated[
-        Path, typer.Argument(help="A run folder, a packaged model ('fly'), or 'packaged'.")
-    ],
-    out: Annotated[Path, typer.Option(help="The HTML file.")] = Path("what-if.html"),
-    species: Annotated[
-        str | None, typer.Option(help="With 'packaged': agent, fly, newt or silkmoth.")
-    ] = None,
-) -> None:
+@helps(
+    run="A run folder, a packaged model ('fly'), or 'packaged'.",
+    out="The HTML file.",
+    species="With 'packaged': agent, fly, newt or silkmoth.",
+)
+def page_command(run: Path, out: Path = Path("what-if.html"), species: str | None = None) -> None:
     """Write one HTML file that simulates the run's animals in a browser, offline.
 
     Sliders change thrusts, arena, contact radius, condition and temperature; animals can be dragged

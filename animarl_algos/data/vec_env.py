@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.options import SCENARIO_OPTIONS
 from animarl_algos.data.slots import observed_components, warn_of_mixed_means
 from animarl_algos.data.species_data import SpeciesDemonstrations, check_labels
 from animarl_envs.demos.demonstrations import Demonstrations
@@ -27,6 +26,12 @@ from animarl_envs.species import Species
 from animarl_envs.views.common import check_actions, observation_space
 from animarl_envs.worlds import make_world
 from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
+
+SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
+OWN_OPTIONS = (
+    "split", "focal", "condition_flag", "cue", "dtw", "labels", "label_width", "label_horizon",
+)  # fmt: skip
+"""Options of :class:`SlotVecEnv`: the scenario's, and its own."""
 
 
 class SlotVecEnv(VecEnv):

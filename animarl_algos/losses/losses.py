@@ -1,4 +1,4 @@
-"""Losses per individual, the gradient reversal layer, and clipping per individual.
+"""Means of losses per individual, the gradient reversal layer, and clipping per individual.
 
 A loss is averaged over the valid steps of the individual itself, so that summing the losses of all
 individuals gives each the gradient it would have if trained alone.
@@ -14,9 +14,6 @@ from collections.abc import Iterable
 from typing import Any
 
 import torch
-from torch.nn import functional
-
-IGNORED_LABEL = -1
 
 
 def masked_mean(
@@ -34,64 +31,16 @@ def masked_mean(
     return kept.sum((1, 2)) / valid.sum((1, 2)).clamp(min=1)
 
 
-def action_cross_entropy(
-    logits: torch.Tensor,
-    labels: torch.Tensor,
-    valid: torch.Tensor,
-    weights: torch.Tensor | None = None,
-) -> torch.Tensor:
-    """Cross-entropy of demonstrated actions under softmax(logits), per individual.
-
-    ``logits`` are (K, T, B, actions), ``labels`` (K, T, B) int64; steps with label -1 are left out.
-    """
-    labelled = valid & (labels != IGNORED_LABEL)
-    per_step = functional.cross_entropy(
-        logits.flatten(0, 2), labels.clamp(min=0).flatten(), reduction="none"
-    ).view(labels.shape)
-    return masked_mean(per_step, labelled, weights)
-
-
-def soft_action_cross_entropy(
-    logits: torch.Tensor,
-    shares: torch.Tensor,
-    valid: torch.Tensor,
-    weights: torch.Tensor | None = None,
-) -> torch.Tensor:
-    """Cross-entropy of soft labels under softmax(logits), per individual.
-
-    ``shares`` (K, T, B, actions) are the probability of each action; steps with zeros alone are
-    left out.
-    """
-    per_step = -(shares * functional.log_softmax(logits, dim=-1)).sum(-1)
-    return masked_mean(per_step, valid & (shares.sum(-1) > 0), weights)
-
-
-def treatment_cross_entropy(
-    logits: torch.Tensor,
-    condition: torch.Tensor,
-    valid: torch.Tensor,
-    weights: torch.Tensor | None = None,
-) -> torch.Tensor:
-    """Binary cross-entropy of the treatment, per individual (the paper, equation of J_tr).
-
-    ``logits`` are (K, T, B), ``condition`` (K, B) or (K, T, B), 0 or 1.
-    """
-    per_step = functional.binary_cross_entropy_with_logits(
-        logits, _per_step(condition, logits).to(logits.dtype), reduction="none"
-    )
-    return masked_mean(per_step, valid, weights)
-
-
 @torch.no_grad()
 def treatment_counts(
     logits: torch.Tensor, condition: torch.Tensor, valid: torch.Tensor
 ) -> torch.Tensor:
     """Count the valid steps of each treatment and those whose treatment is predicted; sums add up.
 
-    Arguments are those of :func:`treatment_cross_entropy`. Returns (K, 2, 2) int64, axes
+    ``logits`` are (K, T, B), ``condition`` (K, B), 0 or 1. Returns (K, 2, 2) int64, axes
     (individual, treatment, (predicted rightly, all)).
     """
-    condition = _per_step(condition, logits) > 0
+    condition = condition.unsqueeze(1) > 0
     members = torch.stack([valid & ~condition, valid & condition], dim=1)
     right = members & ((logits > 0) == condition).unsqueeze(1)
     return torch.stack([right.sum((2, 3)), members.sum((2, 3))], dim=-1)
@@ -103,15 +52,6 @@ def mean_recall(counts: torch.Tensor) -> torch.Tensor:
     0.5 is chance; NaN where only one treatment occurs.
     """
     return (counts[..., 0] / counts[..., 1]).mean(-1)
-
-
-def _per_step(condition: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
-    return condition.unsqueeze(1).expand_as(like) if condition.dim() == 2 else condition
-
-
-def squared_l2(parameters: Iterable[torch.Tensor]) -> torch.Tensor:
-    """Sum of all squared parameters of each individual, (K,); parameters are (K, ...)."""
-    return torch.cat([p.flatten(1) for p in parameters], dim=1).square().sum(1)
 
 
 @torch.no_grad()

@@ -17,15 +17,9 @@ from typing import Any, ClassVar
 import torch
 from torch.nn import functional
 
-from animarl_algos.losses.losses import (
-    action_cross_entropy,
-    masked_mean,
-    soft_action_cross_entropy,
-    squared_l2,
-    treatment_cross_entropy,
-)
+from animarl_algos.losses.losses import masked_mean
 from animarl_algos.losses.values import ValueDistribution
-from animarl_algos.replay.store import SequenceBatch
+from animarl_algos.replay.store import NO_LABEL, SequenceBatch
 from animarl_envs.errors import InputError
 
 
@@ -243,8 +237,15 @@ class ActionSupervision(LossTerm):
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         batch, logits, valid = minibatch.batch, minibatch.q_values, minibatch.valid
         if self.soft and batch.label_shares is not None:
-            return soft_action_cross_entropy(logits, batch.label_shares, valid, batch.weights)
-        return action_cross_entropy(logits, batch.labels, valid, batch.weights)
+            shares = batch.label_shares  # steps with zeros alone are left out
+            per_step = -(shares * functional.log_softmax(logits, dim=-1)).sum(-1)
+            return masked_mean(per_step, valid & (shares.sum(-1) > 0), batch.weights)
+        labels = batch.labels
+        per_step = functional.cross_entropy(
+            logits.flatten(0, 2), labels.clamp(min=0).flatten(), reduction="none"
+        )
+        labelled = valid & (labels != NO_LABEL)
+        return masked_mean(per_step.view(labels.shape), labelled, batch.weights)
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,9 @@ class TreatmentAdversary(LossTerm):
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
         logits, batch = minibatch.treatment_logits, minibatch.batch
         assert logits is not None
-        return treatment_cross_entropy(logits, batch.condition, minibatch.valid, batch.weights)
+        condition = batch.condition.unsqueeze(1).expand_as(logits).to(logits.dtype)
+        per_step = functional.binary_cross_entropy_with_logits(logits, condition, reduction="none")
+        return masked_mean(per_step, minibatch.valid, batch.weights)
 
 
 @dataclass(frozen=True)
@@ -273,7 +276,8 @@ class WeightDecay(LossTerm):
 
     @torch.no_grad()
     def __call__(self, minibatch: MinibatchValues) -> torch.Tensor:
-        return squared_l2(minibatch.parameters)
+        weights = torch.cat([p.flatten(1) for p in minibatch.parameters], dim=1)
+        return weights.square().sum(1)
 
 
 def next_values(minibatch: MinibatchValues, end_value: torch.Tensor) -> torch.Tensor:

@@ -6,18 +6,14 @@ This is the only difference between the two families of learners.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Annotated, Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
 from torch.nn import functional
 
-from animarl_algos.checked import Range
 from animarl_envs.compiling import jit
-from animarl_envs.errors import InputError
 
 
 def quantile_huber(current: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -107,13 +103,6 @@ def _loss_and_gradient(current, target, tau, loss, gradient):  # type: ignore[no
         loss[n] = total * share
 
 
-class ErrorLoss(StrEnum):
-    """Loss of the temporal-difference error of an expected value."""
-
-    SQUARED = "squared"  # the paper's
-    HUBER = "huber"  # with threshold 1, stable-baselines3's
-
-
 def take_action(values: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
     """Pick one action's outputs: (..., actions, quantiles) and (...) to (..., quantiles)."""
     index = actions[..., None, None].expand(*actions.shape, 1, values.shape[-1])
@@ -130,35 +119,26 @@ class ValueDistribution:
         Quantiles of the return per action (Dabney et al. 2018), 2 or more; None: its expected
         value.
     loss
-        Of an expected value's error; quantiles have their own, :func:`quantile_huber`.
+        Of an expected value's error: squared (the paper's), or by Huber's with threshold 1
+        (stable-baselines3's); quantiles have their own, :func:`quantile_huber`.
     """
 
     n_quantiles: int | None = None
-    loss: str = ErrorLoss.SQUARED
-
-    def __post_init__(self) -> None:
-        if self.loss not in list(ErrorLoss):
-            raise InputError(f"td_loss is {self.loss!r}: choose {' or '.join(ErrorLoss)}")
-        whole = Range(Annotated[int, Field(ge=2)] | None).check("n_quantiles", self.n_quantiles)
-        object.__setattr__(self, "n_quantiles", whole)
-
-    @property
-    def outputs(self) -> int:
-        """Numbers per action: 1 for an expected value."""
-        return self.n_quantiles or 1
+    loss: Literal["squared", "huber"] = "squared"
 
     def td_loss(
         self, value: torch.Tensor, target: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return loss and size of the temporal-difference error, both (...), the size detached.
 
-        ``value`` and ``target`` ``(..., outputs)`` are of the action that was taken.
+        ``value`` and ``target`` are ``(..., quantiles)``, or ``(..., 1)``, of the action that was
+        taken.
         """
         if self.n_quantiles is not None:
             error = (target.mean(-1) - value.mean(-1)).detach().abs()
             return quantile_huber(value, target), error
         error = (target - value).squeeze(-1)
-        if self.loss == ErrorLoss.SQUARED:
+        if self.loss == "squared":
             return error.square(), error.detach().abs()
         loss = functional.smooth_l1_loss(error, torch.zeros_like(error), reduction="none")
         return loss, error.detach().abs()

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from animarl_algos.data.options import OWN_OPTIONS, SCENARIO_OPTIONS
+from animarl_algos.data.vec_env import OWN_OPTIONS, SCENARIO_OPTIONS
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.joining import COUNTS, first_of_role
 from animarl_envs.errors import InputError

@@ -22,12 +22,12 @@ from animarl_algos.learner.callbacks import ProgressBar
 from animarl_algos.learner.presets import PRESETS
 from animarl_algos.recipes.registry import RECIPES
 from animarl_algos.runs.run_settings import check_device
-from animarl_algos.zoo.environments import species_of_id
 from animarl_algos.zoo.manager import (
     EVAL_BY_LENGTH,
     UNSET_STEPS,
     AnimalExperimentManager,
     FinalScore,
+    species_of_id,
 )
 from animarl_envs.checks import printable
 from animarl_envs.errors import InputError

@@ -167,7 +167,13 @@ def test_supervision_is_the_cross_entropy_of_the_labels(term: LossTerm) -> None:
             sums[k] += weight * cross_entropy(given, k, t, b, label)
             counts[k] += 1
     expected = [s / n for s, n in zip(sums, counts)]
-    assert counts == [2, 3] and term(given).tolist() == pytest.approx(expected)
+    given.online.values.requires_grad_()
+    loss = term(given)
+    assert counts == [2, 3] and loss.tolist() == pytest.approx(expected)
+    (slope,) = torch.autograd.grad(loss.sum(), given.online.values)
+    for k, t, b in steps():
+        enters = bool(VALID[k, t, b]) and int(given.batch.labels[k, t, b]) >= 0
+        assert bool(slope[k, t, b].abs().sum() > 0) == enters
 
 
 def test_soft_labels_share_the_cross_entropy_out() -> None:

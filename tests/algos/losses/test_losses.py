@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -12,23 +13,20 @@ from sb3_contrib.common.utils import quantile_huber_loss
 from torch import nn
 
 from animarl_algos.losses.losses import (
-    action_cross_entropy,
     clip_grad_norm_per_individual,
     masked_mean,
     mean_recall,
     reverse_gradient,
-    squared_l2,
     treatment_counts,
-    treatment_cross_entropy,
 )
-from animarl_algos.losses.terms import MinibatchValues, Phase
+from animarl_algos.losses.terms import MinibatchValues, Phase, TreatmentAdversary
 from animarl_algos.losses.values import (
-    ErrorLoss,
     ValueDistribution,
     quantile_huber,
     quantile_huber_definition,
     take_action,
 )
+from animarl_algos.networks.policies import PolicySettings
 from animarl_envs.errors import InputError
 
 # A three-step episode of one individual, two actions, gamma 0.5; steps are (1, 3, 1).
@@ -75,11 +73,11 @@ def test_ties_go_to_the_lowest_index() -> None:
     ("loss", "expected"),
     [
         # Errors: targets 3, 3, 2 minus Q of the actions taken, 1, 2, 1.
-        (ErrorLoss.SQUARED, [4.0, 1.0, 1.0]),
-        (ErrorLoss.HUBER, [1.5, 0.5, 0.5]),
+        ("squared", [4.0, 1.0, 1.0]),
+        ("huber", [1.5, 0.5, 0.5]),
     ],
 )
-def test_expected_value_loss_by_hand(loss: ErrorLoss, expected: list[float]) -> None:
+def test_expected_value_loss_by_hand(loss: Any, expected: list[float]) -> None:
     distribution = ValueDistribution(None, loss)
     target = double_q_target(REWARDS, CONTACT, NEXT_ONLINE, NEXT_TARGET, 0.5)
     found, error = distribution.td_loss(take_action(VALUES, ACTIONS), target)
@@ -150,12 +148,9 @@ def test_quantile_huber_passes_on_what_is_not_a_number() -> None:
 def test_the_choice_of_distribution() -> None:
     values = torch.arange(12.0).view(2, 3, 2)
     assert take_action(values, torch.tensor([2, 0])).tolist() == [[4, 5], [6, 7]]
-    assert (ValueDistribution().outputs, ValueDistribution(2).outputs) == (1, 2)
-    for wrong in (1, 2.5):
-        with pytest.raises(InputError, match=f"n_quantiles is {wrong}"):
-            ValueDistribution(wrong)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="td_loss is 'hubber': choose squared or huber"):
-        ValueDistribution(None, "hubber")
+    for name, wrong in (("n_quantiles", 1), ("n_quantiles", 2.5), ("td_loss", "hubber")):
+        with pytest.raises(InputError, match=f"{name} is {wrong!r}"):
+            PolicySettings(**{name: wrong})
 
 
 def test_masked_mean_counts_each_individuals_own_steps() -> None:
@@ -168,37 +163,21 @@ def test_masked_mean_counts_each_individuals_own_steps() -> None:
     assert masked_mean(per_step, valid & (per_step == 3.0)).tolist() == [3.0, 0.0]
 
 
-def test_action_cross_entropy_leaves_unlabelled_and_invalid_steps_out() -> None:
-    logits = torch.randn(2, 3, 2, 4, requires_grad=True)
-    labels = torch.tensor([[[0, -1], [1, 2], [3, 3]], [[-1, -1], [0, 0], [1, 1]]])
-    valid = torch.ones(2, 3, 2, dtype=torch.bool)
-    valid[:, 2] = False
-    loss = action_cross_entropy(logits, labels, valid)
-    first = nn.functional.cross_entropy(logits[0, [0, 1, 1], [0, 0, 1]], torch.tensor([0, 1, 2]))
-    second = nn.functional.cross_entropy(logits[1, 1], torch.tensor([0, 0]))
-    torch.testing.assert_close(loss, torch.stack((first, second)))
-    gradient = torch.autograd.grad(loss.sum(), logits)[0]
-    assert gradient[:, 2].abs().sum() == 0
-    assert gradient[0, 0, 1].abs().sum() == 0
-
-
 def test_conditions_belong_to_their_own_individual_and_column() -> None:
     """Three individuals, two steps, three columns: no two axes can be mistaken unnoticed."""
     generator = torch.Generator().manual_seed(4)
     logits = torch.randn(3, 2, 3, generator=generator)
     condition = torch.tensor([[1, 0, 0], [1, 1, 0], [0, 1, 1]])
     valid = torch.rand(3, 2, 3, generator=generator) < 0.8
-    every = condition[:, None].repeat(1, 2, 1)
     counts, losses = torch.zeros(3, 2, 2, dtype=torch.int64), torch.zeros(3)
     for k, t, b in valid.nonzero().tolist():
         sign = 1.0 if condition[k, b] else -1.0
         losses[k] += math.log1p(math.exp(-sign * float(logits[k, t, b])))
         counts[k, condition[k, b]] += torch.tensor([sign * float(logits[k, t, b]) > 0, True])
-    for given in (condition, every):
-        assert torch.equal(treatment_counts(logits, given, valid), counts)
-        torch.testing.assert_close(
-            treatment_cross_entropy(logits, given, valid), losses / valid.sum((1, 2))
-        )
+    assert torch.equal(treatment_counts(logits, condition, valid), counts)
+    batch = SimpleNamespace(condition=condition, weights=None)
+    given = SimpleNamespace(batch=batch, treatment_logits=logits, valid=valid)
+    torch.testing.assert_close(TreatmentAdversary()(given), losses / valid.sum((1, 2)))
 
 
 def test_balanced_accuracy_weighs_both_treatments_equally() -> None:
@@ -210,16 +189,8 @@ def test_balanced_accuracy_weighs_both_treatments_equally() -> None:
     assert undecided.tolist() == [[[2, 2], [0, 3]]]  # evens are told as treatment 0
     valid[..., 3] = False
     assert mean_recall(treatment_counts(logits, condition, valid)).item() == 1.0
-    assert (
-        mean_recall(treatment_counts(logits[..., :3], condition[..., :3], valid[..., :3]))
-        .isnan()
-        .all()
-    )
-
-
-def test_squared_l2_is_the_sum_of_squares_per_individual() -> None:
-    parameters = [torch.tensor([[1.0, 2.0], [3.0, 0.0]]), torch.tensor([[[2.0]], [[1.0]]])]
-    assert squared_l2(parameters).tolist() == [9.0, 10.0]
+    one = treatment_counts(logits[..., :3], condition[..., :3], valid[..., :3])
+    assert mean_recall(one).isnan().all()
 
 
 def test_clipping_equals_torch_for_each_individual() -> None:

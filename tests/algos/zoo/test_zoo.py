@@ -32,8 +32,7 @@ from animarl_algos.learner.settings import LearnerFile
 from animarl_algos.recipes.registry import RECIPES, SoftBC
 from animarl_algos.zoo import manager
 from animarl_algos.zoo.__main__ import register
-from animarl_algos.zoo.environments import slot_environment, validation_environment
-from animarl_algos.zoo.manager import sample_settings
+from animarl_algos.zoo.manager import sample_settings, slot_environment, validation_environment
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.locomotion import COAST

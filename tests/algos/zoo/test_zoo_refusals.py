@@ -16,7 +16,7 @@ from zoo_commands import AGENT
 from zoo_commands import zoo as zoo
 
 from animarl_algos.recipes.registry import RECIPES
-from animarl_algos.zoo.environments import slot_environment
+from animarl_algos.zoo.manager import slot_environment
 
 DQN = ["train", "--algo", "dqn", "--env", AGENT]
 WITHOUT_WANDB = pytest.mark.skipif(find_spec("wandb") is not None, reason="wandb is installed")
