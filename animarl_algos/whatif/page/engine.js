@@ -909,6 +909,43 @@ const AnimaRL = (() => {
     };
   }
 
+  const CLOSE_ENOUGH = 0.02, MOST_TRIES = 10, USUAL_SLOPE = 0.7, FAR_APART = 0.1, LIMITS = [1 / 8, 8];
+  const clipped = (value, [low, high]) => Math.min(high, Math.max(low, value));
+
+  /**
+   * Find by simulation the factors on thrusts at which individuals reach wanted mean speeds, as
+   * animarl_algos.whatif.answer does. wanted: [[individual, speed, usual speed], ...]. Returns the
+   * factors, the speeds of the last try, and whether all are within 2 %.
+   */
+  async function findThrusts(model, options, wanted, tasks, seed, onProgress = null) {
+    let factors = wanted.map(([, speed, usual]) => clipped(speed / usual, LIMITS));
+    const tried = wanted.map(([, , usual]) => [[0, Math.log(usual)]]);
+    for (let again = 1; ; again++) {
+      const thrust = options.thrust.slice();
+      wanted.forEach(([i], k) => (thrust[i] *= factors[k]));
+      const { results } = await rollOut(model, { ...options, thrust }, tasks, seed);
+      const achieved = wanted.map(([i]) => results.reduce((sum, one) => sum + one.speed[i], 0) / tasks.length);
+      const reached = wanted.every(([, speed], k) => Math.abs(Math.log(speed / achieved[k])) <= CLOSE_ENOUGH);
+      if (onProgress) await onProgress(again / MOST_TRIES);
+      if (reached || again === MOST_TRIES) return { factors, achieved, reached };
+      factors = factors.map((factor, k) => {
+        tried[k].push([Math.log(factor), Math.log(achieved[k])]);
+        const slope = clipped(slopeOf(tried[k]), [0.1, 1.5]);
+        const step = clipped(Math.log(wanted[k][1] / achieved[k]) / slope, [-0.7, 0.7]);
+        return clipped(factor * Math.exp(step), LIMITS);
+      });
+    }
+  }
+
+  /** Slope of the line through points, or the usual one where they lie too close together. */
+  function slopeOf(points) {
+    const xs = points.map(([x]) => x), n = points.length;
+    if (Math.max(...xs) - Math.min(...xs) <= FAR_APART) return USUAL_SLOPE;
+    const [mx, my] = [0, 1].map((axis) => points.reduce((sum, point) => sum + point[axis], 0) / n);
+    const across = points.reduce((sum, [x, y]) => sum + (x - mx) * (y - my), 0);
+    return across / xs.reduce((sum, x) => sum + (x - mx) ** 2, 0);
+  }
+
   /** In a warm-up step the executed actions are the demonstrated ones: what policies remember. */
   function actionsOf(model, world, b, old, policy, actions) {
     const { starts } = model, K = world.K;
@@ -980,6 +1017,6 @@ const AnimaRL = (() => {
     return best;
   }
 
-  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, pairedShift, actionTowards };
+  return { unpack, stream, Policy, makeWorld, unchanged, conditions, rollOut, findThrusts, pairedShift, actionTowards };
 })();
 if (typeof module !== "undefined") module.exports = AnimaRL;

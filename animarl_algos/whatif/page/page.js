@@ -30,7 +30,7 @@
     box.append(text, out, input);
     $("controls").append(box);
     say();
-    return { reset: () => { input.value = 0; say(); } };
+    return { text, reset: () => { input.value = 0; say(); } };
   }
 
   function choice(id, label, options, value) {
@@ -45,7 +45,11 @@
     return select;
   }
 
-  const sliders = names.map((name, i) => slider(`thrust-${i}`, `Thrust of ${name}`));
+  const body = choice("body", "Sliders of animals change", [["thrust", "thrust"], ["speed", "achieved speed"]], "thrust");
+  const sliders = names.map((name, i) => slider(`body-${i}`, `Thrust of ${name}`));
+  body.addEventListener("change", () =>
+    names.forEach((name, i) => (sliders[i].text.textContent = `${body.value === "speed" ? "Speed" : "Thrust"} of ${name}`)));
+  let found = null; // factors on thrusts that wanted speeds take, once they are known
   if (model.arena.shape !== "open") sliders.push(slider("arena", "Size of the arena", 1 / 2, 4));
   sliders.push(slider("contact", "Contact radius"));
   if (model.acting.kind === "boltzmann") sliders.push(slider("warmth", "Temperature of the choice of actions"));
@@ -57,7 +61,7 @@
   function options() {
     return {
       ...usual,
-      thrust: usual.thrust.map((value, i) => value * factors[`thrust-${i}`]),
+      thrust: usual.thrust.map((value, i) => value * (body.value === "speed" ? (found ? found[i] : 1) : factors[`body-${i}`])),
       arena: usual.arena * (factors.arena || 1),
       boundary: usual.boundary === null ? null : usual.boundary * (factors.arena || 1),
       contact: usual.contact * factors.contact,
@@ -293,7 +297,10 @@
     onmessage = async ({ data }) => {
       if (data.model) { model = AnimaRL.unpack(data.model); return; }
       const progress = (share) => postMessage({ id: data.id, share });
-      const found = await AnimaRL.rollOut(await model, data.options, data.tasks, data.seed, progress);
+      const { options, wanted, tasks, seed } = data, known = await model;
+      const found = wanted
+        ? await AnimaRL.findThrusts(known, options, wanted, tasks, seed, progress)
+        : await AnimaRL.rollOut(known, options, tasks, seed, progress);
       postMessage({ id: data.id, found });
     };`;
   const program = URL.createObjectURL(new Blob([$("engine").textContent, GLUE], { type: "text/javascript" }));
@@ -308,7 +315,8 @@
     return worker;
   }
 
-  function simulate(chosen, share) {
+  /** Simulate many episodes; with wanted speeds, find the thrusts that give them in these episodes. */
+  function simulate(chosen, share, wanted = null) {
     const id = ++asked, tasks = [];
     for (let again = 0; tasks.length < ROLLOUTS; again++) {
       for (let k = 0; k < starts && tasks.length < ROLLOUTS; k++) tasks.push([k, again]);
@@ -319,7 +327,7 @@
         if (data.found) resolve(data.found);
         else share(data.share);
       };
-      worker.postMessage({ id, options: chosen, tasks, seed: Number(seed.value) });
+      worker.postMessage({ id, options: chosen, tasks, wanted, seed: Number(seed.value) });
     });
   }
 
@@ -336,10 +344,23 @@
     const key = seed.value;
     if (!baselines.has(key)) baselines.set(key, await simulate(usual, say("unchanged world")));
     if (token !== waiting) return;
-    const before = baselines.get(key), began = performance.now();
-    const after = await simulate(options(), say("changed world"));
+    const before = baselines.get(key), moved = names.map((_, i) => i).filter((i) => factors[`body-${i}`] !== 1);
+    let told = "";
+    if (body.value === "speed" && moved.length) {
+      const usually = (i) => before.results.reduce((sum, one) => sum + one.speed[i], 0) / ROLLOUTS;
+      const wanted = moved.map((i) => [i, factors[`body-${i}`] * usually(i), usually(i)]);
+      const { factors: thrusts, reached } = await simulate(options(), (share) => {
+        $("progress").textContent = `Thrusts for these speeds: try ${Math.round(10 * share)} of 10 at most`;
+      }, wanted);
+      if (token !== waiting) return;
+      found = names.map((_, i) => (moved.includes(i) ? thrusts[moved.indexOf(i)] : 1));
+      told = ` Thrust ${moved.map((i) => `× ${found[i].toFixed(2)} for ${names[i]}`).join(", ")}`
+        + (reached ? "." : ": no thrust was found that reaches the wanted speed, so look at the speeds in the table.");
+      begin();
+    }
+    const began = performance.now(), after = await simulate(options(), say("changed world"));
     if (token !== waiting) return;
-    $("progress").textContent = `${ROLLOUTS} episodes of the changed world in ${((performance.now() - began) / 1000).toFixed(1)} s.`;
+    $("progress").textContent = `${ROLLOUTS} episodes of the changed world in ${((performance.now() - began) / 1000).toFixed(1)} s.${told}`;
     show(before, after);
   }
 
@@ -438,6 +459,7 @@
 
   let timer = 0;
   function changed() {
+    found = null;
     stop();
     begin();
     clearTimeout(timer);

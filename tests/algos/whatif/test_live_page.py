@@ -224,6 +224,63 @@ def test_the_page_answers_to_its_sliders_and_keys(page: Any) -> None:
     assert "0 [0, 0]" in rows.nth(1).inner_text()
 
 
+def test_an_animal_is_dragged_to_another_start(page: Any) -> None:
+    assert page.locator("#histograms figure").count() == 6  # endings, duration, path, three speeds
+    box = page.locator("#stage").bounding_box()
+    unit = box["width"] / 2 / 1.12  # pixels per arena unit
+
+    def places() -> list[float]:
+        return list(page.evaluate("Array.from(window.animarlPage.episode().world.position)"))
+
+    def pixels(x: float, y: float) -> tuple[float, float]:
+        middle = box["width"] / 2
+        return box["x"] + middle + x * unit, box["y"] + middle - y * unit
+
+    before = places()
+    page.mouse.move(*pixels(*before[:2]))
+    page.mouse.down()
+    page.mouse.move(*pixels(-0.4, 0.3), steps=3)
+    page.mouse.up()
+    after = places()
+    assert after[:2] == pytest.approx([-0.4, 0.3], abs=0.01) and after[2:] == before[2:]
+
+
+def wanted_speed(page: Any, individual: int, factor: float) -> tuple[str, float, float]:
+    """Set a speed slider; what is said, and the achieved and the asked factor on the speed."""
+    page.select_option("#body", "speed")
+    slider = page.locator(f"#control-body-{individual}")
+    slider.evaluate(
+        "(one, factor) => { one.value = Math.log2(factor);"
+        "one.dispatchEvent(new Event('input')); }", factor,
+    )  # fmt: skip
+    page.wait_for_function(
+        "document.getElementById('progress').textContent.includes('Thrust ×')", timeout=60_000
+    )
+    name = page.evaluate(f"window.animarlPage.model.individuals[{individual}]")
+    row = page.locator("#table tr", has_text=f"speed of {name}").inner_text().split("\t")
+    assert page.locator(f"label[for=control-body-{individual}]").inner_text() == f"Speed of {name}"
+    set_to = 2 ** float(slider.input_value())
+    return page.inner_text("#progress"), float(row[3]) / float(row[2]), set_to
+
+
+def test_a_speed_slider_finds_the_thrust_that_python_finds(browser: Any, tmp_path: Path) -> None:
+    run = load_run("agent")
+    opened = browser.new_page()
+    opened.goto(write_page(run, tmp_path / "agent.html").as_uri())
+    answered(opened)
+    said, achieved, asked = wanted_speed(opened, 2, 1.2)
+    opened.close()
+    assert achieved == pytest.approx(asked, rel=0.03)
+    thrust = float(said.split("Thrust × ")[1].split(" ")[0])
+    python = run.what_if(f"prey.speed=x{asked:.4f}").answers[0].thrusts["prey"]
+    assert thrust == pytest.approx(python, rel=0.15)
+
+
+def test_a_speed_that_no_thrust_gives_is_said(page: Any) -> None:
+    said, achieved, asked = wanted_speed(page, 0, 0.8)  # a fly coasts for longer than it pushes
+    assert "no thrust was found" in said and abs(achieved / asked - 1) > 0.02
+
+
 def test_a_reader_steers_an_animal_and_its_track_is_imported(page: Any, tmp_path: Path) -> None:
     page.select_option("#steer", "2")
     page.focus("#stage")
