@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from animarl_algos.evaluation.collect import collect_rollouts
+from animarl_algos.evaluation.collect import MemorylessPolicy, collect_rollouts
 from animarl_algos.evaluation.comparison import comparison_table, interval
 from animarl_algos.evaluation.metrics import dtw_alignments, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import Rollouts
@@ -36,7 +36,7 @@ from animarl_envs.worlds import make_world
 SHARES = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
 
-class RecordedActions:
+class RecordedActions(MemorylessPolicy):
     """The recorded actions, open loop, each replaced by a random one with probability ``share``."""
 
     def __init__(
@@ -48,16 +48,13 @@ class RecordedActions:
         self._rng = np.random.default_rng(0)
         self._t = 0
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:  # fmt: skip
+    def act(self, observation: Any) -> NDArray[np.int64]:
         """One action per slot; after the recording's end, coasting."""
         row = self._actions[self._first + np.minimum(self._t, self._steps - 1)]
         chosen = np.where((self._t < self._steps)[:, None], row, COAST)
         random = self._rng.integers(NUM_ACTIONS, size=chosen.shape)
         self._t += 1
-        return np.where(self._rng.random(chosen.shape) < self._share, random, chosen).ravel(), state
+        return np.where(self._rng.random(chosen.shape) < self._share, random, chosen).ravel()
 
 
 def other_recordings(demos: Demonstrations, rng: np.random.Generator) -> pd.DataFrame:

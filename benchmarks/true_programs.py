@@ -25,6 +25,7 @@ from rich.table import Table
 
 from animarl_algos.benchmark.references import ProgrammedPolicy, expert_rollouts
 from animarl_algos.evaluation import Rollouts, Verdict, collect_rollouts, verdict
+from animarl_algos.evaluation.collect import MemorylessPolicy
 from animarl_algos.evaluation.teams import teams_of
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.locomotion import Locomotion
@@ -38,7 +39,7 @@ from tools.packaged_data.courtship_published import BEHAVIOURS
 
 
 @dataclass
-class Courtship:
+class Courtship(MemorylessPolicy):
     """The program of flies and newts as a policy: it looks at the world itself, not at what is seen
     of it. ``believed`` is the locomotion that it takes the animals to have, by default theirs.
     """
@@ -55,14 +56,8 @@ class Courtship:
         self._acting = CourtshipPolicy(world, behaviour, rng, self.believed)
         return world
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
-        return self._acting.act().ravel(), state
+    def act(self, observation: Any) -> NDArray[np.int64]:
+        return self._acting.act().ravel()
 
 
 def rolled_out(species: str, seed: int, rollouts: int) -> Rollouts:

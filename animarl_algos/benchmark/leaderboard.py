@@ -85,9 +85,9 @@ class Board:
             yield head | {"measures": table.where(table.notna(), None).to_dict("records")}
 
     def headings(self) -> dict[str, str]:
-        """Return measures with their units, by key."""
+        """Return the measures that these animals have, with their units, by key."""
         units = max(self.scores, key=lambda one: one.rollouts).measures["unit"]
-        return {key: name + _bracketed(units[key]) for key, name in labels().items()}
+        return {k: name + _bracketed(units[k]) for k, name in labels().items() if k in units.index}
 
     def markdown(self) -> str:
         """Return a section: what a simulator is judged by, its differences, its closeness."""
@@ -101,9 +101,10 @@ class Board:
             f"\n## {self.name}\n\n{self.starts}, of {kind or 'recordings'}; beside each method "
             "seeds × rollouts.\n"
         )
-        names, headings = list(labels()), self.headings()
-        first = names.index("outcomes")
-        last = first + 1 + len(differences())
+        headings = self.headings()
+        names, compared = list(headings), {"outcomes", *(metric.key for metric in differences())}
+        first = next(i for i, key in enumerate(names) if key in compared)
+        last = first + len(compared.intersection(names))
         for keys in (names[:first], names[first:last], names[last:]):
             lines = [["method", *(headings[key] for key in keys)], ["---"] * (1 + len(keys))]
             for one in sorted(self.scores, key=place):
@@ -119,9 +120,10 @@ class Board:
 
     def blocks(self) -> Iterator[Block]:
         """Yield plots of the main measures and a table of all."""
-        own = [metric.key for metric in differences()]
+        there, own = self.headings(), [metric.key for metric in differences()]
         drawn = [REALISM, AUC, SEQUENCE, ENERGY, *own, "dtw_per_step", "dtw_first_second"]
-        yield Gallery([one for key in drawn if (one := self._picture(key, key in own))], CAPTION)
+        pictures = (self._picture(key, key in own) for key in drawn if key in there)
+        yield Gallery([one for one in pictures if one], CAPTION)
 
         def value(key: str) -> Any:
             return lambda one: _number(one.of(key).value) or NOTHING
@@ -131,7 +133,7 @@ class Board:
             {
                 "Method": lambda one: one.method,
                 "Rank": lambda one: self.ranks.get(one.method, NOTHING),
-                **{h.replace(" (", "\n("): value(key) for key, h in self.headings().items()},
+                **{h.replace(" (", "\n("): value(key) for key, h in there.items()},
             },
             [("", self.scores)],
             "Estimates; intervals and nulls of every one are in leaderboard.csv. Endings to path "

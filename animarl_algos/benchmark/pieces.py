@@ -14,6 +14,7 @@ import shutil
 import time
 import traceback
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -69,19 +70,21 @@ class Done(NamedTuple):
     error: str = ""
 
 
-class Piece:
+class Piece(ABC):
     """A piece of work; it may be sent to another process."""
 
     STAGE: ClassVar[str]
     RESULT: ClassVar[str] = COST
 
     @property
+    @abstractmethod
     def name(self) -> str:
-        raise NotImplementedError
+        """What the progress and errors call it."""
 
     @property
+    @abstractmethod
     def key(self) -> str:
-        raise NotImplementedError
+        """A hash of everything that determines its result."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -100,9 +103,9 @@ class Piece:
         """Return what it needs and is not there; empty if it can be done."""
         return ""
 
+    @abstractmethod
     def perform(self, out: Path) -> None:
         """Make the result, going on from what an earlier attempt left."""
-        raise NotImplementedError
 
     def error(self, out: Path) -> str:
         """Return what the last attempt failed with; empty if it did not."""

@@ -27,7 +27,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from animarl_algos.evaluation.classifier import followed
-from animarl_algos.evaluation.collect import Policy, RandomPolicy, collect_rollouts
+from animarl_algos.evaluation.collect import (
+    MemorylessPolicy,
+    Policy,
+    RandomPolicy,
+    collect_rollouts,
+)
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.run import Run
@@ -151,24 +156,14 @@ def beside_fold(demos: Demonstrations) -> Demonstrations:
     return demos.select(split="val")
 
 
-class Idle:
+class Idle(MemorylessPolicy):
     """Action 0 for everybody, where the world's script decides."""
 
     def act(self, observation: NDArray[np.floating]) -> Ints:
-        """Return one action per slot."""
         return np.zeros(len(observation), dtype=np.int64)
 
-    def predict(
-        self,
-        observation: NDArray[np.floating],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Ints, Any]:
-        return self.act(observation), state
 
-
-class Steering(Idle):
+class Steering(MemorylessPolicy):
     """The action after which the velocity is nearest to ``keep`` times what it is.
 
     1 holds the velocity, 0 stops. The scenario's observations hold each individual's own velocity.

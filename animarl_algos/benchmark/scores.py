@@ -64,7 +64,7 @@ ROUNDING = 1e-9
 
 def differences() -> list[Metric]:
     """Return the metrics whose difference to the recordings stands on the board."""
-    return [metric for metric in METRICS if metric.judged and metric.on_board]
+    return [one for one in METRICS if one.judged and one.of_recordings and one.on_board]
 
 
 def labels() -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Literal, Protocol
@@ -34,21 +35,33 @@ class Policy(Protocol):
     ) -> tuple[Any, Any]: ...
 
 
-class RandomPolicy:
+class MemorylessPolicy(ABC):
+    """A policy that acts by what is observed now; what it is told besides makes no difference."""
+
+    @abstractmethod
+    def act(self, observation: Any) -> NDArray[np.int64]:
+        """Return one action per slot."""
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[NDArray[np.int64], Any]:
+        """Return :meth:`act`'s actions, and the state as it is."""
+        return self.act(observation), state
+
+
+class RandomPolicy(MemorylessPolicy):
     """Uniformly random actions from a seeded generator: the floor any learner must leave."""
 
     def __init__(self, seed: int, num_actions: int = NUM_ACTIONS) -> None:
         self._rng = np.random.default_rng(seed)
         self._num_actions = num_actions
 
-    def predict(
-        self,
-        observation: NDArray[np.floating] | Mapping[str, NDArray[Any]],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
-        return self._rng.integers(self._num_actions, size=len(observation)), state
+    def act(self, observation: NDArray[np.floating] | Mapping[str, Any]) -> NDArray[np.int64]:
+        return self._rng.integers(self._num_actions, size=len(observation))
 
 
 def collect_rollouts(

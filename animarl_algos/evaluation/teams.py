@@ -23,7 +23,7 @@ from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 from torch import nn
 
-from animarl_algos.evaluation.collect import Policy, collect_rollouts
+from animarl_algos.evaluation.collect import MemorylessPolicy, Policy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.learner.checkpoint import load_tensors, summarise_error
@@ -186,7 +186,7 @@ def _two_layers(inputs: int, units: int, outputs: int) -> nn.Sequential:
 
 
 @dataclass(frozen=True, eq=False)
-class PublishedTeam:
+class PublishedTeam(MemorylessPolicy):
     """Two predators and their prey."""
 
     networks: tuple[PublishedNetwork, ...]
@@ -196,13 +196,7 @@ class PublishedTeam:
         """Read ``p1_2.4.pth``, ``p2_2.4.pth`` and ``e_2.4.pth``, or raise InputError."""
         return cls(tuple(_load_network(folder / name) for name in FILES))
 
-    def predict(
-        self,
-        observation: NDArray[np.floating],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[NDArray[np.int64], Any]:
+    def act(self, observation: NDArray[np.floating]) -> NDArray[np.int64]:
         """Greedy actions ``(slots,)`` from the full observations of a chase ``(slots, n)``."""
         components = observation_components(AGENT)
         if observation.shape[-1] != len(components):
@@ -219,7 +213,7 @@ class PublishedTeam:
             with torch.no_grad():
                 values = network(torch.from_numpy(_inputs(seen[own], prey=k == 2)))
             actions[own] = values.argmax(dim=1).numpy()
-        return actions, state
+        return actions
 
 
 def _inputs(seen: Floats, *, prey: bool) -> Floats:
