@@ -92,7 +92,8 @@ def list_public_names(app: Any) -> None:
 def copy_changelog(app: Any) -> None:
     """Write the changelog as a page of the site."""
     text = (HERE.parent / "CHANGELOG.md").read_text(encoding="utf-8")
-    (HERE / "_generated" / "changes.md").write_text(text.replace("](docs/", "](../"), "utf-8")
+    text = re.sub(r"\]\((?!https?:)", "](../../", text).replace("](../../docs/", "](../")
+    (HERE / "_generated" / "changes.md").write_text(text, encoding="utf-8")
 
 
 def resolve_links(app: Any, docname: str, source: list[str]) -> None:

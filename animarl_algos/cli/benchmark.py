@@ -45,7 +45,7 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
     method="Your own method, NAME=module:factory; repeatable.",
     engine="local: processes of this machine; ray: tasks of a Ray cluster.",
     processes="So many of engine local, one thread each.",
-    address="Of the Ray cluster; auto: RAY_ADDRESS, or this machine's, if need be new.",
+    address="Address of the Ray cluster; auto: RAY_ADDRESS, or a cluster on this machine.",
     show=typer.Option("--list", help="Say what there is to do, and do nothing."),
 )
 def benchmark_command(

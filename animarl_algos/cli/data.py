@@ -102,8 +102,8 @@ def split_command(
     out: OutOption,
     by: Annotated[str, typer.Option(help="recording, episode or group.")] = "recording",
     pattern: Annotated[str | None, typer.Option(help="group: regular expression.")] = None,
-    fractions: Annotated[str, typer.Option(help="Of train, val, test.")] = "0.8,0.1,0.1",
-    seed: Annotated[int, typer.Option(help="Of the dealing.")] = 0,
+    fractions: Annotated[str, typer.Option(help="Shares of train, val, test.")] = "0.8,0.1,0.1",
+    seed: Annotated[int, typer.Option(help="Seed of the new splits.")] = 0,
 ) -> None:
     """Deal episodes to train, val and test again; recordings are not torn apart by default.
 
@@ -130,7 +130,9 @@ def merge_command(
     out: Annotated[Path, typer.Option("--out", help="Demonstrations to write (.npz).")],
     conditions: Annotated[
         str | None,
-        typer.Option(help="Of each file: 0,1 or two words, as control,drug; default: as they are."),
+        typer.Option(
+            help="Condition of each file: 0,1 or two words (control,drug); default: as they are."
+        ),
     ] = None,
 ) -> None:
     """Put files of demonstrations of the same animals in the same arena together.

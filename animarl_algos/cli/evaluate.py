@@ -95,7 +95,7 @@ def counterfactual_command(
     truth: Path | None = None,
     repetitions: int | None = None,
 ) -> None:
-    """Ask trained runs what if: predicted shifts beside the true ones and beside chance.
+    """Predict the effect of the condition, beside its true effect and beside chance.
 
     Every policy is told the other condition in the same world. For chases the truth is what teams
     trained under the other condition do, for a search what the same policy does with the other
@@ -122,7 +122,7 @@ def counterfactual_command(
     out=OUT,
 )
 def inspect_command(run: Path, episode: int, out: Path = Path("out/inspect")) -> None:
-    """Look closely at one test demonstration: rollouts from its start, and what was valued.
+    """Show one test recording beside rollouts from its start, with the action values.
 
     Example:
 

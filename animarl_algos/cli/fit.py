@@ -63,7 +63,7 @@ THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     thrusts="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit).",
     split="Episodes the parameters come from: train, val, test or all.",
     bootstrap="Resamples of episodes for the intervals.",
-    seed="Of the resampling.",
+    seed="Seed of the resampling.",
     out="Save the table: .csv, or .json to use it again.",
 )
 def fit_command(

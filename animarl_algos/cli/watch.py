@@ -38,17 +38,17 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
 
 @helps(
     env=Argument(help="Environment id, such as AnimaRL/Newt-v0; by default that of --model."),
-    model="Whose trained policy acts: a run's folder, or a packaged model by name, such as fly.",
+    model="The trained policy: a run's folder, or a packaged model by name, such as fly.",
     out="Clip to write, .gif or .mp4; without it, a window opens.",
-    seed="Of the episodes and the policies.",
+    seed="Seed of the episodes and the policies.",
     acting="How the policies of --model act: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
     "default as the run says.",
     episodes=Option(min=1, help="Number of episodes."),
     steps=Option(min=1, help="Most steps of an episode; by default to its end."),
     focal="The model drives this individual only: by default all that it learned.",
     beside="Show the recordings on the left and the model from the same starts on the right.",
-    by="What moves those without a model: their demonstration (default, where there is one) or "
-    "their script.",
+    by="What moves individuals without a model: their demonstration (default, where there is "
+    "one) or their script.",
     condition="0, 1, or that of the demonstration.",
     demos="Demonstrations: packaged, none, or a file.",
     split="Episodes to start from: train, val, test or all.",

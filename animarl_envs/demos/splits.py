@@ -34,7 +34,7 @@ class Splitting:
     )
     pattern: str | None = option(None, "split_pattern", "group: regular expression with a (group).")
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)
-    seed: int = option(0, "split_seed", "Of the splits.")
+    seed: int = option(0, "split_seed", "Seed of the splits.")
 
     def __post_init__(self) -> None:
         fractions = tuple(float(share) for share in self.fractions)

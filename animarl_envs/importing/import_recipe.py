@@ -26,7 +26,9 @@ class ImportRecipe:
     """From files to demonstrations; each entry says what it is, and how the command calls it."""
 
     source: str | None = option(None, "", "Name of the reader; default: by a look at each file.")
-    options: Mapping[str, Any] = option(dict, "option", "Of the reader: name=value, value as YAML.")
+    options: Mapping[str, Any] = option(
+        dict, "option", "An option of the reader, as name=value (YAML)."
+    )
     individuals: tuple[str, ...] | None = option(
         None, "individuals", "Which, in order: a,b,c; rename by a=male,b=female."
     )
@@ -59,7 +61,7 @@ class ImportRecipe:
     )  # fmt: skip
     species: str = option(CUSTOM, "species", "Species they belong to.")
     condition: int | None = option(None, "condition", "0 or 1, of all episodes.")
-    licence: str = option(NOT_STATED, "licence", "Of the recordings.")
+    licence: str = option(NOT_STATED, "licence", "Licence of the recordings.")
     synthetic: bool = option(False, "synthetic", "No animal was recorded: say so everywhere.")
     cleaning: Cleaning = option(Cleaning, "", "See :class:`Cleaning`.")
     scaling: Scaling = option(Scaling, "", "See :class:`Scaling`.")
