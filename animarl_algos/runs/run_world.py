@@ -23,6 +23,7 @@ from animarl_envs.worlds import observation_components
 SENSES = ("observation_noise", "observation_delay")
 CHANGES_INPUTS = (
     "num_pursuers", "num_targets", "lone_pursuer", "individuals", "observation", "senses_heading",
+    "neighbours", "free",
 )  # fmt: skip
 """Options that say who is there and what is shown of them; others may change it, too."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_algos.evaluation.metrics import path_lengths
+from animarl_algos.evaluation.order_in_time import nearest_other
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
@@ -21,7 +22,7 @@ from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange,
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.units import Unit, unit_of
 from animarl_envs.errors import InputError
-from animarl_envs.focus import distances_to_target
+from animarl_envs.focus import distances_to_target, is_free
 from animarl_envs.scenario import Scenario as World
 from animarl_envs.species import Species
 from animarl_envs.species.scales import Reading
@@ -448,6 +449,21 @@ def quantities_of(species: Species, unit: Unit) -> Iterator[Quantity]:
 
         return speed
 
+    def nearest(rollouts: Rollouts) -> Floats:
+        apart = np.linalg.norm(nearest_other(rollouts.positions), axis=-1).mean(axis=1)
+        starts = rollouts.offsets[:-1]
+        return np.asarray(scale * np.add.reduceat(apart, starts) / rollouts.lengths)
+
+    def all_speeds(rollouts: Rollouts) -> Floats:
+        return np.asarray(
+            np.mean([speed_of(i)(rollouts) for i in range(species.num_individuals)], axis=0)
+        )
+
+    if is_free(species.roles):  # nothing is reached, and only the film ends
+        yield Quantity("speed", f"{name}/s", all_speeds)
+        if species.num_individuals > 1:
+            yield Quantity("nearest neighbour", name, nearest)
+        return
     yield Quantity("reached", "share", lambda rollouts: rollouts.captured.astype(np.float64))
     yield Quantity("duration", "s", seconds)
     yield Quantity("path length", name, paths)

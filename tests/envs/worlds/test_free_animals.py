@@ -149,3 +149,12 @@ def test_views_and_options_of_free_animals() -> None:
         make_scenario("custom", demos=demos, num_targets=2)
     with pytest.raises(InputError, match="neighbours is -1"):
         make_scenario("custom", demos=demos, neighbours=-1)
+
+
+def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:
+    from animarl_algos.whatif.answer import quantities_of
+    from animarl_envs.demos.units import RECORDED_SCALE
+
+    for animals, asked in ((1, ["speed"]), (4, ["speed", "nearest neighbour"])):
+        species = make_scenario("custom", demos=group(animals)).species
+        assert [one.name for one in quantities_of(species, RECORDED_SCALE)] == asked
