@@ -4,18 +4,25 @@
     python benchmarks/faithful.py --seed 0 --seed 1 --seed 2 --out docs/results/faithful
     python benchmarks/faithful.py --only agents-share --algo bc --out out/bc
     python benchmarks/faithful.py --test --seed 0 --seed 1 --seed 2 --out docs/results/test
+    python benchmarks/faithful.py --unseen mine.npz --out out/unseen
 
 Every cell (data set and seed) is imported, fitted, trained with the default preset and rolled out
 by the functions of the pipeline; then comes the verdict on the validation split. ``--test`` asks
 about the test split, once, at the end. Finished cells are kept under ``--out`` and not made again,
 each with its recordings and rollouts for whoever wants to ask something else of them; rows of other
 sets and seeds that stand in the table of ``--out`` stay, with the commit of each.
+
+Sets are reported in three groups: those that defaults were chosen on, those made after the defaults
+they are run with, and, by ``--unseen``, demonstrations of your own that ``animarl import`` wrote.
+An unseen file is asked about once: its test split, with a seed that follows from its content.
+
 The recordings lie in $ANIMARL_DATA (by default ../shared/data); those that are not there are left
 out and named.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -47,6 +54,7 @@ from animarl_envs import environment_id
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged, packaged_names
 from animarl_envs.demos.splits import cross_validated
+from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.tracking import track
 from animarl_envs.species import CUSTOM, SPECIES
@@ -139,6 +147,7 @@ PACKAGED = tuple(
     for key in ("reached", "target_out", "pursuer_out", "leaving", "duration", "path_length",
                 "mean_speed", "median_speed", "slow_steps", "turning")
 ) + (Bar("auc", "auc", 0.65),)  # fmt: skip
+TUNED, ONCE, UNSEEN = "defaults were chosen on", "made after the defaults", "unseen"
 
 
 @dataclass(frozen=True)
@@ -147,13 +156,20 @@ class DataSet:
 
     ``importing`` are the arguments of ``animarl import``, paths below the data folder; without them
     the set is the packaged one whose name its own begins with. ``folds``: cross-validated over
-    recordings, or over episodes where there are fewer than three recordings.
+    recordings, or over episodes where there are fewer than three recordings. ``group`` says what
+    is known of it: ``TUNED``, ``ONCE`` or ``UNSEEN``; the name of an unseen set is its file.
     """
 
     name: str
     bars: tuple[Bar, ...]
     importing: str | None = None
     folds: int = 1
+    group: str = TUNED
+
+    @property
+    def label(self) -> str:
+        """The name that tables and folders of cells have."""
+        return Path(self.name).stem if self.group == UNSEEN else self.name
 
     def files(self) -> list[Path]:
         """The recordings, none where they are not there."""
@@ -161,6 +177,8 @@ class DataSet:
         return sorted(DATA.glob(pattern)) if pattern else []
 
     def load(self, folder: Path) -> Demonstrations:
+        if self.group == UNSEEN:
+            return Demonstrations.load(Path(self.name))
         if self.importing is None:
             return load_packaged(self.name.removesuffix(CROSSED))
         out = folder / f"{self.name}.npz"
@@ -173,7 +191,10 @@ class DataSet:
 
 SETS = (
     *(
-        DataSet(name, (*PACKAGED, TIME) if name == "agent" else PACKAGED)
+        DataSet(
+            name, (*PACKAGED, TIME) if name == "agent" else PACKAGED,
+            group=ONCE if name in ("shoal", "solo") else TUNED,
+        )
         for name in packaged_names()
     ),
     # Ten, twenty and twelve test episodes are few: here every episode is tested once.
@@ -198,6 +219,34 @@ SETS = (
         "--smoothing 2 --decision-rate 12.5", FOLDS,
     ),
 )  # fmt: skip
+
+
+def lockbox(files: list[Path]) -> list[DataSet]:
+    """Unseen sets: demonstrations of the reader's own, which nothing was chosen on.
+
+    Raises
+    ------
+    typer.BadParameter
+        If two files have one name, or episodes to choose on or to test on are lacking.
+    """
+    if len({path.stem for path in files}) < len(files):
+        raise typer.BadParameter("two unseen files have one name: rename one, tables name it")
+    for path in files:
+        try:
+            dealt = Demonstrations.load(path).split
+        except InputError as error:
+            raise typer.BadParameter(str(error)) from None
+        if lacking := [part for part in ("train", "val", "test") if not (dealt == part).any()]:
+            raise typer.BadParameter(
+                f"{path}: it has no episodes in split {lacking[0]!r}: choices see train and val, "
+                "the report sees test alone; import more recordings, or use --split-by episode"
+            )
+    return [DataSet(str(path), PACKAGED, group=UNSEEN) for path in files]
+
+
+def own_seed(demos: Demonstrations) -> int:
+    """The seed of an unseen set: it follows from the content, so that nobody picks it."""
+    return int.from_bytes(hashlib.sha256(demos.fingerprint().encode()).digest()[:2], "big")
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +321,7 @@ def judged(one: DataSet, out: Path, algo: str, seed: int, split: str, rollouts: 
     starts = sum(int((fold.split == split).sum()) for fold in folds)
     repetitions = max(2, math.ceil(rollouts / starts))  # of each start, in whichever fold
     for number, fold in enumerate(folds):
-        folder = out / "runs" / f"{one.name}-{algo}-{seed}-{number}"
+        folder = out / "runs" / f"{one.label}-{algo}-{seed}-{number}"
         whole &= not folder.exists()
         index = np.flatnonzero(fold.split == split)
         *both, paths = trained(fold, folder, algo, seed, split, repetitions)
@@ -313,6 +362,9 @@ def main(
     seed: Annotated[list[int] | None, typer.Option(help="Of all; repeatable.")] = None,
     test: Annotated[bool, typer.Option(help="Ask about the test split.")] = False,
     quick: Annotated[bool, typer.Option(help="Packaged sets, one seed, few rollouts.")] = False,
+    unseen: Annotated[
+        list[Path] | None, typer.Option(help="Imported demonstrations, asked once; repeatable.")
+    ] = None,
     rollouts: Annotated[int | None, typer.Option(help="Per cell, at least two a start.")] = None,
     import_only: Annotated[bool, typer.Option(help="No more than OUT/imported/SET.npz.")] = False,
     out: Annotated[Path, typer.Option(help="Where cells and tables go.")] = Path("out/faithful"),
@@ -323,11 +375,14 @@ def main(
     known = [one.name for one in SETS]
     if unknown := sorted(set(only or []) - set(known)):
         raise typer.BadParameter(f"{unknown[0]!r} is unknown: choose among {', '.join(known)}")
-    split = "test" if test else "val"
+    if unseen and (test or seed or only or quick):
+        raise typer.BadParameter("--unseen stands alone: it asks the test split with its own seed")
+    sets, seeds = (lockbox(unseen) if unseen else SETS), [0]
+    split = "test" if test or unseen else "val"
     number = rollouts or (QUICK_ROLLOUTS if quick else ROLLOUTS)
     (out / "imported").mkdir(parents=True, exist_ok=True)
     lines: list[dict[str, Any]] = []
-    for one in SETS:
+    for one in sets:
         if (only and one.name not in only) or (quick and (one.importing or one.folds > 1)):
             continue
         if one.importing and not one.files():
@@ -336,8 +391,10 @@ def main(
         if import_only:
             one.load(out / "imported")
             continue
-        for s in (seed or [0])[: 1 if quick else None]:
-            cell = out / "cells" / f"{one.name}-{algo}-{s}-{split}-{number}"
+        if unseen:
+            seeds = [own_seed(one.load(out))]
+        for s in (seed or seeds)[: 1 if quick else None]:
+            cell = out / "cells" / f"{one.label}-{algo}-{s}-{split}-{number}"
             if not (cell / "cell.json").exists():
                 judged(one, out, algo, s, split, number).save(cell)
             found = Verdict.load(cell)
@@ -345,7 +402,13 @@ def main(
             console.print(f"\n[bold]{one.name}[/bold], seed {s}, {done['seconds']:.0f} s")
             console.print(verdict_table(found, Words.of(one.load(out / "imported"))))
             whole = done.pop("whole", False)  # older cells do not say
-            head = {"set": one.name, "seed": s, "overall": found.overall, **done}
+            head = {
+                "set": one.label,
+                "group": one.group,
+                "seed": s,
+                "overall": found.overall,
+                **done,
+            }
             took = done["seconds"] if whole else math.nan
             lines += [head | row for row in bar_rows(one, found, took)]
     if lines:
@@ -364,6 +427,8 @@ def with_others(table: pd.DataFrame, file: Path) -> pd.DataFrame:
         kept = earlier[~pd.MultiIndex.from_frame(earlier[cell]).isin(anew)]
         table = pd.concat([kept, table], ignore_index=True)
     order = {one.name: number for number, one in enumerate(SETS)}
+    groups = {one.name: one.group for one in SETS}  # older tables do not say
+    table["group"] = table["set"].map(groups).fillna(UNSEEN)
     place = pd.DataFrame({"set": table["set"].map(order), "seed": table["seed"]})
     rows = place.sort_values(["set", "seed"], kind="stable").index
     return table.loc[rows].reset_index(drop=True)
@@ -381,7 +446,7 @@ def write(table: pd.DataFrame, out: Path, split: str) -> None:
 
 
 def markdown(table: pd.DataFrame) -> str:
-    """One line per bar."""
+    """One table a group of sets, one line per bar."""
     columns = ("set", "seed", "label", "recorded", "simulated", "distance", "null",
                "recorded_null", "verdict", "bar", "met?")  # fmt: skip
 
@@ -390,10 +455,14 @@ def markdown(table: pd.DataFrame) -> str:
             return f"{value:.3g}" if math.isfinite(value) else ""
         return str(value)
 
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    rows = table.to_dict("records")
-    lines += ["| " + " | ".join(text(row[c]) for c in columns) + " |" for row in rows]
-    return "\n".join(lines)
+    lines = []
+    for group in (TUNED, ONCE, UNSEEN):
+        rows = table[table["group"] == group].to_dict("records")
+        if rows:
+            lines += ["", f"## Sets: {group}", "", "| " + " | ".join(columns) + " |"]
+            lines += ["|" + "---|" * len(columns)]
+        lines += ["| " + " | ".join(text(row[c]) for c in columns) + " |" for row in rows]
+    return "\n".join(lines[1:])
 
 
 def commit() -> str:

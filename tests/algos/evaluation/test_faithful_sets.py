@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Interval
@@ -165,4 +166,38 @@ def test_rows_of_older_tables_stay_beside_new_ones() -> None:
     before = (older["set"] == "courtship") & (older["seed"] == 0)
     assert table[own]["label"].tolist() == [row["label"] for row in rows]
     assert table[~own]["label"].tolist() == older[~before]["label"].tolist()
-    assert faithful.markdown(table).count("\n") == len(table) + 1
+    assert faithful.markdown(table).count("\n") == len(table) + 3  # a heading and a line of names
+
+
+def test_a_lockbox_has_its_own_seed_and_group_and_is_asked_on_its_test_split(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demos = load_packaged("fly")
+    file = tmp_path / "mine.npz"
+    demos.save(file)
+    asked: list[tuple[Any, ...]] = []
+
+    class Kept:
+        def save(self, folder: Path) -> None:
+            found().save(folder)
+            done = {"seconds": 1.0, "commit": "abc"}
+            (folder / "cell.json").write_text(json.dumps(done))
+
+    def judged(one: DataSet, out: Path, *rest: Any) -> Kept:
+        asked.append(rest)
+        return Kept()
+
+    monkeypatch.setattr(faithful, "judged", judged)
+    faithful.main(unseen=[file], out=tmp_path / "out")
+    ((_, seed, split, _),) = asked
+    assert split == "test" and seed == faithful.own_seed(Demonstrations.load(file))
+    assert seed != faithful.own_seed(load_packaged("newt"))
+    assert "## Sets: unseen" in (tmp_path / "out" / "faithful.md").read_text()
+    row = pd.read_csv(tmp_path / "out" / "faithful.csv").iloc[-1]
+    assert (row["set"], row["group"], row["seed"]) == ("mine", "unseen", seed)
+
+    with pytest.raises(typer.BadParameter, match="stands alone"):
+        faithful.main(unseen=[file], seed=[3], out=tmp_path / "out")
+    replace(demos, split=np.where(demos.split == "val", "train", demos.split)).save(file)
+    with pytest.raises(typer.BadParameter, match="no episodes in split 'val'"):
+        faithful.main(unseen=[file], out=tmp_path / "out")
