@@ -19,6 +19,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
 from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.odour import fit_odour
 from animarl_envs.fitting.turning import fit_turning
 from animarl_envs.focus import distances_to_target, is_free, lone_pursuer
 from animarl_envs.locomotion import Locomotion, check_thrusts
@@ -71,7 +72,8 @@ def species_of(
         - the time since the start is seen where the import began every episode at a separation
           (``senses_time``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
-        - a searcher has the silkmoth's senses, plume and conditions.
+        - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with
+          its heading and its odour gets odour as recorded searchers did (``fitting.odour``).
 
         Individuals whose headings are recorded turn as they do, see :func:`fitted_turning`; those
         of a chase then see where everybody points (``senses_heading``), if one of them does not
@@ -98,6 +100,8 @@ def species_of(
     own: dict[str, Any] = {"lone_pursuer": True} if lone_pursuer(demos.roles) else {}
     if "searcher" in numbers.roles and HEADING in demos.signals:
         own["turning"] = fitted_turning(demos)
+        if not demos.synthetic and {"odour_left", "odour_right"} <= set(demos.signals):
+            own["plume"] = _fitted_once(fit_odour, demos, 0)
     elif demos.headings() is not None:
         turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
         own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}

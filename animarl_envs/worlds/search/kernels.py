@@ -16,7 +16,7 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.episode import TIME_OUT
 from animarl_envs.kinematics import next_velocity
 from animarl_envs.scenario import ACTION, REPLAY
-from animarl_envs.worlds.search.senses import orient, push_of, read, sense, wake
+from animarl_envs.worlds.search.senses import orient, push_of, read, sense, smell, wake
 from animarl_envs.worlds.streams import next_below
 
 REACHED = 1  # outcome: the searcher (individual 0) reached the source
@@ -24,11 +24,13 @@ REACHED = 1  # outcome: the searcher (individual 0) reached the source
 SearchState = namedtuple(
     "SearchState",
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
-    "warming driver recorded first table senses damping thrust pushes condition pattern phase "
-    "position velocity body components reward sensed",
+    "warming driver recorded first table odour senses damping thrust pushes condition pattern "
+    "phase position velocity body components reward sensed",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.search.world.SearchWorld`, where
-they are made. ``pushes`` ``(A, 2)`` are actions in multiples of the thrust, ahead and left."""
+they are made. ``pushes`` ``(A, 2)`` are actions in multiples of the thrust, ahead and left;
+``odour`` is an :class:`animarl_envs.worlds.plume.fitted.OdourWeights`, empty where the table
+holds."""
 
 
 @structref.register
@@ -92,6 +94,7 @@ def step(asked, state):  # type: ignore[no-untyped-def]
     damping, thrust, pushes = state.damping, state.thrust, state.pushes
     contact_radius, time_limit, warmup = state.contact_radius, state.time_limit, state.warmup
     driver, senses, table, demo = state.driver, state.senses, state.table, state.demo
+    odour = state.odour
     hits, headings = state.recorded.hits, state.recorded.heading
     demo_position, demo_velocity = state.demos.position, state.demos.velocity
     demo_start, condition, pattern = state.demos.start, state.condition, state.pattern
@@ -141,6 +144,8 @@ def step(asked, state):  # type: ignore[no-untyped-def]
         if replay and len(hits):
             left = hits[frame, 0]
             right = hits[frame, 1]
+        elif len(odour.bias):
+            left, right = smell(b, position, body, senses, odour, state.random)
         else:
             left, right = read(b, position, body, senses, table, pattern[b], phase[b] + t)
         push_x = push_of(before_x, vx, senses)

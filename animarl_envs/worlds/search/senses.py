@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
+from animarl_envs.worlds.plume.fitted import LONGEST, draw_hits
 from animarl_envs.worlds.plume.plume import is_hit
 from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
+from animarl_envs.worlds.streams import next_uniform
 
 
 class Senses(NamedTuple):
@@ -159,6 +161,19 @@ def read(b, position, body, senses, table, pattern, step):  # type: ignore[no-un
     left = is_hit(table, pattern, step, front_x + side_x, front_y + side_y)
     right = is_hit(table, pattern, step, front_x - side_x, front_y - side_y)
     return left, right
+
+
+@nb.njit(inline="always")
+def smell(b, position, body, senses, odour, random):  # type: ignore[no-untyped-def]
+    """Hits drawn from a fitted odour; the signals tell the last hits, and the trace their age."""
+    trace = max(body.trace[0, b], body.trace[1, b])
+    since = LONGEST
+    if trace > 0.0:
+        since = senses.dt * math.log(trace) / math.log(senses.trace_remains)
+    return draw_hits(
+        position[0, b], position[1, b], body.heading[0, b], body.heading[1, b],
+        body.odour[0, b] == 1.0, body.odour[1, b] == 1.0, since, odour, next_uniform(random, b),
+    )  # fmt: skip
 
 
 @nb.njit(inline="always")

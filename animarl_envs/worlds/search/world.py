@@ -23,6 +23,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.base import World
+from animarl_envs.worlds.plume.fitted import odour_weights
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
 from animarl_envs.worlds.search import kernels as kernels
 from animarl_envs.worlds.search.layout import observation_components as observation_components
@@ -95,6 +96,7 @@ class SearchWorld(World):
                 recorded=_recorded_senses(scenario.demos, self.patterns, groups, model),
                 first=np.array(first, dtype=np.float64),
                 table=table._replace(cell=table.cell / scale),  # from here on in arena units
+                odour=odour_weights(self.plume),
                 senses=senses_of(species),
                 damping=own.damping,
                 thrust=own.thrust,
