@@ -45,6 +45,7 @@ FOLDS = 5
 DEALS = 2  # the folds are dealt anew so many times, at least, and the answers joined
 DEALT = 100  # ... and as often as it takes until so many demonstrations were asked about
 FEWEST_DEALT = 8  # demonstrations; fewer leave an interval that is wider than any deal moves it
+NEAR_CHANCE = (1.0, 4.0)  # standard errors above 0.5: only there, more deals may change the answer
 NULL_HALVES = 3
 MOST_WINDOWS = 3000  # of one side; more make it slower, not sharper
 BOOTSTRAP = 1000
@@ -55,7 +56,7 @@ TREES: dict[str, Any] = {
 }  # fmt: skip
 
 LITTLE_AUC = 0.60  # up to here it differs by little: two normal curves 0.36 sd apart
-STRICTER = 2.33 / 1.96  # a row that differs by chance alone does so in 1 % of cases
+MOST_ERRORS = 2.33  # above chance: a row that differs by chance alone does so in 1 % of cases
 FEWEST_DEMOS = 5  # with fewer, parts of them are dealt to the classifier's folds
 PART = 15  # windows of such a part
 AUC, SEQUENCE = "auc", "auc_sequence"
@@ -81,6 +82,7 @@ def tell_apart(
     *,
     deals: int | None = None,
     importance: bool = False,
+    until_clear: bool = False,
 ) -> Telling:
     """Area under the ROC curve of a cross-fitted classifier, ``second`` against ``first``.
 
@@ -95,6 +97,9 @@ def tell_apart(
         demonstrations and more, until ``DEALT`` were asked about.
     importance
         Whether to shuffle features too, one kind after the other.
+    until_clear
+        No more deals than ``DEALS`` where the area is so far from chance, or so near, that more
+        would not change what a row says: for a benchmark, which asks for that alone.
     """
     try:
         from sklearn.ensemble import HistGradientBoostingClassifier
@@ -109,15 +114,15 @@ def tell_apart(
     folds = min([FOLDS, *(int(side.sum()) for side in sides)])
     if folds < 2:
         return Telling(Interval(math.nan, reason="too few recordings to split"))
-    if deals is None:
-        few = len(names) < FEWEST_DEALT
-        deals = DEALS if few else max(DEALS, math.ceil(DEALT / len(names)))
+    most = deals or max(DEALS, 0 if len(names) < FEWEST_DEALT else math.ceil(DEALT / len(names)))
     kind = 2 * sides[0].astype(int) + sides[1]  # only simulated, only recorded, both
     wins, pairs = np.zeros((2, len(names), len(names)))
+    resampler, shuffler = rng.spawn(2)
+    drawn = _resampled(kind, resampler)
     fallen: dict[str, list[float]] = {}
-    splits = False
+    auc, splits = UNDEFINED, False
     with threadpool_limits(1):  # looking for the thread pools takes longer than to score windows
-        for deal in range(deals):
+        for deal in range(most):
             fold = _deal(kind, folds, rng)[group]
             for number in range(folds):
                 test = fold == number
@@ -133,19 +138,34 @@ def tell_apart(
                 pairs += met
                 for what in dict.fromkeys(first.kinds.tolist()) if importance and not deal else ():
                     shuffled, columns = values[test], first.kinds == what
-                    shuffled[:, columns] = rng.permutation(shuffled[:, columns])
+                    shuffled[:, columns] = shuffler.permutation(shuffled[:, columns])
                     without, _ = _compare(score(shuffled), here, there, len(names))
                     fallen.setdefault(what, []).append((won.sum() - without.sum()) / met.sum())
-    if not splits:
-        reason = "too few windows for a tree to split: all scores are tied"
-        return Telling(Interval(math.nan, reason=reason))
-    drawn = _resampled(kind, rng)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        areas = np.einsum("rg,rg->r", drawn @ wins, drawn) / np.einsum(
-            "rg,rg->r", drawn @ pairs, drawn
-        )
-    auc = widen_for_folds(percentile_interval(float(wins.sum() / pairs.sum()), areas), folds)
+            if not splits:
+                reason = "too few windows for a tree to split: all scores are tied"
+                return Telling(Interval(math.nan, reason=reason))
+            auc = _area(wins, pairs, drawn, folds)
+            low, high = NEAR_CHANCE
+            if until_clear and deal + 1 >= DEALS and not low <= _errors_above_chance(auc) <= high:
+                break
     return Telling(auc, {what: float(np.mean(by)) for what, by in fallen.items()})
+
+
+def _area(wins: Floats, pairs: Floats, drawn: Floats, folds: int) -> Interval:
+    """Share of ``pairs`` won, its interval over the ``drawn`` groups."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        won, met = (np.einsum("rg,rg->r", drawn @ side, drawn) for side in (wins, pairs))
+        return widen_for_folds(
+            percentile_interval(float(wins.sum() / pairs.sum()), won / met), folds
+        )
+
+
+def _errors_above_chance(auc: Interval) -> float:
+    """By how many standard errors an area is above 0.5."""
+    above, error = auc.estimate - 0.5, (auc.estimate - auc.low) / 1.96
+    if above == 0:
+        return 0.0
+    return above / error if error > 0 else math.copysign(math.inf, above)
 
 
 def among_themselves(
@@ -284,12 +304,13 @@ class Judge:
             distance=abs(auc.estimate - 0.5),
             null=abs(among.high - 0.5),
         )
-        if not math.isfinite(auc.estimate):
+        if not math.isfinite(auc.low):
             words = f"{UNKNOWN}: {auc.reason}" if auc.reason else UNKNOWN
             return replace(row, judgement=UNKNOWN, verdict=words, reason=auc.reason)
-        if auc.estimate - STRICTER * (auc.estimate - auc.low) <= 0.5:
+        if _errors_above_chance(auc) <= MOST_ERRORS:
             return row
-        by = max(self.simulated.importance.items(), key=lambda item: item[1])[0]
+        importance = self.simulated.importance
+        by = max(importance, key=lambda what: importance[what], default="")
         if auc.estimate <= LITTLE_AUC:
             words = f"{BY_LITTLE}: AUC {auc.estimate:.2f}, most of all by {by}"
             return replace(row, judgement=BY_LITTLE, verdict=words)
@@ -303,11 +324,14 @@ def judge_windows(
     sides: Mapping[str, Rollouts],
     references: Demonstrations | None,
     streams: list[np.random.Generator],
+    *,
+    alone: bool = False,
 ) -> tuple[Judge, bool]:
     """Ask about two seconds of motion; also whether parts of demonstrations were dealt.
 
     ``sides`` is what the rollouts are read beside, smoothed as the recordings; ``references`` are
-    other recordings, by default halves of the evaluated ones are compared.
+    other recordings, by default halves of the evaluated ones are compared. With ``alone`` there is
+    the area of the rollouts and nothing beside it.
     """
     demos = prepared.demos
     block = PART if len(np.unique(counted.demo)) < FEWEST_DEMOS else None
@@ -317,7 +341,9 @@ def judge_windows(
         return made.by_recording(of) if block is None else made
 
     label = f"Distinguished by a classifier on {WINDOW:g} s (AUC)"
-    judge, own = _judge(AUC, label, windows, prepared, counted, sides, streams[0])
+    judge, own = _judge(AUC, label, windows, prepared, counted, sides, streams[0], alone)
+    if alone:
+        return judge, block is not None
     if references is None:
         among = among_themselves(own, streams[1])
     else:
@@ -333,6 +359,8 @@ def judge_sequences(
     sides: Mapping[str, Rollouts],
     group: Ints,
     rng: np.random.Generator,
+    *,
+    alone: bool = False,
 ) -> Judge:
     """Ask about order in time; ``group`` ``(starts,)`` is the recording of each start."""
     steps = window_steps(prepared.recorded)
@@ -342,7 +370,9 @@ def judge_sequences(
 
     label = f"Distinguished by order in time over {steps * prepared.recorded.dt:.3g} s (AUC)"
     sides = {name: one for name, one in sides.items() if name != "perturbed"}  # it takes time
-    judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng)
+    judge, own = _judge(SEQUENCE, label, windows, prepared, counted, sides, rng, alone)
+    if alone:
+        return judge
     return replace(judge, areas={"among": among_themselves(own, rng, halves=1), **judge.areas})
 
 
@@ -354,9 +384,10 @@ def _judge(
     counted: Rollouts,
     sides: Mapping[str, Rollouts],
     rng: np.random.Generator,
+    alone: bool,
 ) -> tuple[Judge, Windows]:
     own = windows(prepared.recorded)
-    simulated = tell_apart(own, windows(counted), rng, importance=True)
+    simulated = tell_apart(own, windows(counted), rng, importance=not alone, until_clear=alone)
     areas = {name: tell_apart(own, windows(one), rng, deals=1).auc for name, one in sides.items()}
     return Judge(key, label, simulated, areas), own
 

@@ -5,8 +5,11 @@ statistic is found by exchanging, start by start, the recording with one of the 
 an exact permutation test. Who acts by a fixed rule in a world without chance does the same from a
 start however often it is let go; such copies are one rollout.
 
-Of several measures the statistic is the largest standardised difference (maxT; Westfall and Young
-1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). So a perfect simulator has
+Differences are studentised in every exchange (Chung and Romano 2013, Ann. Stat. 41, 484): where few
+rollouts are far off, as those of animals that freeze, the recordings alone have a small error, and
+those of an exchange a large one. Of several measures the statistic is the largest such difference
+(maxT; Westfall and Young 1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). So
+a perfect simulator has
 no measure below .05 in 95 % of experiments, however many measures there are and however they depend
 on each other.
 """
@@ -31,6 +34,7 @@ from animarl_envs.errors import InputError
 
 EXCHANGES = 1000
 LEVEL = 0.05
+FLOOR = 0.1  # of the mean variance over exchanges: no standard error is much smaller
 
 
 @dataclass(frozen=True)
@@ -153,10 +157,10 @@ class Exchanges:
 class ExchangeTest:
     """What the joint test found, all ``(measures,)`` but the ``level`` at which measures differ.
 
-    Means of recordings and of rollouts, where every start counts alike; their difference in
-    standard deviations of the null (``statistic``); p corrected for the number of measures (NaN
-    where one is undefined); and how far apart means may be by chance over all measures together
-    (``null``).
+    Means of recordings and of rollouts, where every start counts alike; their studentised
+    difference in standard deviations of its null (``statistic``); p corrected for the number of
+    measures (NaN where one is undefined); and how far apart means of this
+    spread may be by chance over all measures together (``null``).
     """
 
     recorded: Floats
@@ -213,12 +217,15 @@ def exchange_test(
             side @ filled / (side @ known) for side in (exchanges.recorded, exchanges.simulated)
         ]
         gap = means[1] - means[0]
+        scale = _standard_errors(filled, known, exchanges, means)
         if start is not None and group is not None and rng is not None:
-            gap = _flipped_gaps(values, exchanges, start, group, rng)
-        spread = np.nanstd(gap[1:], axis=0)
+            gap, scale = _flipped_gaps(values, exchanges, start, group, rng), np.ones_like(gap)
         # Differences of rounding only are none.
         tiny = 1e-9 * np.maximum(np.nanmax(np.abs(filled), axis=0), 1e-300)
-        scaled = np.where(spread > tiny, gap / np.where(spread > tiny, spread, 1.0), np.nan)
+        varies = np.nanstd(gap[1:], axis=0) > tiny
+        studentised = gap / np.where(varies, scale, 1.0)
+        spread = np.nanstd(studentised[1:], axis=0)
+        scaled = np.where(varies, studentised / np.where(varies, spread, 1.0), np.nan)
     size = np.abs(scaled)
     defined = np.isfinite(size[0])
     adjusted, null = np.full((2, values.shape[1]), np.nan)
@@ -226,8 +233,22 @@ def exchange_test(
         largest = np.nanmax(size[1:, defined], axis=1)
         reached = largest[:, None] >= size[0, defined] * (1 - 1e-9)
         adjusted[defined] = (1 + reached.sum(axis=0)) / (1 + len(largest))
-        null = np.where(defined, spread * np.quantile(largest, 1 - level), np.nan)
+        null = np.where(defined, scale[0] * spread * np.quantile(largest, 1 - level), np.nan)
     return ExchangeTest(means[0][0], means[1][0], scaled[0], adjusted, null, level)
+
+
+def _standard_errors(
+    filled: Floats, known: NDArray[np.bool_], exchanges: Exchanges, means: list[Floats]
+) -> Floats:
+    """Standard errors of the difference of both means, ``(1 + exchanges, measures)``, after Welch.
+
+    A share (``FLOOR``) of the mean variance is added, as the values of few recordings may be alike.
+    """
+    square = 0.0
+    for side, mean in zip((exchanges.recorded, exchanges.simulated), means):
+        number = side @ known
+        square = square + np.maximum(side @ filled**2 / number - mean**2, 0.0) / number
+    return np.asarray(np.sqrt(square + FLOOR * np.nan_to_num(square[1:]).mean(axis=0)))
 
 
 def _flipped_gaps(

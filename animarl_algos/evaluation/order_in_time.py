@@ -197,6 +197,7 @@ def _motion(series: Series, dt: float, lags: tuple[int, ...]) -> Iterator[tuple[
     yield "turning to the left", KINEMATIC, _mean(turn) / dt
     yield "skewness of acceleration", ORDER, _skewness(acceleration)
     yield "length of bouts of motion", ORDER, _bouts(series.moving, np.isfinite(speed)) * dt
+    yield "speed gained late", ORDER, _gained(speed)
     yield "longest rest", ORDER, _longest(~series.moving & np.isfinite(speed)) * dt
     wound = np.abs(np.nansum(turn, axis=1)) / np.isfinite(turn).sum(axis=1)
     yield "windings", ORDER, wound / (2 * np.pi * dt)
@@ -301,6 +302,15 @@ def _mean(series: Floats, axis: int = 1) -> Floats:
 
 def _spread(series: Floats) -> Floats:
     return np.sqrt(_mean((series - _mean(series)[:, None]) ** 2))
+
+
+def _gained(series: Floats) -> Floats:
+    """Mean of the second half less that of the first, over the mean of both."""
+    half = np.isfinite(series).sum(axis=1, keepdims=True) / 2
+    late = np.arange(series.shape[1])[None, :, None] >= half
+    before, after = (_mean(np.where(late == side, series, np.nan)) for side in (False, True))
+    mean = _mean(series)
+    return np.asarray((after - before) / np.where(mean > 0, mean, np.nan))
 
 
 def _share(true: NDArray[np.bool_], defined: NDArray[np.bool_]) -> Floats:

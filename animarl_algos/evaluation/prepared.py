@@ -70,6 +70,10 @@ class Prepared:
         moved = smoothed(rollouts.positions, rollouts.lengths, self.smoothing)
         return replace(rollouts, positions=moved)
 
+    def counted(self, rollouts: Rollouts) -> Rollouts:
+        """Rollouts in the recorded condition, cut where their recording was, and smoothed."""
+        return self.filtered(censored(factual(rollouts, self.demos), self.demos))
+
     def measures(self, rollouts: Rollouts) -> dict[str, Floats]:
         """Every judged metric of every episode, lengths in the recordings' unit."""
         grid, scale = self.demos.resolution(), self.unit.per_arena_unit

@@ -27,13 +27,14 @@ from animarl_algos.evaluation.classifier import (
     read_beside,
 )
 from animarl_algos.evaluation.distances import energy_scores
-from animarl_algos.evaluation.prepared import Prepared, censored, factual
+from animarl_algos.evaluation.prepared import Prepared
 from animarl_algos.evaluation.realism import REFERENCES, realism
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import (
     UNDEFINED,
     Floats,
     Interval,
+    Ints,
     bootstrap_mean,
     single_cells,
 )
@@ -43,6 +44,7 @@ from animarl_algos.evaluation.verdict_rows import (
     OUTCOMES,
     SAME,
     UNKNOWN,
+    JointTests,
     Row,
     verdict_rows,
 )
@@ -193,6 +195,62 @@ def _interval(ends: Sequence[float | None]) -> Interval:
     return Interval(estimate, low, high)
 
 
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Recordings and the rollouts that count, smoothed alike, and streams of random numbers.
+
+    ``group`` ``(starts,)`` is the recording of each start, None where each is one of its own.
+    """
+
+    prepared: Prepared
+    counted: Rollouts
+    group: Ints | None
+    streams: list[np.random.Generator]
+
+    @classmethod
+    def of(
+        cls, recorded: Demonstrations, rollouts: Rollouts, seed: int, smoothing: int | None
+    ) -> Compared:
+        if rollouts.individuals != recorded.individuals or rollouts.demo.max() >= len(recorded):
+            raise InputError(
+                f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
+                "compare them with the demonstrations they started from"
+            )
+        if smoothing is None:
+            smoothing = comparison_smoothing(recorded)
+        prepared = Prepared(recorded, smoothing)
+        names, animals = np.unique(recorded.recording, return_inverse=True)
+        own = len(names) in (1, len(recorded))
+        group = None if own else animals.astype(np.int64)
+        streams = np.random.default_rng(seed).spawn(7)
+        return cls(prepared, prepared.counted(rollouts), group, streams)
+
+    @property
+    def animal(self) -> Ints:
+        """``(starts,)``, the unit of resampling of each."""
+        return np.arange(len(self.prepared.demos)) if self.group is None else self.group
+
+    def joint_tests(self) -> JointTests:
+        return JointTests.of(self.prepared, self.counted, self.group, self.streams[0])
+
+
+def is_green(recorded: Demonstrations, rollouts: Rollouts, *, seed: int) -> bool:
+    """Return whether :func:`verdict` finds no difference, without all that stands beside it.
+
+    It takes a fraction of the time: what a benchmark of the verdict asks thousands of times.
+    """
+    compared = Compared.of(recorded, rollouts, seed, None)
+    prepared, counted, streams = compared.prepared, compared.counted, compared.streams
+    if compared.joint_tests().differs:
+        return False
+    windows, _ = judge_windows(prepared, counted, {}, None, streams[1:3], alone=True)
+    if windows.row().judgement != SAME:
+        return False
+    animal = compared.animal
+    sequences = judge_sequences(prepared, counted, {}, animal, streams[4], alone=True)
+    return sequences.row().judgement == SAME
+
+
 def verdict(
     recorded: Demonstrations,
     rollouts: Rollouts,
@@ -234,28 +292,13 @@ def verdict(
     """
     import pandas as pd
 
-    if rollouts.individuals != recorded.individuals or rollouts.demo.max() >= len(recorded):
-        raise InputError(
-            f"the rollouts of {rollouts.method} were not made from {recorded.name}: "
-            "compare them with the demonstrations they started from"
-        )
-    streams, baselines = np.random.default_rng(seed).spawn(7), baselines or {}
-    if smoothing is None:
-        smoothing = comparison_smoothing(recorded)
-    prepared = Prepared(recorded, smoothing)
-
-    def counting(one: Rollouts) -> Rollouts:
-        return prepared.filtered(censored(factual(one, recorded), recorded))
-
-    counted = counting(rollouts)
-    names, animals = np.unique(recorded.recording, return_inverse=True)
-    own = len(names) in (1, len(recorded))  # every start is a recording of its own
-    group = None if own else animals.astype(np.int64)
-    rows = verdict_rows(prepared, counted, group, streams[0])
+    baselines = baselines or {}
+    compared = Compared.of(recorded, rollouts, seed, smoothing)
+    prepared, counted, streams = compared.prepared, compared.counted, compared.streams
+    rows = verdict_rows(prepared, counted, compared.joint_tests(), streams[0])
     beside = read_beside(prepared, floor, perturbed, baselines)
     windows, parts = judge_windows(prepared, counted, beside, references, streams[1:3])
-    of_start = np.arange(len(recorded)) if group is None else group
-    sequences = judge_sequences(prepared, counted, beside, of_start, streams[4])
+    sequences = judge_sequences(prepared, counted, beside, compared.animal, streams[4])
     rows += [windows.row(), sequences.row()]
     others = None
     if references is not None:
@@ -263,7 +306,7 @@ def verdict(
     scored = realism(prepared, counted, streams[5], references=others, random=beside.get("ceiling"))
     words, untrained = _overall(rows), baselines.get("untrained")
     if untrained is not None and words != (SAME,):
-        farther = _farther(prepared, counted, counting(untrained), streams[3])
+        farther = _farther(prepared, counted, prepared.counted(untrained), streams[3])
         words = (WORSE, *words) if farther else words
     total, table = scored.table.iloc[-1], pd.DataFrame(rows)
     starts = np.unique(counted.demo)
@@ -274,7 +317,7 @@ def verdict(
         starts=len(starts),
         rollouts=int(np.count_nonzero(~counted.copies)),
         too_little=_too_little(len(starts), len(np.unique(recorded.recording[starts]))),
-        smoothing=smoothing,
+        smoothing=prepared.smoothing,
         auc=windows.simulated.auc,
         sequence=sequences.simulated.auc,
         areas={judge.key: dict(judge.areas) for judge in (windows, sequences)},

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from animarl_algos.evaluation.distances import (
     energy_scores,
@@ -21,7 +22,13 @@ from animarl_algos.evaluation.distances import (
     recorded_null,
     wasserstein,
 )
-from animarl_algos.evaluation.exchange_test import Exchanges, ExchangeTest, exchange_test, least_p
+from animarl_algos.evaluation.exchange_test import (
+    Exchanges,
+    ExchangeTest,
+    Tested,
+    exchange_test,
+    least_p,
+)
 from animarl_algos.evaluation.metrics import DURATION, GROUP, Metric, ending, judged_metrics
 from animarl_algos.evaluation.order_in_time import (
     INTERACTIVE,
@@ -51,7 +58,8 @@ KINDS = {
 }
 """Rows of several measures each; the one that differs most stands for them."""
 LIKE_SHARES = (
-    "share", "correlation", "course", "polarisation", "milling", "speed with", "speed ahead",
+    "share", "correlation", "course", "speed gained", "polarisation", "milling", "speed with",
+    "speed ahead",
     "speed before",
 )  # fmt: skip
 """Measures that may be zero: a difference of ``LITTLE_SHARE`` is little."""
@@ -59,6 +67,8 @@ PHRASES = {
     "windings": ("walks in circles", "winds too little"),
     "turn autocorrelation": ("walks in circles", "forgets its turns too soon"),
     "displacement": ("gets too far", "does not get far enough"),
+    "speed gained late": ("slows down too little", "slows down too much"),
+    "skewness of acceleration": ("starts too abruptly", "stops too abruptly"),
     "speed autocorrelation": ("keeps its speed too long", "forgets its speed too soon"),
     "turning to the left": ("turns too much to the left", "turns too much to the right"),
     "share at rest": ("rests too much", "rests too little"),
@@ -68,6 +78,7 @@ PHRASES = {
     "share at the wall": ("keeps too much to the wall", "keeps too little to the wall"),
 }
 """What too much and too little of a measure are called; of others its name with too high or low."""
+MOST_PHRASES = 4  # of one row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,31 +145,54 @@ def measure_columns(prepared: Prepared, counted: Rollouts) -> EpisodeMeasures:
     return EpisodeMeasures(tuple(names), kinds, values)
 
 
-def verdict_rows(
-    prepared: Prepared, counted: Rollouts, group: Ints | None, rng: np.random.Generator
-) -> list[Row]:
-    """Return the rows of endings, of motion and of order.
+@dataclass(frozen=True)
+class JointTests:
+    """The joint test of all measures, and that of the endings.
 
     ``counted`` are the rollouts that count, smoothed as the recordings; ``group`` ``(starts,)`` is
     the recording of each start, where several starts are of one.
     """
-    columns, starts = measure_columns(prepared, counted), len(prepared.recorded)
-    exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
-    start = np.concatenate([np.arange(starts), counted.demo])
-    test = exchange_test(
-        columns.values, exchanges, level=LEVEL, start=start, group=group, rng=rng
-    )  # fmt: skip
-    rows = [_endings_row(prepared, counted, exchanges)] if _can_end(prepared, counted) else []
+
+    columns: EpisodeMeasures
+    test: ExchangeTest
+    ends: tuple[NDArray[np.int64], NDArray[np.int64]]
+    endings: Tested
+
+    @classmethod
+    def of(
+        cls, prepared: Prepared, counted: Rollouts, group: Ints | None, rng: np.random.Generator
+    ) -> JointTests:
+        columns, starts = measure_columns(prepared, counted), len(prepared.recorded)
+        exchanges = Exchanges.draw(counted.demo, starts, rng, copies=counted.copies)
+        start = np.concatenate([np.arange(starts), counted.demo])
+        test = exchange_test(
+            columns.values, exchanges, level=LEVEL, start=start, group=group, rng=rng
+        )  # fmt: skip
+        ends = ending(prepared.recorded), ending(counted)
+        return cls(columns, test, ends, exchanges.chi_squared(np.concatenate(ends)))
+
+    @property
+    def differs(self) -> bool:
+        """Whether any measure differs, or the endings do."""
+        return bool(self.test.differs.any()) or self.endings.p <= ENDINGS_LEVEL
+
+
+def verdict_rows(
+    prepared: Prepared, counted: Rollouts, tests: JointTests, rng: np.random.Generator
+) -> list[Row]:
+    """Return the rows of endings, of motion and of order."""
+    columns, test = tests.columns, tests.test
+    can_end = _can_end(prepared, counted)
+    rows = [_endings_row(tests, np.unique(counted.demo))] if can_end else []
     rows += _metric_rows(prepared, counted, columns.names, test, rng)
     return rows + [_kind_row(kind, columns, test) for kind in KINDS if kind in columns.kinds]
 
 
-def _endings_row(prepared: Prepared, counted: Rollouts, exchanges: Exchanges) -> Row:
-    ends = [ending(one) for one in (prepared.recorded, counted)]
-    tested = exchanges.chi_squared(np.concatenate(ends))
+def _endings_row(tests: JointTests, starts: Ints) -> Row:
+    ends, tested = tests.ends, tests.endings
     judgement = words = SAME
     if tested.p <= ENDINGS_LEVEL:
-        known, starts = np.unique(np.concatenate(ends)), np.unique(counted.demo)
+        known = np.unique(np.concatenate(ends))
         shares = [(side[:, None] == known).mean(axis=0) for side in (ends[0][starts], ends[1])]
         moved = 0.5 * float(np.abs(shares[0] - shares[1]).sum())
         judgement, words = DIFFERS, "endings differ"
@@ -264,8 +298,13 @@ def _kind_row(kind: str, columns: EpisodeMeasures, test: ExchangeTest) -> Row:
     judgement = words = SAME
     differing = members[test.differs[members]]
     if len(differing):
-        words = phrase_of(name, more=simulated > recorded)
+        order = differing[np.argsort(-np.abs(test.statistic[differing]))]
+        told = [
+            phrase_of(columns.names[i], more=test.simulated[i] > test.recorded[i]) for i in order
+        ]
+        words, *more = dict.fromkeys(told)
         words = f"{words} ({name}: {simulated:.2g}, recorded {recorded:.2g})"
+        words = ", ".join([words, *more[: MOST_PHRASES - 1]])
         little = [any(part in columns.names[i] for part in LIKE_SHARES) for i in differing]
         allowed = np.maximum(
             LITTLE * np.abs(test.recorded[differing]), LITTLE_SHARE * np.array(little)

@@ -71,7 +71,7 @@ BUDGETS = {
     "animarl_algos.benchmark": 2_535,
     "animarl_algos.cli": 2_450,
     "animarl_algos.data": 990,
-    "animarl_algos.evaluation": 5_730,
+    "animarl_algos.evaluation": 5_880,
     "animarl_algos.learner": 3_120,
     "animarl_algos.losses": 630,
     "animarl_algos.networks": 1_820,

@@ -16,7 +16,7 @@ from animarl_algos.evaluation.exchange_test import Exchanges
 from animarl_algos.evaluation.metrics import METRICS, Episodes, judged_metrics, slow_speeds
 from animarl_algos.evaluation.prepared import Prepared, censored, log_rank_scores, mean_survival
 from animarl_algos.evaluation.rollouts import Rollouts
-from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, verdict
+from animarl_algos.evaluation.verdict import FEWEST, WORSE, Verdict, is_green, verdict
 from animarl_algos.evaluation.verdict_rows import BY_LITTLE, DIFFERS, SAME, UNKNOWN, phrase_of
 from animarl_algos.report.page import Table
 from animarl_algos.report.terminal import verdict_table
@@ -41,6 +41,13 @@ def test_the_true_simulator_moves_like_the_recordings() -> None:
     assert found.judgement == found.overall == SAME
     assert (found.table["judgement"] == SAME).all()
     assert found.auc.low <= 0.5 <= found.auc.high
+
+
+@pytest.mark.parametrize("kind", ["true", "still"])
+def test_the_quick_answer_is_the_colour_of_the_page(kind: str) -> None:
+    demos = recorded_pairs()
+    green = is_green(demos, simulated_pairs(demos, kind), seed=0)
+    assert green == (judged(kind).judgement == SAME)
 
 
 def test_the_recordings_themselves_move_like_the_recordings() -> None:
