@@ -32,7 +32,7 @@ from animarl_envs.importing.sessions import (
     assign_roles,
     load_sessions,
 )
-from animarl_envs.importing.tracks import Tracks
+from animarl_envs.importing.tracks import Tracks, each_alone
 
 FEWEST_EPISODES = 3  # with fewer, a recording is cut in pieces
 SHORTEST_PIECE = 10  # decisions
@@ -55,9 +55,11 @@ def demonstrations_from_tracks(
         f"{name}: its recordings have one frame each, an episode needs two or more: check it",
     )
     sessions = load_sessions(recordings, recipe.metadata, recipe.name_pattern)
+    named = [sessions.apply(apply_names(tracks, recipe)) for tracks in recordings]
+    if recipe.target is None and recipe.individuals is None and not recipe.searcher:
+        named = [alone for tracks in named for alone in each_alone(tracks)]
     cleaned, done = [], {}
-    for tracks in recordings:
-        tracks = sessions.apply(apply_names(tracks, recipe))
+    for tracks in named:
         tracks, done[tracks.recording] = clean(tracks, recipe.cleaning)
         per_cm = sessions.of(tracks.recording).px_per_cm or recipe.scaling.px_per_cm
         if per_cm is not None:

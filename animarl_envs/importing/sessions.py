@@ -70,7 +70,8 @@ class Sessions:
         """
         if self.by_recording is None:
             return Session()
-        for name in (recording, recording.partition("DLC_")[0], recording.rpartition("/")[2]):
+        parts = recording.rpartition("/")
+        for name in (recording, recording.partition("DLC_")[0], parts[2], parts[0]):
             if name in self.by_recording:
                 return self.by_recording[name]
         ending = [one for key, one in self.by_recording.items() if key.endswith(f"/{recording}")]

@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import csv
 import datetime
+import gzip
 import io
 import itertools
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +25,13 @@ from numpy.typing import NDArray
 
 from animarl_envs.checks import LONGEST_NAME
 from animarl_envs.errors import InputError, MissingExtraError, require
-from animarl_envs.files import npz_members, refuse_special, refuse_unfinished, unfinished
+from animarl_envs.files import (
+    allowed_bytes,
+    npz_members,
+    refuse_special,
+    refuse_unfinished,
+    unfinished,
+)
 from animarl_envs.importing.table_layout import (
     BLANK,
     UTF_8,
@@ -35,9 +43,11 @@ from animarl_envs.importing.table_layout import (
 )
 
 EXTENSIONS = (
-    ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq"
+    ".csv", ".tsv", ".txt", ".dat", ".asc", ".tab", ".xlsx", ".xlsm", ".xls", ".parquet", ".pq",
+    ".csv.gz", ".tsv.gz", ".txt.gz",
 )  # fmt: skip
 PARQUET = {".parquet", ".pq"}
+PACKED = ".gz"
 HEAD = 2**18  # [bytes] that are looked at
 BLOCK = 2**20  # [bytes] that are checked at once
 LONGEST_LINE = 2**20
@@ -63,7 +73,7 @@ class Table(Layout):
     path: Path
     encoding: str = UTF_8
     sheet: str | None = None
-    kind: str = "text"  # or workbook, Parquet
+    kind: str = "text"  # or workbook, packed text, Parquet
 
     @property
     def parsed_separator(self) -> str:
@@ -75,7 +85,7 @@ class Table(Layout):
         """How it was read, for messages and provenance."""
         if self.kind == "Parquet":
             return self.kind
-        kind = "workbook" if self.kind == "workbook" else f"text in {self.encoding}"
+        kind = self.kind if self.kind == "workbook" else f"{self.kind} in {self.encoding}"
         sign = {"\t": "tabs", BLANK: "blanks"}.get(self.separator, repr(self.separator))
         return f"{kind}, separator {sign}, decimal {self.decimal!r}, first row on {self.first + 1}"
 
@@ -160,6 +170,8 @@ class Table(Layout):
         """All of it as UTF-8, where it is not a file in UTF-8 as it stands."""
         if self.kind == "workbook":
             raw = _sheet_as_text(self.path, self.sheet)
+        elif self.kind == "packed text":
+            raw = _unpacked(self.path)
         elif self.encoding != UTF_8:
             raw = _decoded(self.path, self.encoding)
         elif self.separator == BLANK:
@@ -420,6 +432,8 @@ def _open_table(
         return Table(names, path=path, kind="Parquet")
     if is_workbook(path):
         head, encoding, kind = _sheet_as_text(path, sheet)[:HEAD], UTF_8, "workbook"
+    elif path.suffix.lower() == PACKED:
+        head, encoding, kind = _unpacked(path)[:HEAD], UTF_8, "packed text"
     else:
         with path.open("rb") as file:
             if file.read(len(OLD_EXCEL)) == OLD_EXCEL:
@@ -449,6 +463,18 @@ def _decoded(path: Path, encoding: str) -> bytes:
         return path.read_bytes().decode(encoding).encode()
     except (LookupError, UnicodeError) as error:
         raise InputError(f"{path}: it is no text in {encoding} ({error}): check it") from None
+
+
+def _unpacked(path: Path) -> bytes:
+    """What a gzip file holds, refused where it is more than such a file may ask for."""
+    most = allowed_bytes(path.stat().st_size)
+    try:
+        with gzip.open(path) as file:
+            content = file.read(most + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: it cannot be unpacked ({error}): copy it again") from None
+    require(len(content) <= most, f"{path}: it unpacks to more than {most:,} bytes: unpack it")
+    return content
 
 
 def _open_parquet(path: Path, words: Sequence[str] = ()) -> Any:

@@ -17,6 +17,8 @@ from animarl_envs.demos.episode import HEADING
 from animarl_envs.errors import InputError, require
 
 CENTROID = "centroid"
+TOGETHER = 0.1  # share of frames with everybody, below which nobody needs them all at once
+LONE = "individual_0"  # of a recording of one animal without a name
 APART = 0.25  # of a frame that files of one recording may be apart
 LARGEST = 1e9  # no tracker writes larger coordinates
 
@@ -143,6 +145,32 @@ class Tracks:
             confidence=None if self.confidence is None else self.confidence[:, index],
             signals=signals,
         )
+
+
+def each_alone(tracks: Tracks) -> list[Tracks]:
+    """A recording of each animal, from its first to its last frame, where they come and go.
+
+    The recording stays whole if all of its animals are there in a tenth of its frames or more.
+    """
+    seen = np.asarray(np.isfinite(tracks.positions).any(axis=(2, 3)))
+    if not seen.any(axis=0).all() or seen.all(axis=1).mean() >= TOGETHER:
+        return [tracks]
+    found = []
+    for who, name in enumerate(tracks.individuals):
+        frames = np.flatnonzero(seen[:, who])
+        if len(frames) > 1:
+            own, when = tracks.choose([name]), slice(frames[0], frames[-1] + 1)
+            found.append(
+                replace(
+                    own,
+                    recording=f"{tracks.recording}/{name}",
+                    individuals=(LONE,),
+                    positions=own.positions[when],
+                    confidence=None if own.confidence is None else own.confidence[when],
+                    signals={key: value[when] for key, value in own.signals.items()},
+                )
+            )
+    return found
 
 
 def one_per_individual(parts: Sequence[Tracks]) -> list[Tracks]:

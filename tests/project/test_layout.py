@@ -85,7 +85,7 @@ BUDGETS = {
     "animarl_envs.demos": 1_295,
     "animarl_envs.drawing": 1_060,
     "animarl_envs.fitting": 2_079,
-    "animarl_envs.importing": 5_280,
+    "animarl_envs.importing": 5_385,
     "animarl_envs.species": 1_085,
     "animarl_envs.views": 920,
     "animarl_envs.worlds": 3_891,

@@ -25,6 +25,8 @@ LARGEST_FRAME = 2**31
 CLEARLY = 0.1  # of a frame: how far a step is from whole frames that tells the rate
 ROUNDING = 2e-3  # of the rate, which times in whole milliseconds blur
 FEW_FRAMES = 3  # steps of more do not tell the rate
+IRREGULAR, MANY = 0.01, 20  # share and number of steps off whole frames: fewer are wrong times
+LONGEST_STEP = 2.5  # usual steps; longer ones of an irregular clock are gaps
 SLOWEST, FASTEST = 0.2, 2000.0  # [Hz] that recordings of animals have
 IN_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 CLOCK = r"\d{1,3}:\d{2}:\d{2}(?:[.,]\d+)?"  # hours, minutes, seconds
@@ -46,7 +48,8 @@ USUAL_NAMES = {
         "trackid individual individuals individualid individualname animal animalid animalname "
         "subject subjectid subjectname track tier",
         "id object objectid obj ind agent agentid identity ids tagid particle particleid mouse "
-        "mouseid fly flyid fish fishid rat ant antid bird birdid",
+        "mouseid fly flyid fish fishid rat ant antid bird birdid "
+        "larva larvaid worm wormid",
         "name tag label",
     ),
     "recording": (
@@ -296,6 +299,36 @@ def frames_at(
         f"{path}: the time of {place(int(off.argmax()))} lies between frames at {rate:g} Hz: "
         "correct it, or give the right --option fps=..."
     )
+
+
+def irregular_rate(time: Floats, track: Whole) -> float | None:
+    """The usual rate [Hz] of a clock that ticks unevenly; None where it ticks evenly."""
+    order = np.lexsort((time, track))
+    step = np.diff(time[order])[np.diff(track[order]) == 0]
+    if len(step) == 0 or not (step > 0).all():
+        return None
+    usual = float(np.median(step))
+    off = np.count_nonzero(np.abs(step / usual - np.rint(step / usual)) > UNEVEN)
+    return float(f"{1.0 / usual:.3g}") if off >= max(MANY, IRREGULAR * len(step)) else None
+
+
+def even_rows(
+    time: Floats, track: Whole, rate: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]:
+    """Rows around each tick of an even clock, the share of the way between them, and its time [s].
+
+    Ticks are whole multiples of ``1 / rate``; those in a gap are left out.
+    """
+    order = np.lexsort((time, track))
+    when = time[order]
+    near = (np.diff(track[order]) == 0) & (np.diff(when) <= LONGEST_STEP / rate)
+    tick = np.ceil(when * rate - 1e-9).astype(np.int64)  # the first one that is not before
+    count = np.where(near, np.diff(tick), 0)
+    low = np.repeat(np.arange(len(count)), count)
+    number = np.arange(len(low)) - np.repeat(np.cumsum(count) - count, count)
+    ticks = (tick[low] + number) / rate
+    share = (ticks - when[low]) / (when[low + 1] - when[low])
+    return order[low], order[low + 1], share, ticks
 
 
 def refuse_times_going_back(path: Path, time: Floats, track: Whole, place: Place) -> None:

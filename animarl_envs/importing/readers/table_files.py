@@ -20,8 +20,10 @@ from animarl_envs.importing.readers.columns import (
     LARGEST_FRAME,
     Columns,
     check_rate,
+    even_rows,
     find_columns,
     frames_at,
+    irregular_rate,
     pairs_of,
     parsed_names,
     radians_per_unit,
@@ -35,15 +37,15 @@ from animarl_envs.importing.readers.registry import register_track_reader
 from animarl_envs.importing.tables import (
     EXTENSIONS,
     MOST_COLUMNS,
+    PACKED,
     Progress,
     Table,
     Words,
     open_table,
     table_or_none,
 )
-from animarl_envs.importing.tracks import Tracks
+from animarl_envs.importing.tracks import LONE, Tracks
 
-LONE = "individual_0"  # of a table with one x and one y
 CONFIDENCE = "confidence"
 Pairs = dict[str, list[str]]
 Whole = NDArray[np.int64]
@@ -192,7 +194,7 @@ def _recordings(
 
     ``extra`` are columns of confidence and heading, which a row has once.
     """
-    path = table.path
+    path, read_as = table.path, table.description
     clock = time or (found.time if frame is None else None)
     frame = None if time is not None else frame or found.frame
     clock = clock if frame is None or fps is None else None
@@ -205,7 +207,9 @@ def _recordings(
     number, word = table.columns(numbers, texts, progress)
     rows = len(number[numbers[0]])
     zeros = np.zeros(rows, dtype=np.int64)
-    sets = word.get(recording or "") or Words([path.stem], zeros)
+    sets = word.get(recording or "") or Words(
+        [path.name.removesuffix(PACKED).rpartition(".")[0]], zeros
+    )
     who = word.get(individual or "") or Words([], zeros)
     start = np.zeros(len(sets.entries))
     if frame is not None:
@@ -222,6 +226,16 @@ def _recordings(
         else:
             track = sets.number * max(len(who.entries), 1) + who.number
             refuse_times_going_back(path, when, track, table.place)
+            if fps is None and (fps := irregular_rate(when, track)) is not None:
+                require(
+                    HEADING not in extra,
+                    f"{path}: its clock is irregular, and headings are not resampled: give rows at "
+                    "even times",
+                )
+                low, high, share, when = even_rows(when, track, fps)
+                number = {k: v[low] + share * (v[high] - v[low]) for k, v in number.items()}
+                sets, who = (Words(one.entries, one.number[low]) for one in (sets, who))
+                read_as += f", irregular clock resampled to {fps:g} Hz"
             fps, frames, start = frames_at(path, when, fps, sets.number, table.place)
         if time is None and stated is None and clock not in word:
             check_rate(path, clock, fps)
@@ -257,7 +271,7 @@ def _recordings(
                 confidence=None if confidence is None else confidence[:, :, None],
                 signals=more_of,
                 start=float(start[at]),
-                provenance={"file": path.name, "read_as": table.description},
+                provenance={"file": path.name, "read_as": read_as},
                 **more,
             )
         )
