@@ -9,9 +9,8 @@ Differences are studentised in every exchange (Chung and Romano 2013, Ann. Stat.
 rollouts are far off, as those of animals that freeze, the recordings alone have a small error, and
 those of an exchange a large one. Of several measures the statistic is the largest such difference
 (maxT; Westfall and Young 1993, *Resampling-Based Multiple Testing*, algorithm 2.5, single step). So
-a perfect simulator has
-no measure below .05 in 95 % of experiments, however many measures there are and however they depend
-on each other.
+a perfect simulator has no measure below .05 in 95 % of experiments, however many measures there are
+and however they depend on each other.
 """
 
 from __future__ import annotations
@@ -244,7 +243,7 @@ def _standard_errors(
 
     A share (``FLOOR``) of the mean variance is added, as the values of few recordings may be alike.
     """
-    square = 0.0
+    square = np.zeros(means[0].shape)
     for side, mean in zip((exchanges.recorded, exchanges.simulated), means):
         number = side @ known
         square = square + np.maximum(side @ filled**2 / number - mean**2, 0.0) / number
