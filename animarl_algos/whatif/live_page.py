@@ -142,6 +142,11 @@ def _refuse(scenario: Scenario) -> None:
             "the senses of this run are noisy or late, which a page does not simulate: use "
             "'animarl whatif'"
         )
+    if isinstance(species, ChaseSpecies) and species.free:
+        raise InputError(
+            "nobody is pursued in this run, and a page simulates only chases and searches: use "
+            "'animarl whatif'"
+        )
     if isinstance(species, ChaseSpecies) and species.has_headings:
         raise InputError(
             "the individuals of this run have headings of their own, which a page does not "

@@ -79,7 +79,7 @@ BUDGETS = {
     "animarl_algos.replay": 1_000,
     "animarl_algos.report": 3_370,
     "animarl_algos.runs": 2_460,
-    "animarl_algos.whatif": 1_355,
+    "animarl_algos.whatif": 1_360,
     "animarl_algos.zoo": 500,
     "animarl_envs": 2_170,
     "animarl_envs.demos": 1_295,

@@ -22,6 +22,7 @@ from animarl_algos.runs.run import Run
 from animarl_algos.whatif.live_page import page_model, write_page
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
+from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
 
 COPIES, STEPS = 4, 250  # 1,000 steps of every individual
@@ -140,6 +141,10 @@ def test_what_a_page_cannot_carry_is_one_sentence(monkeypatch: pytest.MonkeyPatc
     assert "only some individuals" in refusal(drivers=("action", "action", "replay"))
     monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 2)
     assert "3 individuals are more than the 2" in refusal()
+    monkeypatch.setattr("animarl_algos.whatif.live_page.MOST_INDIVIDUALS", 60)
+    monkeypatch.setitem(run.__dict__, "scenario", make_scenario("shoal", demos=None))
+    with pytest.raises(InputError, match="nobody is pursued"):
+        page_model(run)
     moth = load_run("silkmoth")
     monkeypatch.setitem(
         moth.__dict__,
