@@ -61,6 +61,7 @@ def test_animals_that_are_seen_together_stay_one_recording(tmp_path: Path) -> No
         (gzip.compress(b"frame,id,x,y\n" + b"0,a,1,1\n" * 50)[:40], "cannot be unpacked"),
         (gzip.compress(b"0" * 2**26), "unpacks to more than"),
     ],
+    ids=["no gzip", "cut short", "bomb"],  # packed bytes hold the time of day
 )
 def test_a_damaged_or_absurd_packed_table_is_refused(
     tmp_path: Path, content: bytes, said: str
