@@ -68,8 +68,8 @@ def focus_directions(
 ) -> NDArray[np.float64]:
     """Unit vectors towards the focus of each individual.
 
-    Free animals have their course where ``velocities`` and ``steps`` are given (:func:`courses`),
-    else they face their nearest companion.
+    That of a free animal is its course, by its ``velocities`` and the ``steps`` since the start
+    (:func:`courses`); without them it has not moved yet.
 
     Parameters
     ----------
@@ -103,14 +103,15 @@ def focus_directions(
 
 
 def foci(roles: Sequence[str]) -> list[list[int] | None]:
-    """Return, for each individual, those whose nearest is its focus; ``None`` for a searcher."""
+    """Return, for each individual, those whose nearest is its focus; ``None`` for a searcher.
+
+    There are none for a free animal.
+    """
     last = len(roles) - 1
     one, many = [last], list(range(last))
     if "target" in roles:
         return [many if i == last else one for i in range(len(roles))]
-    if "searcher" in roles:
-        return [None for _ in roles]
-    return [[j for j in range(len(roles)) if j != i] for i in range(len(roles))]
+    return [None if "searcher" in roles else [] for _ in roles]
 
 
 def first_pursuer(roles: Sequence[str]) -> int:

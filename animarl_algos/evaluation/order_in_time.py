@@ -18,7 +18,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.statistics import Floats, Ints
 from animarl_envs.arena import Arena
 from animarl_envs.demos.episode import Episodes
-from animarl_envs.focus import focus_directions
+from animarl_envs.focus import FALLBACK, focus_directions
 
 LAGS = (0.5, 2.0, 5.0, 20.0)  # [s] at which order in time is looked at
 LONGEST_LAG = 0.5  # of the median episode: beyond it too few pairs of steps are left
@@ -35,7 +35,8 @@ class Series:
     """Padded series of several episodes, NaN where an episode has ended or nothing is defined.
 
     ``chosen`` ``(episodes,)`` says which of all. ``position`` is ``(episodes, frames, individuals,
-    2)`` [arena unit], ``focus`` unit vectors of that shape towards the focus, ``step`` one frame
+    2)`` [arena unit], ``focus`` unit vectors of that shape towards the focus (of free animals the
+    nearest companion, not the course that their actions are relative to), ``step`` one frame
     shorter; ``speed`` [arena unit / s] and ``moving`` are ``(episodes, steps, individuals)``,
     ``turn`` is one step shorter, the signed angle between successive steps [rad], NaN where either
     is at rest.
@@ -59,7 +60,12 @@ class Series:
             frames = np.arange(lengths.max())
             last = np.minimum(frames, lengths[:, None] - 1)
             position = rollouts.positions[rollouts.offsets[:-1][chosen][:, None] + last]
-            focus = focus_directions(position, rollouts.roles)
+            if rollouts.has_goal:
+                focus = focus_directions(position, rollouts.roles)
+            else:  # of free animals it is measured how they go about their nearest companion
+                apart = nearest_other(position)
+                length = np.linalg.norm(apart, axis=-1, keepdims=True)
+                focus = np.where(length > 0, apart / np.where(length > 0, length, 1.0), FALLBACK)
             inside = frames < lengths[:, None]
             position = np.where(inside[..., None, None], position, np.nan)
             step = np.diff(position, axis=1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING
-from animarl_envs.worlds.plume.fitted import INPUTS, MIRROR, FittedOdour, write_inputs
+from animarl_envs.worlds.plume.fitted import INPUTS, FittedOdour, mirrored, softmax, write_inputs
 
 UNITS, UPDATES, BATCH, RATE, DECAY = 24, 1_500, 512, 5e-3, 3e-2
 HIT_SHARE = 0.5  # a recorded odour signal of at least this is a hit
@@ -43,7 +43,7 @@ def odour_steps(demos: Demonstrations) -> tuple[Floats, NDArray[np.int64]]:
 def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
     """Fit the network to all episodes of ``demos``, which need headings and odour signals."""
     inputs, hits = odour_steps(demos)
-    inputs = np.concatenate([inputs, inputs[:, MIRROR.order] * MIRROR.sign])
+    inputs = np.concatenate([inputs, mirrored(inputs)])
     hits = np.concatenate([hits, np.array([0, 2, 1, 3])[hits]])
     draw = np.random.default_rng(seed)
     weights = [
@@ -55,7 +55,7 @@ def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
         rows = draw.integers(len(hits), size=BATCH)
         seen = inputs[rows]
         units = np.tanh(seen @ weights[0] + weights[1])
-        error = _softmax(units @ weights[2] + weights[3])
+        error = softmax(units @ weights[2] + weights[3])
         error[np.arange(BATCH), hits[rows]] -= 1.0
         error /= BATCH
         back = (error @ weights[2].T) * (1.0 - units**2)
@@ -73,10 +73,4 @@ def fit_odour(demos: Demonstrations, seed: int = 0) -> FittedOdour:
 def likelihood(odour: FittedOdour, demos: Demonstrations) -> float:
     """Mean negative log likelihood of recorded hits [nats a step]."""
     inputs, hits = odour_steps(demos)
-    chance = _softmax(np.tanh(inputs @ odour.first + odour.bias) @ odour.last + odour.offset)
-    return float(-np.log(chance[np.arange(len(hits)), hits]).mean())
-
-
-def _softmax(logits: Floats) -> Floats:
-    chance = np.exp(logits - logits.max(axis=1, keepdims=True))
-    return np.asarray(chance / chance.sum(axis=1, keepdims=True))
+    return float(-np.log(odour.chances(inputs)[np.arange(len(hits)), hits]).mean())

@@ -211,7 +211,7 @@ def _recordings(
         [path.name.removesuffix(PACKED).rpartition(".")[0]], zeros
     )
     who = word.get(individual or "") or Words([], zeros)
-    start = np.zeros(len(sets.entries))
+    start, origin = np.zeros(len(sets.entries)), np.arange(rows)  # the table's row of each
     if frame is not None:
         frames = _frame_numbers(table, frame, number[frame])
     elif clock is None:
@@ -233,6 +233,7 @@ def _recordings(
                     "even times",
                 )
                 low, high, share, when = even_rows(when, track, fps)
+                origin = low
                 number = {k: v[low] + share * (v[high] - v[low]) for k, v in number.items()}
                 sets, who = (Words(one.entries, one.number[low]) for one in (sets, who))
                 read_as += f", irregular clock resampled to {fps:g} Hz"
@@ -250,7 +251,7 @@ def _recordings(
             column_of[ids] = np.arange(len(ids))
             columns = [column_of[who.number[own]]]
         shape = (int(frames[own].max()) + 1, len(individuals))
-        _check_extent(table, name, shape, frames[own], own)
+        _check_extent(table, name, shape, frames[own], origin[own])
         positions = np.full((*shape, 1, 2), np.nan)
         more_of = {key: np.full(shape, np.nan) for key in extra}
         for column, (a, b) in zip(columns, pairs.values(), strict=True):
@@ -318,15 +319,14 @@ def _frame_numbers(table: Table, column: str, frames: NDArray[np.float64]) -> Wh
 
 
 def _check_extent(
-    table: Table, recording: str, shape: tuple[int, int], frames: Whole, rows: Any
+    table: Table, recording: str, shape: tuple[int, int], frames: Whole, rows: Whole
 ) -> None:
     """Refuse a frame so late that the recording would take more memory than the file may ask."""
     size = shape[0] * shape[1] * 16
     if size > allowed_bytes(table.path.stat().st_size):
         last = int(frames.argmax())
-        row = last if isinstance(rows, slice) else int(rows[last])
         raise InputError(
-            f"{table.path}: {table.place(row)} is of frame {frames[last]}, with which "
+            f"{table.path}: {table.place(int(rows[last]))} is of frame {frames[last]}, with which "
             f"recording {recording} would take {size / 2**20:,.0f} MiB, more "
             f"than {EXPANSION} times the file: correct it"
         )

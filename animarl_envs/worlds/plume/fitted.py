@@ -19,13 +19,6 @@ INPUTS = 9
 LONGEST = 10.0  # since the last hit [s]
 
 
-class Mirror(NamedTuple):
-    """The inputs of the mirror image: their order, and their signs."""
-
-    order: NDArray[np.int64]
-    sign: NDArray[np.float64]
-
-
 class OdourWeights(NamedTuple):
     """The weights of a :class:`FittedOdour`, and room for its inputs."""
 
@@ -34,9 +27,6 @@ class OdourWeights(NamedTuple):
     last: NDArray[np.float64]
     offset: NDArray[np.float64]
     inputs: NDArray[np.float64]
-
-
-MIRROR = Mirror(np.array([0, 1, 2, 3, 4, 5, 7, 6, 8]), np.array([1, -1, 1, -1, 1, -1, 1, 1, 1.0]))
 
 
 @nb.njit(inline="always")
@@ -51,6 +41,11 @@ def write_inputs(x, y, cosine, sine, left, right, since, out):  # type: ignore[n
     out[6] = 1.0 if left else -1.0
     out[7] = 1.0 if right else -1.0
     out[8] = math.log(2.0 * min(since, LONGEST) + 1.0) - 0.5
+
+
+def mirrored(inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inputs ``(n, INPUTS)`` of the mirror image."""
+    return np.multiply(inputs[:, [0, 1, 2, 3, 4, 5, 7, 6, 8]], [1, -1, 1, -1, 1, -1, 1, 1, 1])
 
 
 @nb.njit(inline="always")
@@ -93,16 +88,24 @@ class FittedOdour(Plume):
     def pattern_table(self, pattern: int, dt: float, antenna_radius: float) -> HitTable:
         return HitTable(np.zeros((1, 1, 1), np.uint8), 1, 1, 0, 0, 1e-3)
 
+    def chances(self, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """P(no hit, left, right, both), ``(n, 4)``, of inputs ``(n, INPUTS)``."""
+        return softmax(np.tanh(inputs @ self.first + self.bias) @ self.last + self.offset)
+
     def field(self, pattern: int, time: float) -> tuple[NDArray[np.float32], tuple[float, ...]]:
         """To draw: the chance of a hit for a body that faces upwind and smelt nothing."""
         x, y = np.meshgrid(np.arange(-0.05, 0.45, 0.01), np.arange(-0.15, 0.155, 0.01))
         rows = np.empty((x.size, INPUTS))
         for place, row in zip(np.stack([x.ravel(), y.ravel()], axis=-1), rows, strict=True):
             write_inputs(place[0], place[1], -1.0, 0.0, False, False, LONGEST, row)
-        logits = np.tanh(rows @ self.first + self.bias) @ self.last + self.offset
-        chance = np.exp(logits - logits.max(axis=1, keepdims=True))
-        hit = 1.0 - chance[:, 0] / chance.sum(axis=1)
+        hit = 1.0 - self.chances(rows)[:, 0]
         return hit.reshape(x.shape).astype(np.float32), (-0.055, 0.445, -0.155, 0.155)
+
+
+def softmax(logits: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return probabilities of each row."""
+    chance = np.exp(logits - logits.max(axis=1, keepdims=True))
+    return np.asarray(chance / chance.sum(axis=1, keepdims=True))
 
 
 def odour_weights(plume: Plume) -> OdourWeights:
