@@ -73,30 +73,35 @@ HEAD = """# AnimaRL in other libraries
 
 <!-- Written by `python docs/make_clients_page.py`; do not edit. -->
 
-`import animarl_envs` registers the ids with Gymnasium; libraries that start worker processes, such
-as stable-baselines3's `SubprocVecEnv`, take `"animarl_envs:AnimaRL/Agent-v0"` instead. Every
-example below is a file of its own in [`examples/`](../examples), takes `--steps` and `--seed`, and
-is run by the tests. The table says what this command ran last, with `--steps {steps}`, on Python
-{python}: a check that they work together, not a benchmark, since nothing is learnt in so few steps.
+Use the environments from stable-baselines3, CleanRL-style code, SuperSuit, TorchRL, Tianshou,
+Minari or RLlib. Each example below is one file in [`examples/`](../examples) with the options
+`--steps` and `--seed`, and tests run it.
 
-| example | what it does | view | ran against | it said |
+`import animarl_envs` registers the environments with Gymnasium. Libraries that start worker
+processes, such as stable-baselines3's `SubprocVecEnv`, take `"animarl_envs:AnimaRL/Agent-v0"`
+instead.
+
+The last column is what each example printed with `--steps {steps}` on Python {python}. This shows
+that the libraries work together. It is no benchmark: nothing is learned in so few steps.
+
+| example | what it does | view | versions | last line printed |
 |---|---|---|---|---|
 """
 
 FOOT = """
 What to know:
 
-- A time limit *truncates* and never terminates, so that it is bootstrapped. Gymnasium's views say
-  so by `step`'s fourth value; the parallel view also by `info["TimeLimit.truncated"]` at the end,
-  which is how SuperSuit's stable-baselines3 wrapper learns of it.
-- `gym.make(...).spec.max_episode_steps` is the time limit in force, so that Gymnasium's
-  `TimeAwareObservation` and learners that ask for it find it; `make_vec(..., max_episode_steps=7)`
-  and PettingZoo's `make("parallel", "AnimaRL/Agent-v0", max_cycles=7)` shorten it.
-- `gym.make_vec` gives the native vector environment. It resets a copy in the step after its end
+- A time limit *truncates* an episode and never terminates it, so learners bootstrap there.
+  Gymnasium's views return it as the fourth value of `step`. The parallel view also sets
+  `info["TimeLimit.truncated"]` at the end, which SuperSuit's stable-baselines3 wrapper reads.
+- `gym.make(...).spec.max_episode_steps` is the time limit in force, as Gymnasium's
+  `TimeAwareObservation` expects. `make_vec(..., max_episode_steps=7)` and PettingZoo's
+  `make("parallel", "AnimaRL/Agent-v0", max_cycles=7)` shorten it.
+- `gym.make_vec` returns the native vector environment. It resets a copy in the step after its end
   (`AutoresetMode.NEXT_STEP`), or at once with `autoreset_mode="SameStep"`.
-- All individuals of a chase have the same observation and action spaces, so no padding is needed;
-  all end together, so `black_death` is not either.
-- SuperSuit's SB3 wrapper has no `seed()`: give SB3 no `seed=`, and seed as the example does.
+- All individuals of a chase have the same observation and action spaces and end together. You need
+  neither padding nor `black_death`.
+- SuperSuit's SB3 wrapper has no `seed()`. Give SB3 no `seed=`; seed as the example does.
 """
 
 
