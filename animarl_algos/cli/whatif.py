@@ -12,6 +12,7 @@ from animarl_envs.errors import InputError
 from animarl_envs.scenario import PACKAGED
 
 if TYPE_CHECKING:
+    import pandas as pd
     from rich.console import Console
 
     from animarl_algos.runs.run import Run
@@ -62,7 +63,6 @@ def whatif_command(
     """
     from rich.console import Console
 
-    from animarl_algos.runs.permuted import permuted_runs
     from animarl_algos.runs.pretrained import load_run
     from animarl_algos.whatif.answer import ask
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
@@ -76,6 +76,8 @@ def whatif_command(
             raise InputError(
                 "--permutations is the null of a condition and none is changed: leave it out"
             )
+        from animarl_algos.runs.permuted import permuted_runs
+
         parse_scenarios(change, loaded[0].scenario.species, separately=separately)
         nulls = permuted_runs(
             loaded[0],
@@ -90,6 +92,7 @@ def whatif_command(
         repetitions=repetitions,
         reading="knows" if knows else "habit",
         separately=separately,
+        on_baseline=lambda table: _print_unchanged(console, table),
         on_answer=lambda answer: _print(console, answer),
     )
     save_answers(found, out)
@@ -123,6 +126,20 @@ def page_command(run: Path, out: Path = Path("what-if.html"), species: str | Non
         raise InputError(f"--species {species} goes with 'packaged': leave it out for {run}")
     file = write_page(load_run((species or "agent") if packaged else run), out)
     Console().print(f"{file}: open it in a browser", highlight=False)
+
+
+def _print_unchanged(console: Console, unchanged: pd.DataFrame) -> None:
+    """Print how far the unchanged simulation is from the recordings, before any answer is ready."""
+    from rich.table import Table
+
+    table = Table(title="unchanged world", title_justify="left", box=None)
+    table.add_column("quantity", no_wrap=True)
+    for column in ("recorded", "baseline", "gap"):
+        table.add_column(column, justify="right")
+    for _, row in unchanged.iterrows():
+        numbers = (f"{row['recorded']:.3g}", f"{row['baseline']:.3g}", f"{row['gap']:+.3g}")
+        table.add_row(f"{row['quantity']} \\[{row['unit']}]", *numbers)
+    console.print(table)
 
 
 def _print(console: Console, answer: Answer) -> None:

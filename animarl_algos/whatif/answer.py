@@ -126,6 +126,7 @@ def ask(
     separately: bool = False,
     seed: int = 0,
     permuted: Sequence[TrainedRun] = (),
+    on_baseline: Callable[[pd.DataFrame], None] | None = None,
     on_answer: Callable[[Answer], None] | None = None,
 ) -> WhatIf:
     """Ask trained runs what would happen if.
@@ -148,6 +149,9 @@ def ask(
         Runs of the same learner that were trained with the conditions of their recordings permuted
         (:func:`animarl_algos.runs.permuted.permuted_runs`). Their shifts are the null of a cue:
         they say how far it moves by the choice of training recordings alone.
+    on_baseline
+        Is told first how far the unchanged simulation is from the recordings; columns
+        ``quantity, unit, recorded, baseline, gap``.
     on_answer
         Is told of each answer as it is ready.
 
@@ -166,6 +170,8 @@ def ask(
         _Asker(tuple(some), unit, repetitions, reading, seed)
         for some in (runs, *([run] for run in permuted))
     )
+    if on_baseline is not None:
+        on_baseline(asker.unchanged())
     answers = []
     for scenario in scenarios:
         answers.append(asker.answer(scenario, nulls if scenario.condition is not None else ()))
@@ -233,6 +239,14 @@ class _Asker:
         import pandas as pd
 
         return Answer(scenario, pd.DataFrame(rows), warning, reason, thrusts, changed)
+
+    def unchanged(self) -> pd.DataFrame:
+        """Return each quantity of the recordings and of the unchanged world."""
+        import pandas as pd
+
+        rows = self._rows(Scenario(()), self.baseline, None)
+        columns = ["quantity", "unit", "recorded", "baseline", "gap"]
+        return pd.DataFrame(list(rows))[columns]
 
     def shifts(self, scenario: Scenario) -> list[float]:
         """Return the shift of each quantity."""

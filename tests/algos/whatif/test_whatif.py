@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -237,6 +239,39 @@ def test_permutations_need_a_condition_that_can_be_permuted(tmp_path: Path) -> N
     with pytest.raises(InputError, match="change what is sensed"):
         permuted_runs(load_run("silkmoth"), tmp_path / "permuted", 1)
     assert not (tmp_path / "permuted").exists()
+
+
+SPENT = """
+import sys, time
+from rich.console import Console
+from animarl_algos.cli.main import main
+show, first = Console.print, []
+def record(console, *what, **options):
+    show(console, *what, **options)
+    first.append(time.process_time())
+Console.print = record
+try:
+    main()
+except SystemExit as ended:
+    assert not ended.code
+print("spent", first[0], time.process_time())
+"""
+
+
+@pytest.mark.slow
+def test_a_whatif_of_five_scenarios_costs_half_a_minute_at_most(tmp_path: Path) -> None:
+    assert (load_run("agent").demos.split == "test").sum() == 50
+    arguments = ("whatif", "agent", "--change", "prey.speed=-20%..+20%/5", "--out")
+    for name in ("first", "again"):
+        ran = subprocess.run(
+            [sys.executable, "-c", SPENT, *arguments, tmp_path / name],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        _, first, whole = ran.stdout.splitlines()[-1].split()
+        assert float(first) < 5.0 and float(whole) < 30.0  # of processor time
+        assert "unchanged world" in ran.stdout.splitlines()[0]
+    for file in (tmp_path / "first").iterdir():
+        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes(), file.name
 
 
 @pytest.mark.slow
