@@ -33,6 +33,7 @@ from animarl_envs.species import (
     get_species,
 )
 from animarl_envs.species.options import with_options
+from animarl_envs.species.traits import Traits, fit_traits
 from animarl_envs.species.turning import Turning
 
 SMALLEST_CONTACT = 0.001  # share of the arena's size
@@ -73,7 +74,8 @@ def species_of(
           (``senses_time``);
         - starts without a demonstration: in the inner half of the arena; no warm-up steps;
         - a searcher has the silkmoth's senses, plume and conditions. One that was recorded with
-          its heading and its odour gets odour as recorded searchers did (``fitting.odour``).
+          its heading and its odour gets odour as recorded searchers did (``fitting.odour``);
+          where those differ from each other, simulated ones do (``species.traits``).
 
         Individuals whose headings are recorded turn as they do, see :func:`fitted_turning`; those
         of a chase then see where everybody points (``senses_heading``), if one of them does not
@@ -102,6 +104,7 @@ def species_of(
         own["turning"] = fitted_turning(demos)
         if not demos.synthetic and {"odour_left", "odour_right"} <= set(demos.signals):
             own["plume"] = _fitted_once(fit_odour, demos, 0)
+            own["traits"] = fitted_traits(demos)
     elif demos.headings() is not None:
         turning = [fitted_turning(demos, i) for i in range(demos.num_individuals)]
         own |= {"turning": turning, "senses_heading": any(one is not None for one in turning)}
@@ -155,6 +158,13 @@ def fitted_turning(demos: Demonstrations, individual: int = 0) -> Turning | None
     """
     turning: Turning | None = _fitted_once(fit_turning, demos, individual)
     return turning
+
+
+def fitted_traits(demos: Demonstrations) -> Traits | None:
+    """Traits of the training episodes (of all, if there are none); None where they are alike."""
+    trained = (demos.split == "train").any()
+    training = demos.select(split="train") if trained else demos
+    return fit_traits(training.positions, training.lengths, demos.dt, training.condition)
 
 
 def _fitted_once(fit: Callable[..., Any], demos: Demonstrations, number: int) -> Any:

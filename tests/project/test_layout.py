@@ -84,11 +84,11 @@ BUDGETS = {
     "animarl_envs": 2_170,
     "animarl_envs.demos": 1_295,
     "animarl_envs.drawing": 1_060,
-    "animarl_envs.fitting": 2_073,
+    "animarl_envs.fitting": 2_083,
     "animarl_envs.importing": 5_385,
-    "animarl_envs.species": 1_085,
+    "animarl_envs.species": 1_160,
     "animarl_envs.views": 920,
-    "animarl_envs.worlds": 3_894,
+    "animarl_envs.worlds": 3_926,
     "animarl_envs.wrappers": 290,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""

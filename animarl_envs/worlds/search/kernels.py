@@ -24,11 +24,12 @@ REACHED = 1  # outcome: the searcher (individual 0) reached the source
 SearchState = namedtuple(
     "SearchState",
     "demos demo contact_radius time_limit warmup random terminated truncated outcome step_count "
-    "warming driver recorded first table odour senses damping thrust pushes condition pattern "
-    "phase position velocity body components reward sensed",
+    "warming driver recorded first traits table odour senses damping thrust pushes condition "
+    "pattern phase position velocity body components reward sensed",
 )
 """What a step reads and writes; see :class:`animarl_envs.worlds.search.world.SearchWorld`, where
 they are made. ``pushes`` ``(A, 2)`` are actions in multiples of the thrust, ahead and left;
+``traits`` ``(n, 2)`` are those of training animals;
 ``odour`` is an :class:`animarl_envs.worlds.plume.fitted.OdourWeights`, empty where the table
 holds."""
 
@@ -68,6 +69,12 @@ def start(mask, state):  # type: ignore[no-untyped-def]
         vx = velocity[0, b]
         vy = velocity[1, b]
         wake(b, vx, vy, d >= 0, frame, recorded.heading, senses, body)
+
+        if len(state.traits):  # those of some training animal; of a replayed one its own
+            drawn = next_below(random, b, len(state.traits))
+            own = d >= 0 and state.driver == REPLAY
+            for x in range(2):
+                body.traits[x, b] = recorded.traits[d, x] if own else state.traits[drawn, x]
 
         group = recorded.group[d] if d >= 0 else 0
         pattern[b] = recorded.candidates[
@@ -154,9 +161,10 @@ def step(asked, state):  # type: ignore[no-untyped-def]
 
 
 @jit
-def sense_recorded(velocity, start, condition, hits, headings, senses, body, out):  # type: ignore[no-untyped-def]
+def sense_recorded(velocity, start, condition, hits, headings, traits, senses, body, out):  # type: ignore[no-untyped-def]
     """Observations of recorded frames; ``body`` is scratch of one copy."""
     for e in range(len(start) - 1):
+        body.traits[:, 0] = traits[e]
         for frame in range(start[e], start[e + 1]):
             vx = velocity[frame, 0, 0]
             vy = velocity[frame, 0, 1]

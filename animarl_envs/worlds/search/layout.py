@@ -11,6 +11,7 @@ import math
 from enum import IntEnum
 
 from animarl_envs.species import SearchSpecies
+from animarl_envs.species.traits import LARGEST, TRAITS
 from animarl_envs.worlds.base import ObservationComponent
 
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
@@ -61,9 +62,12 @@ class Seen(IntEnum):
     ACCELERATION_AHEAD = "acceleration ahead / u", EGO, "1", "push"
     ACCELERATION_LEFT = "acceleration left / u", EGO, "1", "push", -1.0
     YAW_RATE = "yaw rate", BODY, "rad / s", "turn", -1.0
+    OWN_SPEED = TRAITS[0], "individual", "sd", "trait"
+    OWN_TURNING = TRAITS[1], "individual", "sd", "trait"
 
 
 PAPER = Seen.WIND_BACK + 1  # components of the paper
+ALIKE = Seen.YAW_RATE + 1  # components where all individuals are alike
 
 
 def observation_components(
@@ -92,8 +96,10 @@ def observation_components(
         "log speed": (math.log(REST), math.log(top / stride + REST)),
         "push": (-push, push),
         "turn": (-turn, turn),
+        "trait": (-LARGEST, LARGEST),
     }
-    wanted = PAPER if species.observation == "paper" else len(Seen)
+    every = ALIKE if species.traits is None else len(Seen)
+    wanted = PAPER if species.observation == "paper" else every
     return tuple(
         ObservationComponent(label, frame, unit, *spans[span], sign, mirror)
         for label, frame, unit, span, sign, mirror in (seen.component for seen in Seen)

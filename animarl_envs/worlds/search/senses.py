@@ -13,7 +13,7 @@ from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
 from animarl_envs.worlds.plume.fitted import LONGEST, draw_hits
 from animarl_envs.worlds.plume.plume import is_hit
-from animarl_envs.worlds.search.layout import HARDEST, PAPER, REST, Seen
+from animarl_envs.worlds.search.layout import ALIKE, HARDEST, PAPER, REST, Seen
 from animarl_envs.worlds.streams import next_uniform
 
 
@@ -48,6 +48,7 @@ class Body(NamedTuple):
     turn: NDArray[np.float64]  # (B,), of the last step, to the left [rad]
     odour: NDArray[np.float64]  # (2, B), signal of the left and right antenna
     trace: NDArray[np.float64]  # (2, B), the same, decaying slowly to zero
+    traits: NDArray[np.float64]  # (2, B), of the individual [sd]
 
     @classmethod
     def of(cls, copies: int, baseline: float = 0.0) -> Body:
@@ -55,7 +56,8 @@ class Body(NamedTuple):
         heading = np.zeros((2, copies))
         heading[0] = -1.0
         odour = np.full((2, copies), baseline)
-        return cls(heading, np.zeros(copies), np.zeros(copies), odour, np.zeros((2, copies)))
+        trace, traits = np.zeros((2, 2, copies))
+        return cls(heading, np.zeros(copies), np.zeros(copies), odour, trace, traits)
 
 
 def senses_of(species: SearchSpecies) -> Senses:
@@ -207,6 +209,9 @@ def sense(  # type: ignore[no-untyped-def]
         _sense_more(b, velocity_x, velocity_y, hit_left, hit_right, senses, body, out, column)
         out[Seen.ACCELERATION_AHEAD, column] = min(HARDEST, max(-HARDEST, -push_x))
         out[Seen.ACCELERATION_LEFT, column] = min(HARDEST, max(-HARDEST, -push_y))
+    if out.shape[0] > ALIKE:
+        out[Seen.OWN_SPEED, column] = body.traits[0, b]
+        out[Seen.OWN_TURNING, column] = body.traits[1, b]
 
 
 @nb.njit(inline="always")

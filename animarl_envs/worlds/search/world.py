@@ -22,6 +22,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
+from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.plume.fitted import odour_weights
 from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
@@ -49,13 +50,17 @@ class SearchWorld(World):
     odour, trace
         ``(B, 2)``, signals of the left and right antenna: 1 when hit, then decaying, fast to the
         baseline and slowly to zero.
+    traits
+        ``(B, 2)``, how the individual differs from the mean one, see
+        :mod:`animarl_envs.species.traits` [sd].
     pattern, phase
         ``(B,)``: index into ``patterns``, and the plume's step at the start of the episode.
     """
 
     reward_components = ("touch",)
     _state_names = (
-        *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "pattern", "phase",
+        *World._state_names, "heading", "body_angle", "turn", "odour", "trace", "traits",
+        "pattern", "phase",
     )  # fmt: skip
     _describe = observation_components
 
@@ -76,7 +81,7 @@ class SearchWorld(World):
         super().__init__(scenario, num_copies, observers)
         self._body = body = Body.of(num_copies, species.odour_baseline)
         self.heading, self.odour, self.trace = body.heading.T, body.odour.T, body.trace.T
-        self.body_angle, self.turn = body.angle, body.turn
+        self.body_angle, self.turn, self.traits = body.angle, body.turn, body.traits.T
         self.pattern, self.phase = np.zeros((2, num_copies), dtype=np.int64)
         self.plume = as_plume(species.plume)
         # Of the model, patterns are dealt to training and test; a user's plume is for both.
@@ -93,8 +98,9 @@ class SearchWorld(World):
             kernels.SearchState(
                 **self._shared_state(),
                 driver=int(self._drivers[0]),
-                recorded=_recorded_senses(scenario.demos, self.patterns, groups, model),
+                recorded=_recorded_senses(species, scenario.demos, self.patterns, groups, model),
                 first=np.array(first, dtype=np.float64),
+                traits=np.zeros((0, 2)) if species.traits is None else species.traits.table[:, 0],
                 table=table._replace(cell=table.cell / scale),  # from here on in arena units
                 odour=odour_weights(self.plume),
                 senses=senses_of(species),
@@ -159,7 +165,7 @@ def demonstration_observations(
     InputError
         If the demonstrations hold no odour signals.
     """
-    recorded = _recorded_senses(demos, (), ((), ()), False)
+    recorded = _recorded_senses(species, demos, (), ((), ()), False)
     if not len(recorded.hits):
         raise InputError(
             f"{demos.name}: it lacks the signals 'odour_left' and 'odour_right', without which "
@@ -169,7 +175,7 @@ def demonstration_observations(
     conditions = demos.condition if condition is None else np.full_like(demos.condition, condition)
     kernels.sense_recorded(
         demos.velocities(), demos.offsets.astype(np.int64), conditions, recorded.hits,
-        recorded.heading, senses_of(species), Body.of(1), out,
+        recorded.heading, recorded.traits, senses_of(species), Body.of(1), out,
     )  # fmt: skip
     return np.ascontiguousarray(out.T)[:, None]
 
@@ -185,9 +191,11 @@ class _RecordedSenses(NamedTuple):
     group: NDArray[np.int64]  # (episodes,), row of candidates
     pattern: NDArray[np.int64]  # (episodes,), -1: draw it
     phase: NDArray[np.int64]  # (episodes,), -1: draw it
+    traits: NDArray[np.float64]  # (episodes, 2) [sd]
 
 
 def _recorded_senses(
+    species: SearchSpecies,
     demos: Demonstrations | None,
     patterns: tuple[int, ...],
     groups: tuple[tuple[int, ...], tuple[int, ...]],
@@ -200,9 +208,13 @@ def _recorded_senses(
     hits, heading = np.zeros((0, 2), dtype=bool), np.zeros(0)
     group_of = np.zeros(count, dtype=np.int64)
     pattern, phase = np.full(count, -1), np.full(count, -1)
+    traits = np.zeros((count, 2))
     if demos is not None:
         signals = {name: np.squeeze(value) for name, value in demos.signals.items()}
         group_of[demos.split != "train"] = 1
+        if species.traits is not None:
+            own = episode_traits(demos.positions, demos.lengths, demos.dt)
+            traits = species.traits.scores(own, demos.condition)[:, 0]
         if {"odour_left", "odour_right"} <= set(signals):
             both = np.stack([signals["odour_left"], signals["odour_right"]], axis=-1)
             hits = both.astype(np.float64) >= HIT_SHARE
@@ -221,5 +233,6 @@ def _recorded_senses(
             if "plume_step" in signals:
                 phase = signals["plume_step"][demos.offsets[:-1]].astype(np.int64)
     return _RecordedSenses(
-        hits, heading, candidates, np.array([len(g) for g in groups]), group_of, pattern, phase
-    )
+        hits, heading, candidates, np.array([len(g) for g in groups]), group_of, pattern, phase,
+        traits,
+    )  # fmt: skip

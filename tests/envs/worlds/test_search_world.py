@@ -18,7 +18,7 @@ from animarl_envs.species import SILKMOTH, SearchSpecies
 from animarl_envs.species.silkmoth import RECORDED_TURNING
 from animarl_envs.species.turning import Turning
 from animarl_envs.worlds.plume.plume import hit_table
-from animarl_envs.worlds.search.layout import PAPER, Seen
+from animarl_envs.worlds.search.layout import ALIKE, PAPER
 from animarl_envs.worlds.search.world import SearchWorld, antennae_at
 
 
@@ -108,7 +108,7 @@ def test_kernel_agrees_with_the_reference(
 def test_the_paper_s_observation_is_the_beginning_of_the_full_one() -> None:
     actions = random_actions(80, 3)
     full, paper = (rollout(search_world(3, observation=o), actions) for o in ("full", "paper"))
-    assert paper.shape[-1] == 10 == PAPER and full.shape[-1] == len(Seen)
+    assert paper.shape[-1] == 10 == PAPER and full.shape[-1] == ALIKE
     np.testing.assert_array_equal(full[..., :10], paper)
 
 
@@ -137,7 +137,7 @@ def test_reaching_the_source_terminates_with_reward_one() -> None:
 
 def test_position_is_not_observed() -> None:
     names = [c.name for c in search_world().observation_components]
-    assert len(names) == search_world().observation.shape[-1] == len(Seen)
+    assert len(names) == search_world().observation.shape[-1] == ALIKE
     assert not any("position" in name or "distance" in name for name in names)
 
 
