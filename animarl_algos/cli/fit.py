@@ -31,6 +31,7 @@ from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.fitting.joint import FAST
 from animarl_envs.fitting.noise import fit_with_noise
 from animarl_envs.fitting.result import Method, doubts
+from animarl_envs.fitting.states import MOST_STATES, MOST_STEPS, compare_states
 from animarl_envs.fitting.tracking import speed_distances, tracking_errors
 from animarl_envs.locomotion import MOST_THRUSTS
 from animarl_envs.species import get_species
@@ -53,6 +54,18 @@ THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     "floor": ("floor\n(AUC)", lambda floor: f"{floor:.2f}" if math.isfinite(floor) else "-"),
 }
 """Of the table of ``--thrusts``: by name in the file, the heading and how a value is shown."""
+STATE_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
+    "individual": ("individual", str),
+    "states": ("states", str),
+    "thrusts": ("thrusts", str),
+    "state": ("state", str),
+    "damping": ("d", "{:.3f}".format),
+    "thrust": ("u", lambda each: " ".join(f"{one:.3g}" for one in each)),  # [arena unit / s^2]
+    "share": ("share of\ntime", "{:.0%}".format),
+    "bout": ("lasts, s", lambda bout: f"{bout:.3g}" if math.isfinite(bout) else "-"),
+    "held_out": ("held-out\nnats a step", "{:.3f}".format),
+}
+"""Of the table of ``--states``, likewise."""
 
 
 @helps(
@@ -61,6 +74,7 @@ THRUST_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
     species="Take the onset threshold of this species.",
     method="joint (default), onset (the paper's), both, or noise: noisy tracks.",
     thrusts="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit).",
+    states="Compare numbers of states, such as 1,2,3 (rest and go), by held-out likelihood.",
     split="Episodes the parameters come from: train, val, test or all.",
     bootstrap="Resamples of episodes for the intervals.",
     seed="Seed of the resampling.",
@@ -72,6 +86,7 @@ def fit_command(
     species: str | None = None,
     method: MethodChoice = "joint",
     thrusts: str | None = None,
+    states: str | None = None,
     split: str = "train",
     bootstrap: int = 1000,
     seed: int = 0,
@@ -85,6 +100,8 @@ def fit_command(
 
       animarl fit demos.npz --thrusts 1,2,3,5
 
+      animarl fit demos.npz --states 1,2,3 --thrusts 1,3
+
       animarl fit demos.npz --method noise
 
       animarl fit episodes_share.npz --method both --split all --out fit.csv
@@ -94,13 +111,22 @@ def fit_command(
     if out is not None:
         refuse_overwriting(out, file)
     seed, chosen = SEED.check("seed", seed), named_split(split)
-    numbers = () if thrusts is None else parse_thrusts(thrusts)
-    if numbers and method != "joint":
-        raise InputError(f"--thrusts goes with the joint fit: leave --method {method} out")
+    numbers = parse_numbers("--thrusts", thrusts, MOST_THRUSTS)
+    several = parse_numbers("--states", states, MOST_STATES)
+    for option in ["--thrusts"] * bool(numbers) + ["--states"] * bool(several):
+        if method != "joint":
+            raise InputError(f"{option} goes with the joint fit: leave --method {method} out")
+    if several and (split != "train" or (out is not None and out.suffix == ".json")):
+        raise InputError(
+            "--states fits train, compares on val and saves a .csv: leave --split out, give a .csv"
+        )
     demos = load(file, source, takes=(SOURCE,))
     threshold = None if species is None else get_species(species).recording.onset_threshold
     console = PlainConsole(TABLE_WIDTH)
-    if numbers:
+    if several:
+        fits: list[LocomotionFit] = []
+        rows = _compare_states(demos, several, numbers or (1, 3), console)
+    elif numbers:
         if out is not None and out.suffix == ".json" and len(numbers) > 1:
             raise InputError(f"{out}: a .json holds one fit: give one --thrusts, or save a .csv")
         fits, rows = _compare_thrusts(demos, numbers, chosen, seed, console)
@@ -228,22 +254,21 @@ def noise_warnings(fit: LocomotionFit, demos: Demonstrations) -> list[str]:
     return warned
 
 
-# -- numbers of thrust magnitudes -----------------------------------------------------------------
+# -- numbers of thrust magnitudes and of states ---------------------------------------------------
 
 
-def parse_thrusts(given: str) -> tuple[int, ...]:
-    """Return the numbers of magnitudes in ``1,2,3``, each once, in order.
+def parse_numbers(option: str, given: str | None, most: int) -> tuple[int, ...]:
+    """Return the numbers in ``1,2,3``, each once, in order; none where nothing is given.
 
     Raises
     ------
     InputError
-        If one is no whole number from 1 to 10.
+        If one is no whole number from 1 to ``most``.
     """
-    texts = [text.strip() for text in given.split(",")]
-    if not all(text.isdecimal() and 1 <= int(text) <= MOST_THRUSTS for text in texts):
+    texts = [] if given is None else [text.strip() for text in given.split(",")]
+    if not all(text.isdecimal() and 1 <= int(text) <= most for text in texts):
         raise InputError(
-            f"--thrusts is {given!r}: give whole numbers of thrust magnitudes from 1 to "
-            f"{MOST_THRUSTS}, such as 1,2,3"
+            f"{option} is {given!r}: give whole numbers from 1 to {most}, such as 1,2,3"
         )
     return tuple(sorted({int(text) for text in texts}))
 
@@ -295,3 +320,46 @@ def _compare_thrusts(
         best, reason = thrusts_and_reason(demos, seed=seed)
         console.print(f"Chosen on training episodes: {best}, {reason}")
     return fits, [row | {"magnitudes": " ".join(map(str, row["magnitudes"]))} for row in rows]
+
+
+def _compare_states(
+    demos: Demonstrations, states: tuple[int, ...], thrusts: tuple[int, ...], console: PlainConsole
+) -> list[dict[str, object]]:
+    """Fit states of locomotion and print how well each number explains what no fit has seen."""
+    rows: list[dict[str, Any]] = []
+    words = []
+    for i, name in enumerate(demos.individuals[:1] if demos.is_group else demos.individuals):
+        fits, best = compare_states(demos, i, states, thrusts)
+        for fit in fits:
+            for s in range(len(fit.damping)):
+                found = (
+                    name, *fit.thrusts.shape, s + 1, float(fit.damping[s]), fit.thrusts[s].tolist(),
+                    float(fit.share[s]), float(fit.bout[s]), float(fit.held_out.mean()),
+                )  # fmt: skip
+                rows.append(dict(zip(STATE_COLUMNS, found, strict=True)))
+            if not fit.supported:
+                words.append(
+                    f"{name}: {len(fit.damping)} states with {fit.thrusts.shape[1]} thrusts are "
+                    f"not supported by these recordings: one holds {fit.share.min():.1%} of time"
+                )
+        number, magnitudes = fits[best].thrusts.shape
+        words.append(f"{name}: best explained by {_counted(number, 'state')} with "
+                     f"{_counted(magnitudes, 'thrust')}")  # fmt: skip
+    kind = "synthetic" if demos.synthetic else "recorded"
+    caption = (
+        f"Fitted on {kind} training episodes, at most {MOST_STEPS:,} steps of each individual; "
+        "nats a step of validation episodes (the higher, the better). Lengths in arena units. "
+        "Simulators have one state; this table says what that leaves out."
+    )
+    cells = [
+        {heading: show(row[name]) for name, (heading, show) in STATE_COLUMNS.items()}
+        for row in rows
+    ]
+    console.print(_table(f"States of {demos.species}", caption, cells))
+    for sentence in words:
+        console.print(sentence)
+    return [row | {"thrust": " ".join(map(str, row["thrust"]))} for row in rows]
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from thrust_walks import DT, ROLES, TRUTH, walk
 from typer.testing import CliRunner
 
-from animarl_algos.cli.fit import parse_thrusts
+from animarl_algos.cli.fit import parse_numbers
 from animarl_algos.cli.main import app
 from animarl_algos.evaluation.thrust_choice import GAIN, choose_thrusts, tracking_floor
 from animarl_envs.arena import Arena
@@ -267,10 +267,11 @@ def test_the_command_compares_numbers_of_magnitudes(tmp_path: Path) -> None:
 
 
 def test_numbers_of_magnitudes_are_read() -> None:
-    assert parse_thrusts("1,2, 5") == parse_thrusts("5,2,1,1") == (1, 2, 5)
+    assert parse_numbers("--thrusts", "1,2, 5", 10) == (1, 2, 5)
+    assert parse_numbers("--thrusts", "5,2,1,1", 10) == (1, 2, 5)
     for bad in ("0", "1,,2", "two", "11", "-1"):
         with pytest.raises(InputError, match="--thrusts"):
-            parse_thrusts(bad)
+            parse_numbers("--thrusts", bad, 10)
 
 
 def test_magnitudes_are_compared_for_the_joint_fit_alone() -> None:

@@ -1,0 +1,396 @@
+"""States of locomotion, such as rest and go: a hidden Markov model, d and u of its own in each.
+
+In state s a step is ``v' = (1 - d_s) v + u_sj a dt`` plus a Gaussian error of standard deviation
+``noise_s``: ``a`` is one of the 12 directions of the egocentric frame, ``j`` one of the thrust
+magnitudes, or nothing is pushed. Pushes have the same probabilities in all states, so that states
+differ in what a push does and not in where an animal wants to go. States are sticky: the next one
+is most often the same (Rabiner 1989; Fox et al. 2011). Expectation maximisation fits all of it on
+training episodes. A rare broad error stands for tracking jumps.
+
+Models are compared by the likelihood of steps of episodes that no fit has seen, in nats a step.
+More thrust magnitudes in one state are the rival of more states: both add speeds, only states
+make them last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from animarl_envs.compiling import jit
+from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.joint import fast_speed, fit_joint
+from animarl_envs.fitting.transitions import transitions
+from animarl_envs.locomotion import ACTION_VECTORS, NUM_DIRECTIONS, fixed_multiples, residual
+
+Floats = NDArray[np.float64]
+
+MOST_STATES = 5
+MOST_STEPS = 6_000  # of training, whole episodes; more changes d and u in their third digit
+ITERATIONS = 200
+TOLERANCE = 1e-5  # nats a step by which an iteration must gain
+JUMPS = 0.002  # share of steps that the broad error explains
+BROAD = 5.0  # its standard deviation over that of the velocity's changes
+STICKY = 10.0  # steps of staying that are added to what was counted
+LEAST_NOISE = 1e-3  # of the velocity's changes
+MATTERS = 0.01  # nats a step; a smaller gain is none
+LEAST_SHARE = 0.01  # of all steps; a state that holds less is not supported by the data
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps of one kind of animal, sequence after sequence, in the egocentric frame.
+
+    ``before`` and ``after`` ``(steps, 2)`` are velocities [arena unit / s]; ``begins`` ``(steps,)``
+    is true where a sequence begins.
+    """
+
+    before: Floats
+    after: Floats
+    begins: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+
+@dataclass(frozen=True, eq=False)
+class StateFit:
+    """Locomotion in S states with M thrust magnitudes, the slowest state first.
+
+    Attributes
+    ----------
+    damping, noise
+        ``(S,)``: d [1], and the standard deviation of a velocity's error [arena unit / s].
+    thrusts
+        ``(S, M)`` [arena unit / s^2].
+    pushes
+        ``(12 M + 1,)``, probabilities of the actions.
+    stay
+        ``(S, S)``, probabilities of the next state.
+    held_out
+        Nats a step of each episode that the fit has not seen.
+    """
+
+    damping: Floats
+    thrusts: Floats
+    noise: Floats
+    pushes: Floats
+    stay: Floats
+    broad: float
+    dt: float
+    held_out: Floats
+
+    @property
+    def share(self) -> Floats:
+        """Share of time in each state, in the long run."""
+        states = len(self.stay)
+        rows = np.vstack([self.stay.T - np.eye(states), np.ones(states)])
+        return np.asarray(np.linalg.lstsq(rows, np.eye(states + 1)[-1], rcond=None)[0])
+
+    @property
+    def bout(self) -> Floats:
+        """Mean time for which a state lasts [s]; infinite where there is one state."""
+        with np.errstate(divide="ignore"):
+            return self.dt / (1.0 - np.diag(self.stay))
+
+    @property
+    def supported(self) -> bool:
+        """Whether every state holds a hundredth of the steps or more."""
+        return bool(self.share.min() >= LEAST_SHARE)
+
+
+def fit_states(demos: Demonstrations, individual: int, states: int, thrusts: int = 1) -> StateFit:
+    """Fit one individual on training episodes, and measure it on validation episodes.
+
+    Parameters
+    ----------
+    demos
+        Recorded episodes with their splits; test episodes are not looked at.
+    individual
+        Its index. Animals of a group that are alike are fitted together.
+    states, thrusts
+        How many states, 1 to 5, and how many thrust magnitudes each has.
+
+    Raises
+    ------
+    InputError
+        If the number of states is none of 1 to 5, or there are no episodes to train or validate.
+    """
+    if not 1 <= states <= MOST_STATES:
+        raise InputError(f"states is {states}: choose 1 to {MOST_STATES}")
+    for split in ("train", "val"):
+        if not (demos.split == split).any():
+            raise InputError(
+                f"{demos.name}: it has no {split} episodes, and states are fitted on train and "
+                "compared on val: import it with at least 3 recordings"
+            )
+    training = demos.select(split="train")
+    last = int(np.searchsorted(np.cumsum(training.lengths - 1), MOST_STEPS)) + 1
+    seen = _steps(training.select(episodes=np.arange(min(last, len(training)))), individual)
+    best = max(
+        (_maximise(seen, start, demos.dt) for start in _starts(training, individual, states,
+         thrusts, seen)), key=lambda found: found[1],
+    )[0]  # fmt: skip
+    unseen = demos.select(split="val")
+    held_out = [
+        _forward(steps, best)[1] / len(steps)
+        for episode in range(len(unseen))
+        if len(steps := _steps(unseen.select(episodes=np.array([episode])), individual))
+    ]
+    return replace(best, held_out=np.array(held_out))
+
+
+def compare_states(
+    demos: Demonstrations, individual: int, states: Sequence[int], thrusts: Sequence[int]
+) -> tuple[list[StateFit], int]:
+    """Fit every number of states with every number of thrusts; say which is best.
+
+    The best is the one with the fewest parameters among those whose held-out likelihood is within
+    one standard error, over episodes, of the highest (Breiman et al. 1984), or a hundredth of a
+    nat.
+
+    Returns
+    -------
+    The fits, states in the outer loop, and the index of the best.
+    """
+    fits = [fit_states(demos, individual, s, m) for s in states for m in thrusts]
+    top = max(fits, key=lambda fit: fit.held_out.mean())
+
+    def near(fit: StateFit) -> bool:
+        less = top.held_out - fit.held_out
+        error = less.std(ddof=1) / math.sqrt(len(less)) if len(less) > 1 else 0.0
+        return fit.supported and bool(less.mean() <= max(error, MATTERS))
+
+    fitting = [i for i, fit in enumerate(fits) if near(fit)] or [fits.index(top)]
+    return fits, min(
+        fitting, key=lambda i: fits[i].pushes.size + fits[i].thrusts.size + fits[i].stay.size
+    )
+
+
+def _steps(demos: Demonstrations, individual: int) -> Steps:
+    """Steps of an individual, or of all that are alike, sequence after sequence."""
+    data = transitions(demos, individual)
+    alike = demos.num_individuals if demos.is_group else 1  # rows of one frame stand together
+    ahead = data.focus
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+
+    def ordered(values: NDArray[np.generic]) -> NDArray[np.generic]:
+        return np.concatenate([values[who::alike] for who in range(alike)])
+
+    def turned(velocity: Floats) -> Floats:
+        ego = np.stack([(velocity * ahead).sum(axis=1), (velocity * left).sum(axis=1)], axis=1)
+        return np.asarray(ordered(ego), dtype=np.float64)
+
+    episode = ordered(data.episode)
+    begins = np.ones(len(data), dtype=bool)
+    begins[1:] = episode[1:] != episode[:-1]
+    begins[:: max(len(data) // alike, 1)] = True
+    return Steps(turned(data.velocity), turned(data.next_velocity), begins)
+
+
+def _starts(
+    demos: Demonstrations, individual: int, states: int, thrusts: int, seen: Steps
+) -> list[tuple[Floats, StateFit]]:
+    """Where the search begins: steps dealt to states by speed, and by acceleration, over a second.
+
+    Each is the probabilities of states, ``(steps, S)``, with a model of one locomotion for all.
+    """
+    data = transitions(demos, individual)
+    one = fit_joint(data, f"{demos.name}: {demos.individuals[individual]}", fast_speed(data))
+    change = seen.after - seen.before
+    spread = math.sqrt(float((change**2).mean())) or 1e-9
+    actions = NUM_DIRECTIONS * thrusts + 1
+    model = StateFit(
+        damping=np.full(states, one.damping),
+        thrusts=np.tile(one.thrust * np.array(fixed_multiples(thrusts)), (states, 1)),
+        noise=np.full(states, 0.3 * spread),
+        pushes=np.full(actions, 1.0 / actions),
+        stay=np.full((states, states), 0.1 / max(states - 1, 1)),
+        broad=BROAD * spread,
+        dt=demos.dt,
+        held_out=np.empty(0),
+    )
+    np.fill_diagonal(model.stay, 0.9 if states > 1 else 1.0)
+    window = np.ones(max(round(1.0 / demos.dt), 1))
+    found = []
+    for quantity in (seen.after, change) if states > 1 else (seen.after,):
+        length = np.hypot(quantity[:, 0], quantity[:, 1])
+        ranks = np.argsort(np.argsort(np.convolve(length, window, "same"), kind="stable"))
+        state = ranks * states // len(ranks)
+        found.append((0.8 * np.eye(states)[state] + 0.2 / states, model))
+    return found
+
+
+def _maximise(seen: Steps, start: tuple[Floats, StateFit], dt: float) -> tuple[StateFit, float]:
+    """Expectation maximisation; returns the model, slowest state first, and its nats a step."""
+    weight, model = start
+    counts = model.stay * 0
+    found = -math.inf
+    for _ in range(ITERATIONS):
+        model = _fitted(seen, weight, counts, model)
+        emission, nats = _forward(seen, model)
+        if nats / len(seen) < found + TOLERANCE:
+            break
+        found = nats / len(seen)
+        weight, counts = _smoothed(emission, np.log(model.stay + 1e-300), seen.begins)
+    speed = [model.thrusts[s].max() * dt / max(model.damping[s], 1e-3) for s in range(len(counts))]
+    order = np.argsort(speed)
+    model = replace(
+        model, damping=model.damping[order], thrusts=model.thrusts[order],
+        noise=model.noise[order], stay=model.stay[order][:, order],
+    )  # fmt: skip
+    return model, found
+
+
+def _log_actions(seen: Steps, model: StateFit, state: int) -> Floats:
+    """Log probability of each action with the step that followed, ``(steps, 12 M + 1)``."""
+    rest = residual(seen.after, seen.before, float(model.damping[state]))
+    vectors = model.dt * _vectors(model.thrusts[state])
+    square = (rest**2).sum(axis=1)[:, None] - 2 * rest @ vectors.T + (vectors**2).sum(axis=1)
+    variance = model.noise[state] ** 2
+    log_push = np.log(model.pushes + 1e-300)
+    return np.asarray(log_push - square / (2 * variance) - math.log(2 * math.pi * variance))
+
+
+def _forward(seen: Steps, model: StateFit) -> tuple[Floats, float]:
+    """Log density of each step in each state, ``(steps, S)``, and the nats of all steps."""
+    change = ((seen.after - seen.before) ** 2).sum(axis=1)
+    jump = -change / (2 * model.broad**2) - math.log(2 * math.pi * model.broad**2)
+    columns = [
+        np.logaddexp(
+            math.log1p(-JUMPS) + np.logaddexp.reduce(_log_actions(seen, model, s), axis=1),
+            math.log(JUMPS) + jump,
+        )
+        for s in range(len(model.damping))
+    ]
+    emission = np.stack(columns, axis=1)
+    with np.errstate(divide="ignore"):
+        nats = forward(emission, np.log(model.stay + 1e-300), np.log(model.share.clip(1e-300)),
+                       seen.begins)  # fmt: skip
+    return emission, float(nats)
+
+
+def _smoothed(emission: Floats, stay: Floats, begins: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    weight, counts = np.empty_like(emission), np.zeros_like(stay)
+    smooth(emission, stay, begins, weight, counts)
+    return weight, counts
+
+
+def _fitted(seen: Steps, weight: Floats, counts: Floats, model: StateFit) -> StateFit:
+    """The model that explains steps best, given the probabilities of states at each."""
+    states, magnitudes = model.thrusts.shape
+    damping, thrusts, noise = (a.copy() for a in (model.damping, model.thrusts, model.noise))
+    pushes = np.full(len(model.pushes), 1e-6)
+    unit = model.dt * _vectors(np.ones(magnitudes))
+    change = ((seen.after - seen.before) ** 2).sum(axis=1)
+    jump = math.log(JUMPS) - change / (2 * model.broad**2) - math.log(2 * math.pi * model.broad**2)
+    for s in range(states):
+        log = math.log1p(-JUMPS) + _log_actions(seen, model, s)
+        each = np.exp(log - np.logaddexp(np.logaddexp.reduce(log, axis=1), jump)[:, None])
+        each *= weight[:, s, None]
+        pushes += each.sum(axis=0)
+        total = each.sum(axis=1)
+        onto_before = ((each.T @ seen.before) * unit).sum(axis=1)
+        onto_after = ((each.T @ seen.after) * unit).sum(axis=1)
+        gram, right = np.zeros((1 + magnitudes,) * 2), np.zeros(1 + magnitudes)
+        gram[0, 0] = (total * (seen.before**2).sum(axis=1)).sum()
+        right[0] = (total * (seen.before * seen.after).sum(axis=1)).sum()
+        for j in range(magnitudes):
+            own = slice(NUM_DIRECTIONS * j, NUM_DIRECTIONS * (j + 1))
+            gram[0, 1 + j] = gram[1 + j, 0] = onto_before[own].sum()
+            gram[1 + j, 1 + j] = model.dt**2 * each[:, own].sum()
+            right[1 + j] = onto_after[own].sum()
+        tiny = 1e-9 * np.diag(gram).max() + 1e-300
+        kept, *pushed = np.linalg.solve(gram + tiny * np.eye(len(gram)), right)
+        damping[s] = 1.0 - min(max(kept, 0.0), 1.0)
+        thrusts[s] = np.maximum(pushed, 1e-9)
+        miss = residual(seen.after, seen.before, float(damping[s]))
+        vectors = model.dt * _vectors(thrusts[s])
+        square = (miss**2).sum(axis=1)[:, None] - 2 * miss @ vectors.T + (vectors**2).sum(axis=1)
+        variance = float((each * square).sum()) / (2 * max(float(total.sum()), 1e-12))
+        noise[s] = max(math.sqrt(max(variance, 0.0)), LEAST_NOISE * model.broad / BROAD)
+    stay = model.stay
+    if counts.any():
+        stay = counts + STICKY * np.eye(states) + 1e-6
+        stay = stay / stay.sum(axis=1, keepdims=True)
+    pushes /= pushes.sum()
+    return replace(model, damping=damping, thrusts=thrusts, noise=noise, pushes=pushes, stay=stay)
+
+
+def _vectors(thrusts: Floats) -> Floats:
+    """Accelerations of the actions in the egocentric frame, ``(12 M + 1, 2)``."""
+    pushes = [thrust * ACTION_VECTORS[:NUM_DIRECTIONS] for thrust in thrusts]
+    return np.concatenate([*pushes, np.zeros((1, 2))])
+
+
+# -- kernels ----------------------------------------------------------------------------------
+
+
+@jit
+def forward(emission, stay, first, begins):  # type: ignore[no-untyped-def]
+    """Log likelihood of all sequences; logarithms ``(steps, S)``, ``(S, S)`` and ``(S,)``."""
+    steps, states = emission.shape
+    now, later = np.empty(states), np.empty(states)
+    nats = 0.0
+    for t in range(steps):
+        for s in range(states):
+            if begins[t]:
+                later[s] = first[s] + emission[t, s]
+                continue
+            most = now[0] + stay[0, s]
+            for r in range(1, states):
+                most = max(most, now[r] + stay[r, s])
+            total = 0.0
+            for r in range(states):
+                total += np.exp(now[r] + stay[r, s] - most)
+            later[s] = most + np.log(total) + emission[t, s]
+        most = later.max()
+        level = most + np.log(np.exp(later - most).sum())
+        nats += level
+        now[:] = later - level
+    return nats
+
+
+@jit
+def smooth(emission, stay, begins, weight, counts):  # type: ignore[no-untyped-def]
+    """Probabilities of states given all steps of their sequence, and how often one follows another.
+
+    Writes ``weight`` ``(steps, S)``; adds to ``counts`` ``(S, S)``. Sequences begin in any state.
+    """
+    steps, states = emission.shape
+    ahead = np.empty((steps, states))
+    for t in range(steps):
+        likely = np.exp(emission[t] - emission[t].max())
+        for s in range(states):
+            total = 1.0
+            if not begins[t]:
+                total = 0.0
+                for r in range(states):
+                    total += ahead[t - 1, r] * np.exp(stay[r, s])
+            ahead[t, s] = total * likely[s]
+        ahead[t] /= ahead[t].sum()
+    back = np.ones(states)
+    for t in range(steps - 1, -1, -1):
+        if t == steps - 1 or begins[t + 1]:
+            back[:] = 1.0
+        weight[t] = ahead[t] * back
+        weight[t] /= weight[t].sum()
+        if begins[t]:
+            continue
+        likely = np.exp(emission[t] - emission[t].max())
+        both = np.empty((states, states))
+        for r in range(states):
+            for s in range(states):
+                both[r, s] = ahead[t - 1, r] * np.exp(stay[r, s]) * likely[s] * back[s]
+        counts += both / both.sum()
+        for r in range(states):
+            ahead_of = 0.0
+            for s in range(states):
+                ahead_of += np.exp(stay[r, s]) * likely[s] * back[s]
+            both[r, 0] = ahead_of
+        back[:] = both[:, 0] / both[:, 0].sum()

@@ -1,0 +1,88 @@
+"""States of locomotion: a known law is found again, and one state is not taken for two."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import animarl
+from thrust_walks import DT, walk
+from typer.testing import CliRunner
+
+from animarl_algos.cli.main import app
+from animarl_envs.demos import Demonstrations
+from animarl_envs.errors import InputError
+from animarl_envs.fitting.states import compare_states, fit_states
+from animarl_envs.locomotion import Locomotion
+
+FAST = tuple(Locomotion(d, u) for d, u in ((0.2, 2.0), (0.25, 2.4), (0.3, 3.0)))
+SLOW = tuple(Locomotion(0.6, 0.4) for _ in FAST)
+
+
+@pytest.fixture(scope="module")
+def two() -> Demonstrations:
+    return walk(FAST, seed=0, slow=SLOW, steps=100)[0]
+
+
+def test_two_states_are_recovered(two: Demonstrations) -> None:
+    for i, (fast, slow) in enumerate(zip(FAST, SLOW, strict=True)):
+        fit = fit_states(two, i, states=2)
+        np.testing.assert_allclose(fit.damping, [slow.damping, fast.damping], atol=0.03)
+        np.testing.assert_allclose(fit.thrusts[:, 0], [slow.thrust, fast.thrust], rtol=0.05)
+        np.testing.assert_allclose(fit.bout, 20 * DT, rtol=0.3)  # a chance of one in twenty
+        np.testing.assert_allclose(fit.share, 0.5, atol=0.15)
+
+
+def test_states_are_chosen_that_explain_held_out_steps(two: Demonstrations) -> None:
+    fits, best = compare_states(two, 0, (1, 2, 3), (1, 2))
+    assert fits[best].thrusts.shape == (2, 1)
+    of_one = walk(FAST, seed=1)[0]
+    fits, best = compare_states(of_one, 0, (1, 2), (1, 2))
+    assert fits[best].thrusts.shape == (1, 1)
+
+
+def test_states_look_at_no_test_episode(two: Demonstrations) -> None:
+    spoilt = two.positions.copy()
+    for episode in np.flatnonzero(two.split == "test"):
+        spoilt[two.offsets[episode] : two.offsets[episode + 1]] = 0.0
+    without = fit_states(replace(two, positions=spoilt), 0, states=2)
+    np.testing.assert_array_equal(without.held_out, fit_states(two, 0, states=2).held_out)
+
+
+def test_the_table_of_states_is_printed_and_saved(two: Demonstrations, tmp_path: Path) -> None:
+    file, out = two.save(tmp_path / "two.npz"), tmp_path / "states.csv"
+    given = ["fit", str(file), "--states", "1,2", "--thrusts", "1", "--out", str(out)]
+    result = CliRunner().invoke(app, given, catch_exceptions=False)
+    assert "a: best explained by 2 states with 1 thrust" in result.output
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert [(row["individual"], row["states"], row["state"]) for row in rows] == [
+        (name, *pair) for name in "abc" for pair in (("1", "1"), ("2", "1"), ("2", "2"))
+    ]
+    assert float(rows[1]["held_out"]) > float(rows[0]["held_out"]) + 0.1
+
+
+def test_a_state_that_holds_hardly_a_step_is_said(two: Demonstrations, tmp_path: Path) -> None:
+    given = ["fit", str(two.save(tmp_path / "two.npz")), "--states", "3", "--thrusts", "1"]
+    output = " ".join(CliRunner().invoke(app, given, catch_exceptions=False).output.split())
+    assert "a: 3 states with 1 thrusts are not supported by these recordings" in output
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--states", "0"), "--states is '0': give whole numbers from 1 to 5"),
+        (("--states", "2", "--method", "onset"), "--states goes with the joint fit"),
+        (("--states", "2", "--split", "all"), "leave --split out"),
+    ],
+)
+def test_bad_states_are_refused(options: tuple[str, ...], sentence: str) -> None:
+    with pytest.raises(InputError, match=sentence):
+        animarl("fit", "fly", *options)
+
+
+def test_states_need_episodes_to_validate_on(two: Demonstrations) -> None:
+    with pytest.raises(InputError, match="no val episodes"):
+        fit_states(two.select(split="train"), 0, states=2)
