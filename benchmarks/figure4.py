@@ -22,9 +22,8 @@ import numpy as np
 import pandas as pd
 import typer
 
-from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.matrix import plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell
-from animarl_algos.benchmark.plan import plan
 from animarl_algos.evaluation.comparison import comparison_table, interval, pair_table
 from animarl_algos.evaluation.metrics import DTW, DURATION, measure, measure_recordings
 from animarl_algos.evaluation.rollouts import RECORDED, Rollouts

@@ -25,9 +25,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.matrix import Plan, plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell, write_json
-from animarl_algos.benchmark.plan import Plan, plan
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.runs import pipeline

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from animarl_algos.benchmark.references import ProgrammedPolicy, expert_rollouts
+from animarl_algos.benchmark.methods import ProgrammedPolicy, expert_rollouts
 from animarl_algos.evaluation import Rollouts, Verdict, collect_rollouts, verdict
 from animarl_algos.evaluation.collect import MemorylessPolicy
 from animarl_algos.evaluation.teams import teams_of

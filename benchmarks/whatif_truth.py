@@ -37,19 +37,19 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks and tools
 
 from animarl_algos import load_run
-from animarl_algos.benchmark.references import ProgrammedPolicy
+from animarl_algos.benchmark.methods import ProgrammedPolicy
 from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.answer import ask, mean_over_starts, quantities_of
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import Caution
-from animarl_envs.demos.units import unit_of
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.files import all_files_or_none
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import SPECIES, SearchSpecies, Species
+from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world
-from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import make_world
 from benchmarks.true_programs import Courtship
 

@@ -12,7 +12,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from torch.nn import functional
 
 from animarl_algos.learner.algorithm import SequenceQLearning
-from animarl_algos.losses.losses import mean_recall, treatment_counts
+from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.acting_rule import Acting
 
 SETTINGS: dict[str, Any] = {

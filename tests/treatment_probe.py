@@ -6,7 +6,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from animarl_algos.losses.losses import mean_recall, treatment_counts
+from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.networks import TREATMENT_UNITS
 
 SMALLEST_SCALE = 1e-3

@@ -18,9 +18,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from animarl_algos.benchmark.engine import Watch, Workers, perform_all
-from animarl_algos.benchmark.matrix import read_matrix
+from animarl_algos.benchmark.matrix import claim_folder, plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell, Done, Piece
-from animarl_algos.benchmark.plan import claim_folder, plan
 from animarl_algos.evaluation.acting_choice import compared
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts

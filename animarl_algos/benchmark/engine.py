@@ -24,9 +24,9 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, Self
 
+from animarl_algos.benchmark.matrix import MARK
 from animarl_algos.benchmark.methods import TERMINATED
 from animarl_algos.benchmark.pieces import Done, Piece, attempt
-from animarl_algos.benchmark.plan import MARK
 from animarl_algos.runs.run_files import versions
 from animarl_envs.errors import InputError, MissingExtraError
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import pandas as pd
 
+from animarl_algos.benchmark.matrix import Plan
 from animarl_algos.benchmark.pieces import Cell, Clone, Scoring, code, write_json
-from animarl_algos.benchmark.plan import Plan
 from animarl_algos.benchmark.scores import (
     ENERGY,
     REALISM,

@@ -1,4 +1,23 @@
-"""Methods of others: anything with SB3's ``predict``, or a callable, made by ``module:factory``."""
+"""Methods that are no recipe of ours: those of others, and references, which learn nothing.
+
+A method of others is anything with SB3's ``predict``, or a callable, made by ``module:factory``.
+The references are:
+
+``recordings``
+    Other recordings of the same condition, each given to one test start: how alike recordings are.
+``tracking``
+    The test recordings themselves as the fitted locomotion follows them in closed loop, knowing
+    where to go: what the locomotion model allows.
+``experts``
+    The artificial agents that made the demonstrations, in their own locomotion, where these are
+    known: the most that any method can hope for.
+``nearest``
+    What was done in the nearest recorded second of training.
+``scripted``
+    Pursuers straight at the target, which evades; a moth that surges, zigzags and loops.
+``constant-velocity``, ``still``, ``random``
+    The action that changes the velocity least, that stops soonest, any.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +27,38 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.evaluation.classifier import followed
+from animarl_algos.evaluation.collect import (
+    MemorylessPolicy,
+    Policy,
+    RandomPolicy,
+    collect_rollouts,
+)
+from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.runs.run import Run
 from animarl_algos.runs.run_world import training_options
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
-from animarl_envs.species import Species
+from animarl_envs.fitting.tracking import track
+from animarl_envs.fitting.transitions import demonstrated_actions
+from animarl_envs.locomotion import next_velocity
+from animarl_envs.scenario import Scenario
+from animarl_envs.species import SearchSpecies, Species
+from animarl_envs.worlds import demonstration_observations, make_world
+from animarl_envs.worlds.search.programmed_moth import ProgrammedMoth
 
 TERMINATED = 143  # a worker ends with it where it was told to end
 
@@ -209,3 +246,245 @@ def source_of(place: str) -> str:
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return place
     return f"{place}#{hashlib.sha256(Path(spec.origin).read_bytes()).hexdigest()[:16]}"
+
+
+Ints = NDArray[np.int64]
+RECORDINGS = "recordings"
+OWN_VELOCITY = (("own velocity ahead", "own velocity left"), ("velocity ahead", "velocity left"))
+"""By what names worlds have an individual's velocity, in the frame of its actions."""
+SEGMENT = 1.0  # [s] that the nearest recording is followed for
+NEIGHBOURS = 5  # one of them is drawn, so that rollouts of a start differ
+
+
+def reference_rollouts(
+    world: Run, *, method: str, seed: int, repetitions: int, fold: bool = False
+) -> Rollouts:
+    """Return the rollouts of one row, from every test start.
+
+    ``fold``: they are those of a cross-validation.
+    """
+    demos, species, scenario = world.demos, world.species, world.scenario
+    test = demos.select(split="test")
+    if method == RECORDINGS:
+        return others_as_rollouts(beside_fold(demos) if fold else learnable(demos), test, seed)
+    if method == "tracking":
+        tracked = followed(test, track(test, species.locomotion, species.arena))
+        return replace(tracked, method=method, seed=np.full(len(tracked), seed))
+    if method == "experts":
+        return expert_rollouts(demos, species, seed, repetitions)
+    if method == "scripted" and not isinstance(species, SearchSpecies):
+        scenario = replace(scenario, drivers=("scripted",) * species.num_individuals)
+    return collect_rollouts(
+        partial(make_world, scenario),
+        _policy(method, scenario, seed, demos),
+        method=method,
+        seed=seed,
+        repetitions=repetitions,
+        cue="actual" if method == "nearest" else None,
+    )
+
+
+def _policy(name: str, scenario: Scenario, seed: int, demos: Demonstrations) -> Policy:
+    species = scenario.species
+    if name == "nearest":
+        return NearestSegment(species, learnable(demos), seed)
+    if name == "random":
+        return RandomPolicy(seed, species.num_actions)
+    if name == "scripted":
+        return ProgrammedPolicy(species, seed) if isinstance(species, SearchSpecies) else Idle()
+    return Steering(scenario, keep=1.0 if name == "constant-velocity" else 0.0)
+
+
+def expert_rollouts(
+    demos: Demonstrations, species: Species, seed: int, repetitions: int
+) -> Rollouts:
+    """Return rollouts of the teams that made the demonstrations, from starts of their condition.
+
+    Raises
+    ------
+    InputError
+        If they are not known.
+    """
+    teams = teams_of(demos)
+    if teams is None:
+        raise InputError(f"{demos.name}: who made it is not known: leave 'experts' out")
+    test = demos.select(split="test")
+    parts = []
+    for condition in np.unique(test.condition).tolist():
+        own = np.flatnonzero(test.condition == condition)
+        made = teams[condition].roll_out(
+            species, test.select(episodes=own), name="experts", seed=seed, repetitions=repetitions
+        )
+        parts.append(replace(made, demo=own[made.demo]))
+    return Rollouts.concatenate(parts, "experts")
+
+
+def others_as_rollouts(others: Demonstrations, test: Demonstrations, seed: int) -> Rollouts:
+    """Return each of the ``others`` as if it were a rollout from a test start of its condition.
+
+    They are dealt evenly and each once, so that no classifier meets one of them twice.
+
+    Raises
+    ------
+    InputError
+        If none has the condition of a test episode.
+    """
+    rng = np.random.default_rng(seed)
+    taken, start, repetition = [], [], []
+    for condition in np.unique(test.condition).tolist():
+        starts = rng.permutation(np.flatnonzero(test.condition == condition))
+        there = rng.permutation(np.flatnonzero(others.condition == condition))
+        taken += there.tolist()
+        start += [starts[i % len(starts)] for i in range(len(there))]
+        repetition += [i // len(starts) for i in range(len(there))]
+    if not taken:
+        raise InputError(f"{test.name}: no other recording has the condition of a test episode")
+    made = Rollouts.from_demonstrations(others).select(np.array(taken))
+    return replace(
+        made,
+        method=RECORDINGS,
+        demo=np.array(start),
+        repetition=np.array(repetition),
+        seed=np.full(len(taken), seed),
+    )
+
+
+def beside_fold(demos: Demonstrations) -> Demonstrations:
+    """Return the recordings that a fold's test episodes are compared with: its validation split.
+
+    Over all folds of a cross-validation each recording is taken once, beside another one.
+    """
+    return demos.select(split="val")
+
+
+class Idle(MemorylessPolicy):
+    """Action 0 for everybody, where the world's script decides."""
+
+    def act(self, observation: NDArray[np.floating]) -> Ints:
+        return np.zeros(len(observation), dtype=np.int64)
+
+
+class Steering(MemorylessPolicy):
+    """The action after which the velocity is nearest to ``keep`` times what it is.
+
+    1 holds the velocity, 0 stops. The scenario's observations hold each individual's own velocity.
+    """
+
+    def __init__(self, scenario: Scenario, keep: float) -> None:
+        self._species, self._keep = scenario.species, keep
+        names = [one.name for one in make_world(scenario, 1).observation_components]
+        found = [pair for pair in OWN_VELOCITY if set(pair) <= set(names)]
+        if not found:
+            raise InputError(
+                f"{self._species.name}: what is observed holds no velocity of one's own"
+            )
+        self._columns = [names.index(name) for name in found[0]]
+
+    def act(self, observation: NDArray[np.floating]) -> Ints:
+        velocities = observation[:, self._columns].astype(np.float64)
+        actions = np.empty(len(velocities), dtype=np.int64)
+        number = self._species.num_individuals
+        for k, own in enumerate(self._species.locomotion):
+            now = velocities[k::number, None]
+            pushes = own.action_vectors[None]
+            after = next_velocity(now, pushes, own.damping, own.thrust, self._species.dt)
+            missed = np.linalg.norm(after - self._keep * now, axis=-1)
+            actions[k::number] = missed.argmin(axis=1)
+        return actions
+
+
+class ProgrammedPolicy:
+    """The programmed moth, one per slot; new ones wherever no state is handed on."""
+
+    def __init__(self, species: SearchSpecies, seed: int) -> None:
+        self._species, self._rng = species, np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: NDArray[np.floating],
+        state: ProgrammedMoth | None = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Ints, ProgrammedMoth]:
+        if state is None:
+            state = ProgrammedMoth(len(observation), self._rng, self._species)
+            state.reset()
+        return state.act(observation[:, None]).ravel().astype(np.int64), state
+
+
+class Library(NamedTuple):
+    """The frames of one individual and condition.
+
+    ``frames`` ``(n,)`` are their places among all, ``scale`` ``(components,)`` makes what is
+    observed comparable.
+    """
+
+    tree: cKDTree
+    frames: Ints
+    scale: NDArray[np.float64]
+
+
+class NearestSegment:
+    """The nearest recorded segment, replayed: the simulator that learns and forgets nothing.
+
+    Every individual looks up, among the training frames of its own and of the episode's condition,
+    one of the ``NEIGHBOURS`` whose observations are nearest to what it sees, and does for
+    ``SEGMENT`` seconds what was done from there. Observations end with the condition.
+
+    The species' locomotion tells the recorded actions; episodes of the split train are looked up.
+    """
+
+    def __init__(self, species: Species, demos: Demonstrations, seed: int) -> None:
+        train = demos.select(split="train")
+        seen = demonstration_observations(species, train).astype(np.float64)
+        self._actions = demonstrated_actions(train, species.locomotion).astype(np.int64)
+        going = self._actions[:, 0] >= 0  # no last frame
+        condition = np.repeat(train.condition, train.lengths)
+        self._libraries: dict[tuple[int, int], Library] = {}
+        for who in range(seen.shape[1]):
+            spread = seen[going, who].std(axis=0)
+            scale = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > 0)
+            for of in np.unique(condition).tolist():
+                frames = np.flatnonzero(going & (condition == of))
+                tree = cKDTree(seen[frames, who] * scale)
+                self._libraries[who, of] = Library(tree, frames, scale)
+        self._name, self._individuals = demos.name, seen.shape[1]
+        self._rng = np.random.default_rng(seed)
+        self._steps = max(1, round(SEGMENT / species.dt))
+
+    def predict(
+        self,
+        observation: NDArray[np.floating],
+        state: tuple[Ints, Ints] | None = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Ints, tuple[Ints, Ints]]:
+        """One action per slot; the state is the frame that each is at and the steps left of it."""
+        slots = len(observation)
+        who = np.arange(slots) % self._individuals
+        if state is None:
+            frame, left = np.zeros(slots, dtype=np.int64), np.zeros(slots, dtype=np.int64)
+        else:
+            frame, left = state[0] + 1, state[1] - 1
+        anew = (left == 0) | (self._actions[frame, who] < 0)
+        if episode_start is not None:
+            anew |= np.asarray(episode_start, dtype=bool)
+        condition = observation[:, -1].astype(np.int64)
+        for own, of in {(int(w), int(c)) for w, c in zip(who[anew], condition[anew])}:
+            asking = np.flatnonzero(anew & (who == own) & (condition == of))
+            frame[asking] = self._looked_up(own, of, observation[asking, :-1])
+            left[asking] = self._steps
+        return self._actions[frame, who], (frame, left)
+
+    def _looked_up(self, who: int, condition: int, seen: NDArray[np.floating]) -> Any:
+        """A frame for each row of observations."""
+        if (who, condition) not in self._libraries:
+            raise InputError(
+                f"{self._name}: no training episode is of condition {condition}: deal the splits "
+                "anew, or leave 'nearest' out of the references"
+            )
+        tree, frames, scale = self._libraries[who, condition]
+        among = min(NEIGHBOURS, len(frames))
+        near = np.reshape(tree.query(seen * scale, k=among)[1], (len(seen), among))
+        drawn = self._rng.integers(among, size=len(seen))
+        return frames[near[np.arange(len(seen)), drawn]]

@@ -32,9 +32,9 @@ from animarl_algos.benchmark.methods import (
     load_factory,
     one_line,
     parameters_of,
+    reference_rollouts,
     source_of,
 )
-from animarl_algos.benchmark.references import reference_rollouts
 from animarl_algos.benchmark.scores import Score, crossed_score, score
 from animarl_algos.evaluation.collect import Cue, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts

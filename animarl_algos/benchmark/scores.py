@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from animarl_algos.benchmark.references import RECORDINGS, beside_fold, others_as_rollouts
+from animarl_algos.benchmark.methods import RECORDINGS, beside_fold, others_as_rollouts
 from animarl_algos.evaluation.classifier import AUC, SEQUENCE
 from animarl_algos.evaluation.distances import (
     FEW_ROLLOUTS,

@@ -20,10 +20,16 @@ from rich.table import Table
 
 from animarl_algos.benchmark.engine import RayWorkers, Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import measure_rows, write_leaderboard
-from animarl_algos.benchmark.matrix import matrix_file, read_matrix
+from animarl_algos.benchmark.matrix import (
+    Plan,
+    claim_folder,
+    matrix_file,
+    plan,
+    read_matrix,
+    refuse_other_results,
+)
 from animarl_algos.benchmark.methods import parse_method
 from animarl_algos.benchmark.pieces import Cell, Clone, Done, Piece
-from animarl_algos.benchmark.plan import Plan, claim_folder, plan, refuse_other_results
 from animarl_algos.benchmark.submission import score_submission
 from animarl_algos.cli.shared import PlainConsole, helps
 from animarl_envs.errors import InputError

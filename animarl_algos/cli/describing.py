@@ -17,8 +17,7 @@ from animarl_envs.checks import printable
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import SPLITS
 from animarl_envs.demos.splits import FEWEST_RECORDINGS
-from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise
-from animarl_envs.demos.units import unit_of
+from animarl_envs.demos.summary import TRACKING, episode_table, persistence, summarise, unit_of
 from animarl_envs.importing.cleaning import LIKELY
 from animarl_envs.importing.import_recipe import ImportRecipe
 

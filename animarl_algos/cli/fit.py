@@ -24,7 +24,7 @@ from animarl_algos.cli.shared import (
 )
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.splits import learnable
-from animarl_envs.demos.units import RECORDED_SCALE, unit_of
+from animarl_envs.demos.summary import RECORDED_SCALE, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import LocomotionFit, fit_locomotion, track
 from animarl_envs.fitting.custom_species import arena_of

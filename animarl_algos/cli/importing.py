@@ -26,11 +26,10 @@ from animarl_algos.cli.describing import (
 from animarl_algos.cli.shared import CONTEXT, asks_for, option
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, require
-from animarl_envs.importing.cleaning import Cleaning
+from animarl_envs.importing.cleaning import Cleaning, Scaling
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import Reader, default_recipe, find_reader, follow, read
-from animarl_envs.importing.scaling import Scaling
 from animarl_envs.importing.sessions import AUTO
 
 SIGNS = {",", "."}  # a decimal sign, which is no value of YAML

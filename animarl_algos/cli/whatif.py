@@ -76,7 +76,7 @@ def whatif_command(
             raise InputError(
                 "--permutations is the null of a condition and none is changed: leave it out"
             )
-        from animarl_algos.runs.permuted import permuted_runs
+        from animarl_algos.runs.counterfactual import permuted_runs
 
         parse_scenarios(change, loaded[0].scenario.species, separately=separately)
         nulls = permuted_runs(

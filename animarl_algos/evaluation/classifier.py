@@ -38,7 +38,7 @@ from animarl_algos.evaluation.windows import (
     window_steps,
 )
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.resolution import rounded
+from animarl_envs.demos.episode import rounded
 from animarl_envs.errors import InputError, MissingExtraError
 
 FOLDS = 5

@@ -11,10 +11,10 @@ import numpy as np
 from gymnasium.spaces import Discrete
 from numpy.typing import NDArray
 
-from animarl_algos.data.slots import refuse_other_actions
+from animarl_algos.data.vec_env import refuse_other_actions
 from animarl_algos.evaluation.rollouts import NO_CUE, Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.resolution import Resolution, rounded
+from animarl_envs.demos.episode import Resolution, rounded
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import NUM_ACTIONS
 from animarl_envs.worlds.base import World

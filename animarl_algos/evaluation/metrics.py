@@ -29,8 +29,7 @@ from animarl_algos.evaluation.windows import resting_step
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT
 from animarl_envs.demos.episode import Episodes as Recorded
-from animarl_envs.demos.summary import RESTING_SHARE
-from animarl_envs.demos.units import RECORDED_SCALE
+from animarl_envs.demos.summary import RECORDED_SCALE, RESTING_SHARE
 from animarl_envs.dtw import dtw_alignment
 from animarl_envs.errors import InputError
 

@@ -27,7 +27,7 @@ from animarl_algos.evaluation.statistics import Floats
 from animarl_algos.evaluation.windows import resting_step, smoothed
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import TIME_OUT, UNFINISHED
-from animarl_envs.demos.units import Unit, unit_of
+from animarl_envs.demos.summary import Unit, unit_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,12 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, Schedule
 
 from animarl_algos.checked import SEED
-from animarl_algos.data.slots import SlotLayout, refuse_other_actions, refuse_other_slots
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import (
+    SlotLayout,
+    SlotVecEnv,
+    refuse_other_actions,
+    refuse_other_slots,
+)
 from animarl_algos.learner import checkpoint
 from animarl_algos.learner.callbacks import BoundaryCallback
 from animarl_algos.learner.checks import check_setting_combinations, translate_policy_kwargs

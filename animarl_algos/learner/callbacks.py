@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm.auto import tqdm
 
 from animarl_algos.checked import COUNT
-from animarl_algos.data.slots import Feedback, SlotLayout
+from animarl_algos.data.vec_env import Feedback, SlotLayout
 from animarl_algos.learner.checkpoint import save_checkpoint
 from animarl_envs.errors import InputError
 

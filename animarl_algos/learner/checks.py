@@ -10,7 +10,7 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from animarl_algos.data.slots import SlotLayout, provided
+from animarl_algos.data.vec_env import SlotLayout, provided
 from animarl_algos.learner.collecting import Exploration
 from animarl_algos.learner.settings import as_frequency
 from animarl_algos.losses.terms import Recipe, ScoredActionsTemporalDifference

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from stable_baselines3.common.vec_env import VecEnv
 
-from animarl_algos.data.slots import Feedback, SlotLayout
+from animarl_algos.data.vec_env import Feedback, SlotLayout
 from animarl_algos.losses.terms import Recipe
 from animarl_algos.networks.acting_rule import Acting
 from animarl_algos.networks.policies import GruPolicy

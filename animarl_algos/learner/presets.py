@@ -32,7 +32,7 @@ from animarl_algos.learner.settings import (
 )
 from animarl_envs import SPECIES, environment_id
 from animarl_envs.errors import InputError
-from animarl_envs.importing.plain_yaml import parse_yaml
+from animarl_envs.files import parse_yaml
 from animarl_envs.scenario import Scenario
 
 CONFIGS = resources.files("zoo_configs")

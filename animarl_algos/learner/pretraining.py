@@ -25,8 +25,8 @@ from tqdm.auto import tqdm
 from animarl_algos.data.dataset import OfflineDataset
 from animarl_algos.learner.settings import OfflineSettings
 from animarl_algos.learner.updates import Totals, add_losses, minibatch_values, update
-from animarl_algos.losses.losses import mean_recall, treatment_counts
 from animarl_algos.losses.terms import Phase, Recipe, Selection
+from animarl_algos.losses.values import mean_recall, treatment_counts
 from animarl_algos.networks.layers import DropoutDraws
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy

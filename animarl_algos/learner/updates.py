@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.utils import should_collect_more_steps
 
-from animarl_algos.losses.losses import (
+from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
+from animarl_algos.losses.values import (
     clip_grad_norm_per_individual,
     mean_recall,
     share_gradients,
     treatment_counts,
 )
-from animarl_algos.losses.terms import LossTerm, MinibatchValues, Phase, WeightDecay
 from animarl_algos.networks.layers import DropoutDraws, Packing
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_algos.networks.policies import GruPolicy

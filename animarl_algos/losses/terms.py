@@ -17,8 +17,7 @@ from typing import Any, ClassVar
 import torch
 from torch.nn import functional
 
-from animarl_algos.losses.losses import masked_mean
-from animarl_algos.losses.values import ValueDistribution
+from animarl_algos.losses.values import ValueDistribution, masked_mean
 from animarl_algos.replay.store import NO_LABEL, SequenceBatch
 from animarl_envs.errors import InputError
 

@@ -23,8 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from animarl_algos.networks.kernels import runs_compiled
-from animarl_algos.networks.kernels.gru_kernels import gru
+from animarl_algos.networks.kernels import gru, runs_compiled
 
 
 @dataclass(frozen=True)

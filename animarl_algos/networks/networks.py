@@ -38,9 +38,8 @@ from pydantic import Field
 from torch import nn
 
 from animarl_algos.checked import Checked
-from animarl_algos.losses.losses import reverse_gradient
-from animarl_algos.losses.values import take_action
-from animarl_algos.networks.kernels import WeightViews, chosen_head, runs_compiled
+from animarl_algos.losses.values import reverse_gradient, take_action
+from animarl_algos.networks.kernels import WeightViews, chosen_values, runs_compiled
 from animarl_algos.networks.layers import (
     DuelingHead,
     Packing,
@@ -82,7 +81,7 @@ class NetworkSettings(Checked):
     """Whether all individuals have the same weights and statistics of inputs (parameter sharing:
     Gupta, Egorov & Kochenderfer 2017). Biases stay their own; in the first layer they act as an
     input that names the individual. Training averages the gradients of these weights
-    (:func:`animarl_algos.losses.losses.share_gradients`)."""
+    (:func:`animarl_algos.losses.values.share_gradients`)."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class QOutput:
         if self.head is None or not runs_compiled(self.features):
             return self.packing.unpack(take_action(self._values, packed))
         quantiles = self.head[1].shape[-1] // self.num_actions
-        return self.packing.unpack(chosen_head.chosen_values(*self.head, packed, quantiles))
+        return self.packing.unpack(chosen_values(*self.head, packed, quantiles))
 
     @property
     def hidden(self) -> torch.Tensor:

@@ -19,7 +19,7 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 
 from animarl_algos.losses.values import ValueDistribution
 from animarl_algos.networks.acting_rule import Acting
-from animarl_algos.networks.kernels.acting import CompiledActor
+from animarl_algos.networks.compiled_actor import CompiledActor
 from animarl_algos.networks.networks import NetworkSettings, StackedQNetwork
 from animarl_envs.errors import InputError
 

@@ -13,7 +13,7 @@ from animarl_algos.evaluation.decisions import Decisions
 from animarl_algos.report import style
 from animarl_algos.report.words import Words, number
 from animarl_envs.arena import Arena
-from animarl_envs.demos.units import Unit
+from animarl_envs.demos.summary import Unit
 from animarl_envs.locomotion import NUM_DIRECTIONS, action_directions
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from animarl_algos.evaluation.metrics import ARENA_UNITS, DTW, Metric
 from animarl_algos.evaluation.statistics import UNDEFINED, Interval
 from animarl_algos.report.style import is_recorded, method_label
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.units import RECORDED_SCALE, Unit, unit_of
+from animarl_envs.demos.summary import RECORDED_SCALE, Unit, unit_of
 
 if TYPE_CHECKING:
     import pandas as pd

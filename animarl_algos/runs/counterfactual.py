@@ -1,15 +1,18 @@
 """Many runs asked "what if": told the other condition, beside the truth and beside the untrained.
 
-Nothing is trained: policies of finished runs are loaded and rolled out from the test starts.
+Policies of finished runs are loaded and rolled out from the test starts. Groups of recordings
+differ by chance too, and a network learns that difference as it learns a true one. An interval over
+rollouts does not know of it; runs trained with permuted conditions (:func:`permuted_runs`) do.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from animarl_algos.evaluation.collect import Cue, Policy
@@ -21,6 +24,7 @@ from animarl_algos.evaluation.teams import teams_of
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.counterfactual_page import counterfactual_page
 from animarl_algos.report.inputs import CounterfactualInputs
+from animarl_algos.runs import pipeline
 from animarl_algos.runs.evaluating import UNTRAINED, command, refuse_run_folder
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
@@ -208,3 +212,55 @@ def _teams(
         for team, condition in zip(teams, species.conditions)
     )
     return first, second
+
+
+def permute_conditions(demos: Demonstrations, rng: np.random.Generator) -> Demonstrations:
+    """Return demonstrations with conditions permuted among the recordings of each split."""
+    condition = demos.condition.copy()
+    for split in np.unique(demos.split):
+        here = np.flatnonzero(demos.split == split)
+        names, first, member = np.unique(
+            demos.recording[here], return_index=True, return_inverse=True
+        )
+        own = condition[here]
+        if len(names) > 1 and (own == own[first][member]).all():
+            condition[here] = rng.permutation(own[first])[member]
+        else:  # one recording holds both conditions: episodes are dealt
+            condition[here] = rng.permutation(own)
+    return replace(demos, condition=condition)
+
+
+def permuted_runs(
+    run: Run, folder: Path, count: int, on_trained: Callable[[int], None] | None = None
+) -> list[Run]:
+    """Train a run's learner ``count`` times on permuted conditions; finished ones are taken up.
+
+    Parameters
+    ----------
+    folder
+        Gets a run folder for each.
+    on_trained
+        Is told how many are trained.
+
+    Raises
+    ------
+    InputError
+        If the conditions change what is sensed: then they cannot be permuted.
+    """
+    if run.species.condition_is_sensed:
+        raise InputError(
+            f"the conditions of {run.species.name} change what is sensed, so recordings cannot "
+            "change theirs: leave --permutations out"
+        )
+    settings = run.settings.changed(baselines=False, acting=str(run.acting(run.settings.algo)))
+    trained = []
+    for number in range(count):
+        demos = permute_conditions(run.demos, np.random.default_rng([settings.seed, number]))
+        own = pipeline.open_run(
+            settings, folder / f"permuted-{number}", "permuted conditions", demos
+        )
+        pipeline.learn(own, settings.algo, progress_bar=False)
+        trained.append(own)
+        if on_trained is not None:
+            on_trained(number + 1)
+    return trained

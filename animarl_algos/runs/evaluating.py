@@ -30,7 +30,7 @@ from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import SPLITS
-from animarl_envs.demos.units import unit_of
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import all_files_or_none
 from animarl_envs.fitting.result import doubts

@@ -25,8 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from animarl_algos.data.slots import FocalPolicy, focal_drivers
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import FocalPolicy, SlotVecEnv, focal_drivers
 from animarl_algos.evaluation.acting_choice import (
     candidate_rules,
     choice_episodes,
@@ -65,8 +64,8 @@ from animarl_envs.fitting import LocomotionFit
 from animarl_envs.fitting.custom_species import species_of
 from animarl_envs.scenario import PACKAGED, Condition, Scenario, make_scenario
 from animarl_envs.species import Species
+from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world, with_options
-from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import make_world
 
 if TYPE_CHECKING:
@@ -546,7 +545,7 @@ class Run:
         reading
             What the policy perceives where the options change motion or place: ``"habit"``, the
             same inputs as ever for the same places and velocities; ``"knows"``, its own motion in
-            units of its changed body (:data:`animarl_envs.species.scales.Reading`).
+            units of its changed body (:data:`animarl_envs.species.base.Reading`).
         wrap
             Returns what acts in the policy's place, such as a policy that counts what it sees.
         options

@@ -20,12 +20,12 @@ from animarl_algos.evaluation.statistics import Interval, bootstrap_mean, cells
 from animarl_algos.whatif.changes import Change, Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import RED, YELLOW, Caution, InputRange, WatchedPolicy
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.units import Unit, unit_of
+from animarl_envs.demos.summary import Unit, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.focus import distances_to_target, is_free
 from animarl_envs.scenario import Scenario as World
 from animarl_envs.species import Species
-from animarl_envs.species.scales import Reading
+from animarl_envs.species.base import Reading
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -140,15 +140,15 @@ def ask(
     repetitions
         Rollouts from each test start and run.
     reading
-        What policies perceive of a changed body (:data:`animarl_envs.species.scales.Reading`).
+        What policies perceive of a changed body (:data:`animarl_envs.species.base.Reading`).
     separately
         Whether every change is a question of its own.
     seed
         Of the resamples.
     permuted
         Runs of the same learner that were trained with the conditions of their recordings permuted
-        (:func:`animarl_algos.runs.permuted.permuted_runs`). Their shifts are the null of a cue:
-        they say how far it moves by the choice of training recordings alone.
+        (:func:`animarl_algos.runs.counterfactual.permuted_runs`). Their shifts are the null of a
+        cue: they say how far it moves by the choice of training recordings alone.
     on_baseline
         Is told first how far the unchanged simulation is from the recordings; columns
         ``quantity, unit, recorded, baseline, gap``.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from animarl_envs.demos.units import Unit
+from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import ChaseSpecies, SearchSpecies, Species
 

@@ -23,7 +23,7 @@ from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.whatif.answer import TrainedRun, quantities_of
 from animarl_algos.whatif.extrapolation import InputRange
 from animarl_envs.demos.demonstrations import Demonstrations
-from animarl_envs.demos.units import unit_of
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename
 from animarl_envs.fitting.transitions import demonstrated_actions

@@ -28,8 +28,7 @@ from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from animarl_algos.data.slots import MixedMeansWarning
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import MixedMeansWarning, SlotVecEnv
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.learner.checkpoint import summarise_error
 from animarl_algos.learner.collecting import Exploration

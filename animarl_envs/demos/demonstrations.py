@@ -26,9 +26,10 @@ from animarl_envs.demos.episode import (
     UNFINISHED,
     Episode,
     Episodes,
+    Resolution,
+    find_resolution,
     read_only,
 )
-from animarl_envs.demos.resolution import Resolution, find_resolution
 from animarl_envs.errors import InputError
 from animarl_envs.focus import focus_directions, lone_pursuer
 from animarl_envs.locomotion import velocities

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.arena import Arena
-from animarl_envs.demos.units import RECORDED_SCALE
+from animarl_envs.demos.summary import RECORDED_SCALE
 from animarl_envs.drawing import palette
-from animarl_envs.drawing.bodies import BODIES
-from animarl_envs.drawing.palette import RGB, colour_of
+from animarl_envs.drawing.palette import BODIES, RGB, colour_of
 from animarl_envs.drawing.scene import Scene, SceneRecorder
 from animarl_envs.errors import InputError, MissingExtraError
 from animarl_envs.files import write_then_rename

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.demos.summary import ending_in_words
-from animarl_envs.demos.units import METRES, RECORDED_SCALE, Unit, unit_of
+from animarl_envs.demos.summary import METRES, RECORDED_SCALE, Unit, ending_in_words, unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.species import Species
 from animarl_envs.worlds.plume.plume import PlumeField

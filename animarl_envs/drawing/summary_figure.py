@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import FILLED
-from animarl_envs.demos.summary import TRACKING, episode_table, outcome_name, summarise
-from animarl_envs.demos.units import Unit, unit_of
+from animarl_envs.demos.summary import (
+    TRACKING,
+    Unit,
+    episode_table,
+    outcome_name,
+    summarise,
+    unit_of,
+)
 from animarl_envs.errors import MissingExtraError
 from animarl_envs.files import write_then_rename
 from animarl_envs.focus import distances_to_target

@@ -1,12 +1,12 @@
 """Fitting damping d and thrust u of v' = (1 - d) v + u a dt to recorded episodes."""
 
 from animarl_envs.fitting.joint import fit_joint, joint_locomotion
-from animarl_envs.fitting.onset import fit_onset
 from animarl_envs.fitting.result import IndividualFit, LocomotionFit, fit_locomotion
 from animarl_envs.fitting.tracking import Tracking, one_step_misses, track
 from animarl_envs.fitting.transitions import (
     Transitions,
     demonstrated_actions,
+    fit_onset,
     transitions,
     velocity_rmse,
 )

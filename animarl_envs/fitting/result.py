@@ -17,8 +17,14 @@ from animarl_envs.demos.splits import learnable
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.joint import bootstrap_joint, fast_speed, fit_joint, joint_locomotion
 from animarl_envs.fitting.noise import CONFIDENCE, Interval, fit_with_noise
-from animarl_envs.fitting.onset import bootstrap_onset, fit_onset, onset_data, top_speed
-from animarl_envs.fitting.transitions import transitions, velocity_rmse
+from animarl_envs.fitting.transitions import (
+    bootstrap_onset,
+    fit_onset,
+    onset_data,
+    top_speed,
+    transitions,
+    velocity_rmse,
+)
 from animarl_envs.locomotion import Locomotion
 from animarl_envs.species import SPECIES
 

@@ -14,7 +14,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import HEADING, INTERVAL
 from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
-from animarl_envs.importing.cleaning import Floats, clean, resample, runs, shorter_turn
+from animarl_envs.importing.cleaning import Floats, clean, resample, runs, scales_of, shorter_turn
 from animarl_envs.importing.cutting import (
     FEWEST_PIECES,
     Cut,
@@ -24,7 +24,6 @@ from animarl_envs.importing.cutting import (
     in_pieces,
 )
 from animarl_envs.importing.import_recipe import NOT_STATED, ImportRecipe
-from animarl_envs.importing.scaling import scales_of
 from animarl_envs.importing.sessions import (
     TARGET,
     apply_names,

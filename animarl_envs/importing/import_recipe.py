@@ -11,11 +11,9 @@ from typing import Any
 from animarl_envs.checks import check_options, option
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError, MissingExtraError, require
-from animarl_envs.files import write_then_rename
-from animarl_envs.importing.cleaning import Cleaning
+from animarl_envs.files import read_yaml, write_then_rename
+from animarl_envs.importing.cleaning import Cleaning, Scaling
 from animarl_envs.importing.cutting import Cutting
-from animarl_envs.importing.plain_yaml import read_yaml
-from animarl_envs.importing.scaling import Scaling
 from animarl_envs.species import CUSTOM, SPECIES
 
 NOT_STATED = "not stated"  # the licence, where nobody said

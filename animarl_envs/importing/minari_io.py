@@ -111,7 +111,7 @@ def _rebuilt(folder: Path, meta: dict[str, Any], path: Path) -> Demonstrations:
 
     Its own reader follows what the file says (formats, spaces, the environment it was made with).
     """
-    from animarl_envs.importing.readers.hdf import open_hdf, read_dataset
+    from animarl_envs.importing.readers.arrays import open_hdf, read_dataset
 
     names = [str(name) for name in meta["demonstrations"]["individuals"]]
     states, actions = [], []

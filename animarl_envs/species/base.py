@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,11 @@ from animarl_envs.arena import Arena
 from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError
 from animarl_envs.locomotion import Locomotion
-from animarl_envs.species.scales import SenseScales
 
 OBSERVATIONS = ("full", "paper")
 PLAIN_BODY = "animal"
 BODIES = (PLAIN_BODY, "predator", "prey", "fly", "newt", "moth")
-"""Looks of an individual; :mod:`animarl_envs.drawing.bodies` draws them."""
+"""Looks of an individual; :mod:`animarl_envs.drawing.palette` draws them."""
 
 
 def or_zero(default: float) -> Any:
@@ -210,3 +209,57 @@ def checked_bodies(given: Any) -> tuple[str, ...]:
 def body_of_each(bodies: tuple[str, ...], roles: tuple[str, ...]) -> tuple[str, ...]:
     """The body of each individual: the last name is the target's, the first everybody else's."""
     return tuple(bodies[-1] if role == "target" else bodies[0] for role in roles)
+
+
+Reading = Literal["habit", "knows"]
+"""How a trained policy perceives a changed world. ``"habit"``: in the scales it was trained with,
+so the same places and velocities give the same inputs. ``"knows"``: individuals know their changed
+bodies, so all inputs about their own motion are in units of the new thrust."""
+
+
+@dataclass(frozen=True)
+class SenseScales:
+    """Scales of observations.
+
+    Parameters
+    ----------
+    locomotion
+        Of each individual: its velocity is measured in what this thrust adds in a step, and its
+        acceleration is what this damping leaves unexplained, in multiples of this thrust.
+    dt
+        The step that goes with it [s].
+    arena_size
+        Scale of distances, to the others and to walls [arena unit].
+    time_limit
+        Longest time since the start that is perceived [steps].
+    own_velocity
+        Of each individual: factor on the inputs that are its own velocity without a scale.
+    """
+
+    locomotion: tuple[Locomotion, ...]
+    dt: float
+    arena_size: float
+    time_limit: int
+    own_velocity: tuple[float, ...]
+
+    def with_bodies(self, locomotion: tuple[Locomotion, ...], dt: float) -> SenseScales:
+        """Return the same scales for individuals that know the bodies they have."""
+        return replace(
+            self,
+            locomotion=locomotion,
+            dt=dt,
+            own_velocity=tuple(
+                factor * (old.thrust * self.dt) / (new.thrust * dt)
+                for factor, old, new in zip(
+                    self.own_velocity, self.locomotion, locomotion, strict=True
+                )
+            ),
+        )
+
+    def select(self, individuals: Sequence[int]) -> SenseScales:
+        """Return the scales of these individuals, in this order."""
+        return replace(
+            self,
+            locomotion=tuple(self.locomotion[i] for i in individuals),
+            own_velocity=tuple(self.own_velocity[i] for i in individuals),
+        )

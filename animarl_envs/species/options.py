@@ -11,7 +11,7 @@ from animarl_envs.checks import is_number, is_whole
 from animarl_envs.errors import InputError, UnknownOptionError
 from animarl_envs.locomotion import Locomotion, check_thrusts, fixed_multiples
 from animarl_envs.species import ChaseSpecies, Species
-from animarl_envs.species.scales import Reading
+from animarl_envs.species.base import Reading
 
 MANY = {"num_pursuers": "a target", "num_targets": "a pursuer"}
 """Options that set how many individuals of a role there are; of the other role there is one."""

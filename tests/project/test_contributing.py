@@ -65,7 +65,7 @@ def test_a_species_in_the_list_has_its_environment() -> None:
 
 # "agent" is also a default and an example; the authors' files say which species they are of.
 NAMES_A_SPECIES = {
-    "animarl_envs/drawing/bodies.py",  # shapes of bodies, named after animals
+    "animarl_envs/drawing/palette.py",  # shapes of bodies, named after animals
     "animarl_envs/__init__.py",
     "animarl_envs/importing/readers/authors.py",
     "animarl_envs/importing/readers/finished.py",

@@ -26,7 +26,7 @@ from animarl_algos import (
     SlotVecEnv,
     evaluate_individuals,
 )
-from animarl_algos.data.slots import MixedMeansWarning
+from animarl_algos.data.vec_env import MixedMeansWarning
 from animarl_envs.errors import InputError
 
 CARTPOLE = "CartPole-v1"

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError
-from animarl_envs.importing.cleaning import clean, resample, runs
+from animarl_envs.importing.cleaning import clean, resample, runs, scale_of
 from animarl_envs.importing.readers import default_recipe, find_reader, read_tracks
-from animarl_envs.importing.scaling import scale_of
 
 MOVING_SHARE = 0.1  # of the 99th percentile of speed
 SHORTEST_RUN = 0.3  # [s]

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, MissingExtraError, require
+from animarl_envs.importing.readers.arrays import hdf_keys, is_hdf, open_hdf, read_dataset
+from animarl_envs.importing.readers.authors import load_plain
 from animarl_envs.importing.readers.columns import refuse_uneven_frames
-from animarl_envs.importing.readers.hdf import hdf_keys, is_hdf, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
-from animarl_envs.importing.readers.unpickle import load_plain
 from animarl_envs.importing.tables import Table, plain_table
 from animarl_envs.importing.tracks import CENTROID, LONE, Tracks
 

@@ -160,8 +160,8 @@ def _find_own_reader(path: Path) -> str:
     for reader in sorted(own, key=lambda reader: reader.generic):
         if path.name.lower().endswith(reader.extensions) and reader.sniff(path):
             return reader.name
+    from animarl_envs.importing.readers.arrays import is_hdf, open_hdf
     from animarl_envs.importing.readers.columns import suggested_command
-    from animarl_envs.importing.readers.hdf import is_hdf, open_hdf
 
     refuse_special(path)
     if path.suffix.lower() == ".npz":

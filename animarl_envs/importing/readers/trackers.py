@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from animarl_envs.errors import InputError, require
 from animarl_envs.files import npz_members, read_npz
+from animarl_envs.importing.readers.arrays import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.columns import rate_of_rows
-from animarl_envs.importing.readers.hdf import hdf_keys, open_hdf, read_dataset
 from animarl_envs.importing.readers.registry import numbers, register_track_reader
 from animarl_envs.importing.tables import (
     EXTENSIONS,

@@ -40,7 +40,7 @@ from animarl_envs.worlds.chase.neighbours import (
     look,
     look_around,
 )
-from animarl_envs.worlds.fast_math import angle_of, log_of, tanh_of, tanh_tripled
+from animarl_envs.worlds.streams import angle_of, log_of, tanh_of, tanh_tripled
 
 FINE_PAST, COARSE_PAST, LOG_PAST = (
     int(each) for each in (Seen.FINE_SHORT, Seen.COARSE_SHORT, Seen.LOG_SHORT)

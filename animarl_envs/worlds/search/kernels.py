@@ -30,7 +30,7 @@ SearchState = namedtuple(
 """What a step reads and writes; see :class:`animarl_envs.worlds.search.world.SearchWorld`, where
 they are made. ``pushes`` ``(A, 2)`` are actions in multiples of the thrust, ahead and left;
 ``traits`` ``(n, 2)`` are those of training animals;
-``odour`` is an :class:`animarl_envs.worlds.plume.fitted.OdourWeights`, empty where the table
+``odour`` is an :class:`animarl_envs.worlds.plume.plume.OdourWeights`, empty where the table
 holds."""
 
 

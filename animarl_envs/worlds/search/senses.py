@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.kinematics import next_turn, residual, turn_between, wrapped
 from animarl_envs.species import SearchSpecies
-from animarl_envs.worlds.plume.fitted import LONGEST, draw_hits
-from animarl_envs.worlds.plume.plume import is_hit
+from animarl_envs.worlds.plume.plume import LONGEST, draw_hits, is_hit
 from animarl_envs.worlds.search.layout import ALIKE, HARDEST, PAPER, REST, Seen
 from animarl_envs.worlds.streams import next_uniform
 

@@ -24,8 +24,7 @@ from animarl_envs.scenario import Scenario
 from animarl_envs.species import SearchSpecies
 from animarl_envs.species.traits import episode_traits
 from animarl_envs.worlds.base import World
-from animarl_envs.worlds.plume.fitted import odour_weights
-from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table
+from animarl_envs.worlds.plume.plume import ModelPlume, as_plume, hit_table, odour_weights
 from animarl_envs.worlds.search import kernels as kernels
 from animarl_envs.worlds.search.layout import observation_components as observation_components
 from animarl_envs.worlds.search.senses import Body, senses_of

@@ -18,9 +18,15 @@ from commands import Done as Ended
 
 from animarl_algos.benchmark.engine import Watch, Workers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
-from animarl_algos.benchmark.matrix import Matrix, matrix_names, read_matrix
+from animarl_algos.benchmark.matrix import (
+    Matrix,
+    Plan,
+    claim_folder,
+    matrix_names,
+    plan,
+    read_matrix,
+)
 from animarl_algos.benchmark.pieces import Done, Piece, attempt
-from animarl_algos.benchmark.plan import Plan, claim_folder, plan
 from animarl_algos.cli.main import main
 from animarl_envs.errors import InputError
 from animarl_envs.files import write_then_rename

@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 from test_benchmark import bytes_of, run, tiny
 
-from animarl_algos.benchmark.matrix import Matrix, read_matrix
+from animarl_algos.benchmark.matrix import Matrix, claim_folder, plan, read_matrix
 from animarl_algos.benchmark.pieces import Cell
-from animarl_algos.benchmark.plan import claim_folder, plan
 from animarl_algos.learner.checkpoint import latest_checkpoint
 from animarl_algos.learner.pretraining import Pretraining
 

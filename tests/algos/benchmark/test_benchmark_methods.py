@@ -16,26 +16,23 @@ import pytest
 import torch
 from small_runs import few
 
-from animarl_algos.benchmark.matrix import Matrix
+from animarl_algos.benchmark.matrix import Matrix, plan
 from animarl_algos.benchmark.methods import (
+    NEIGHBOURS,
+    SEGMENT,
     TERMINATED,
     Checked,
     MethodSetting,
+    NearestSegment,
+    Steering,
+    expert_rollouts,
     foreign,
+    others_as_rollouts,
     parameters_of,
     parse_method,
     source_of,
 )
 from animarl_algos.benchmark.pieces import attempt
-from animarl_algos.benchmark.plan import plan
-from animarl_algos.benchmark.references import (
-    NEIGHBOURS,
-    SEGMENT,
-    NearestSegment,
-    Steering,
-    expert_rollouts,
-    others_as_rollouts,
-)
 from animarl_algos.benchmark.scores import Score, first_second, ranked, start_energies
 from animarl_algos.evaluation.collect import RandomPolicy
 from animarl_algos.evaluation.rollouts import Rollouts

@@ -23,8 +23,8 @@ from test_benchmark_clones import alike
 from animarl_algos.benchmark import engine
 from animarl_algos.benchmark.engine import RayWorkers, perform_all
 from animarl_algos.benchmark.leaderboard import write_leaderboard
+from animarl_algos.benchmark.matrix import MARK, claim_folder, plan
 from animarl_algos.benchmark.pieces import Done, Piece
-from animarl_algos.benchmark.plan import MARK, claim_folder, plan
 from animarl_envs.errors import InputError, MissingExtraError
 
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from test_benchmark import run_plan, tiny
 
-from animarl_algos.benchmark.matrix import Matrix
-from animarl_algos.benchmark.plan import Plan, plan
+from animarl_algos.benchmark.matrix import Matrix, Plan, plan
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged

@@ -10,8 +10,7 @@ import pytest
 import typer
 from moving_pairs import recorded_pairs, simulated_pairs
 
-from animarl_algos.benchmark.matrix import read_matrix
-from animarl_algos.benchmark.plan import plan
+from animarl_algos.benchmark.matrix import plan, read_matrix
 from animarl_algos.evaluation.metrics import measure, measure_recordings
 from benchmarks import figure4
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from animarl_algos.benchmark.matrix import read_matrix
-from animarl_algos.benchmark.plan import plan
+from animarl_algos.benchmark.matrix import plan, read_matrix
 from animarl_algos.learner.presets import constructed
 from animarl_algos.recipes.registry import named_recipe
 from benchmarks import scale

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.benchmark.references import Steering
+from animarl_algos.benchmark.methods import Steering
 from animarl_algos.benchmark.submission import read_submission, score_submission, write_submission
 from animarl_algos.cli.main import main
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts

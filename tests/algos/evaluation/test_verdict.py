@@ -24,7 +24,7 @@ from animarl_algos.report.verdict_section import verdict_blocks, verdict_sentenc
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.units import unit_of
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world

@@ -12,19 +12,17 @@ from given_values import GivenValues
 from sb3_contrib.common.utils import quantile_huber_loss
 from torch import nn
 
-from animarl_algos.losses.losses import (
-    clip_grad_norm_per_individual,
-    masked_mean,
-    mean_recall,
-    reverse_gradient,
-    treatment_counts,
-)
 from animarl_algos.losses.terms import MinibatchValues, Phase, TreatmentAdversary
 from animarl_algos.losses.values import (
     ValueDistribution,
+    clip_grad_norm_per_individual,
+    masked_mean,
+    mean_recall,
     quantile_huber,
     quantile_huber_definition,
+    reverse_gradient,
     take_action,
+    treatment_counts,
 )
 from animarl_algos.networks.policies import PolicySettings
 from animarl_envs.errors import InputError

@@ -7,7 +7,7 @@ import pytest
 import torch
 from sequences import LENGTHS, B, H, K, N, T, batch, torch_gru, valid_steps
 
-from animarl_algos.networks.kernels.gru_kernels import tanh_float32
+from animarl_algos.networks.kernels import tanh_float32
 from animarl_algos.networks.layers import Packing, StackedGRU
 
 

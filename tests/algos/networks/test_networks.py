@@ -9,11 +9,11 @@ import torch
 from sequences import LENGTHS, A, B, H, K, N, T, batch, torch_gru, valid_steps
 from torch import nn
 
-from animarl_algos.losses.losses import (
+from animarl_algos.losses.values import (
     masked_mean,
     share_gradients,
+    take_action,
 )
-from animarl_algos.losses.values import take_action
 from animarl_algos.networks.layers import DropoutDraws, Packing
 from animarl_algos.networks.networks import QOutput, StackedQNetwork
 from animarl_envs.errors import InputError

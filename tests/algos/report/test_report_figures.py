@@ -20,7 +20,7 @@ from animarl_algos.report.path_figures import (
 from animarl_algos.report.style import looks, new_figure, to_image
 from animarl_algos.report.words import Words
 from animarl_envs.arena import Arena
-from animarl_envs.demos.units import Unit
+from animarl_envs.demos.summary import Unit
 
 MM = Unit("mm", 4.0)
 

@@ -13,8 +13,7 @@ import toys
 from commands import Done
 from pair_learners import demonstrations
 
-from animarl_algos.data.slots import refuse_other_observation
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_observation
 from animarl_algos.learner.algorithm import SequenceQLearning
 from animarl_algos.recipes.registry import DQDIL, IQLearn, SoftBC
 from animarl_algos.runs import pipeline

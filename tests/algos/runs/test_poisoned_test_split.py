@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_algos.benchmark.matrix import Matrix
-from animarl_algos.benchmark.plan import plan
+from animarl_algos.benchmark.matrix import Matrix, plan
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_algos.runs.pipeline import learn, open_run
 from animarl_algos.runs.run import Run

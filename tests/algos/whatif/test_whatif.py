@@ -13,13 +13,13 @@ import pytest
 from commands import animarl
 
 from animarl_algos import load_run
-from animarl_algos.runs.permuted import permute_conditions, permuted_runs
+from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.answer import WhatIf, ask
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
 from animarl_algos.whatif.figure import words
-from animarl_envs.demos.units import Unit
+from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import get_species
 from animarl_envs.worlds.plume.plume import ModelPlume

@@ -16,7 +16,7 @@ from animarl_algos.cli.describing import hints
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.demonstrations import UNFINISHED
 from animarl_envs.demos.joining import join
-from animarl_envs.demos.units import unit_of
+from animarl_envs.demos.summary import unit_of
 from animarl_envs.errors import InputError
 from animarl_envs.importing.cutting import Cutting, cut_episodes, find_contact_distance
 from animarl_envs.importing.readers import read

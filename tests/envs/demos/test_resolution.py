@@ -12,13 +12,13 @@ from animarl_algos.evaluation.classifier import tell_apart
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_algos.evaluation.windows import Windows, window_features
-from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.demos.resolution import (
+from animarl_envs.demos.episode import (
     SINGLE_PRECISION,
     Resolution,
     find_resolution,
     rounded,
 )
+from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.fitting.tracking import track
 from animarl_envs.scenario import make_scenario
 from animarl_envs.species import FLY

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from animarl_envs.demos.units import Unit
+from animarl_envs.demos.summary import Unit
 from animarl_envs.drawing import palette
-from animarl_envs.drawing.bodies import BODIES
+from animarl_envs.drawing.palette import BODIES
 from animarl_envs.drawing.render import Renderer, round_length, view_of
 from animarl_envs.drawing.scene import PlumeField, Scene
 from animarl_envs.errors import InputError, MissingExtraError

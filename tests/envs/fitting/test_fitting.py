@@ -21,7 +21,7 @@ from animarl_envs.fitting import (
     velocity_rmse,
 )
 from animarl_envs.fitting.joint import bootstrap_joint
-from animarl_envs.fitting.onset import bootstrap_onset, onset_data
+from animarl_envs.fitting.transitions import bootstrap_onset, onset_data
 from animarl_envs.focus import focus_directions
 from animarl_envs.importing.readers import read
 from animarl_envs.locomotion import COAST, Locomotion

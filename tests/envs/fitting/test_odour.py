@@ -9,11 +9,10 @@ import pytest
 
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.packaged import load_packaged
-from animarl_envs.fitting.custom_species import species_of
-from animarl_envs.fitting.odour import fit_odour, likelihood, odour_steps
+from animarl_envs.fitting.custom_species import fit_odour, likelihood, odour_steps, species_of
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import make_world
-from animarl_envs.worlds.plume.fitted import INPUTS, FittedOdour, mirrored
+from animarl_envs.worlds.plume.plume import INPUTS, FittedOdour, mirrored
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,8 @@ import pytest
 from thrust_walks import DT, MULTIPLES, ROLES, TRUTH, three, walk
 
 import animarl_envs
-from animarl_algos.data.slots import refuse_other_actions
 from animarl_algos.data.species_data import SpeciesDemonstrations
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import SlotVecEnv, refuse_other_actions
 from animarl_algos.evaluation.collect import RandomPolicy, collect_rollouts
 from animarl_algos.evaluation.decisions import decide_along
 from animarl_algos.recipes.registry import DQN

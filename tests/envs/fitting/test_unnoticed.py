@@ -12,8 +12,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.demos import Demonstrations
 from animarl_envs.demos.episode import TARGET_OUT
 from animarl_envs.fitting.joint import bootstrap_joint, fit_joint
-from animarl_envs.fitting.onset import onset_data
-from animarl_envs.fitting.transitions import Transitions
+from animarl_envs.fitting.transitions import Transitions, onset_data
 from animarl_envs.locomotion import ACTION_VECTORS, COAST
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds.chase.world import ChaseWorld

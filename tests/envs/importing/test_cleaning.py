@@ -14,10 +14,19 @@ from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.demos.splits import Splitting
 from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
-from animarl_envs.importing.cleaning import Cleaning, clean, fill_gaps, find_jumps, resample, smooth
+from animarl_envs.importing.cleaning import (
+    Cleaning,
+    Scale,
+    Scaling,
+    clean,
+    fill_gaps,
+    find_jumps,
+    resample,
+    scale_of,
+    smooth,
+)
 from animarl_envs.importing.cutting import Cutting, cut_episodes, most_approached
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.scaling import Scale, Scaling, scale_of
 from animarl_envs.importing.tracks import Tracks, merge
 
 CHASE = ("pursuer", "target")

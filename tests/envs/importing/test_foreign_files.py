@@ -22,11 +22,10 @@ from animarl_algos.learner.checkpoint import load_tensors
 from animarl_algos.learner.presets import read_file
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
-from animarl_envs.files import read_npz
+from animarl_envs.files import parse_yaml, read_npz, read_yaml
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.plain_yaml import parse_yaml, read_yaml
 from animarl_envs.importing.readers import available_readers, read, read_tracks
-from animarl_envs.importing.readers.unpickle import load_plain
+from animarl_envs.importing.readers.authors import load_plain
 from tools.fuzz.layouts import (
     BODIES,
     write_analysis,

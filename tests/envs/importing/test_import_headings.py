@@ -15,11 +15,17 @@ from numpy.typing import NDArray
 from animarl_envs.demos import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.importing.build import demonstrations_from_tracks
-from animarl_envs.importing.cleaning import Cleaning, clean, fill_gaps, resample, shorter_turn
+from animarl_envs.importing.cleaning import (
+    Cleaning,
+    Scaling,
+    clean,
+    fill_gaps,
+    resample,
+    shorter_turn,
+)
 from animarl_envs.importing.cutting import Cutting
 from animarl_envs.importing.import_recipe import ImportRecipe
 from animarl_envs.importing.readers import follow, read_tracks
-from animarl_envs.importing.scaling import Scaling
 from animarl_envs.importing.tracks import Tracks, merge
 from tools.fuzz.layouts import POSE, write_analysis, write_dlc_csv, write_slp
 

@@ -13,8 +13,8 @@ from animarl_algos.evaluation.decisions import map_sides
 from animarl_envs.arena import Arena
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.importing.build import demonstrations_from_tracks
+from animarl_envs.importing.cleaning import Scaling
 from animarl_envs.importing.import_recipe import ImportRecipe
-from animarl_envs.importing.scaling import Scaling
 from animarl_envs.importing.tracks import Tracks
 from animarl_envs.worlds import demonstration_observations
 

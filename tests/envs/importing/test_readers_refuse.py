@@ -19,7 +19,7 @@ from animarl_envs.arena import Arena
 from animarl_envs.errors import InputError
 from animarl_envs.files import load_npy
 from animarl_envs.importing.readers import read, read_tracks
-from animarl_envs.importing.readers.unpickle import load_plain
+from animarl_envs.importing.readers.authors import load_plain
 from tools.fuzz.layouts import agents_arrays, write_mothvr, write_native, write_npy, write_wide
 
 

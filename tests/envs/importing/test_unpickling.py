@@ -14,7 +14,7 @@ import pytest
 from animarl_envs.errors import InputError
 from animarl_envs.files import load_npy
 from animarl_envs.importing.readers import read
-from animarl_envs.importing.readers.unpickle import load_plain
+from animarl_envs.importing.readers.authors import load_plain
 from tools.fuzz.workers import fuzz
 
 DTYPE = b"cnumpy\ndtype\n"

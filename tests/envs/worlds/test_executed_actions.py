@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from animarl_algos.data.slots import FocalPolicy
-from animarl_algos.data.vec_env import SlotVecEnv
+from animarl_algos.data.vec_env import FocalPolicy, SlotVecEnv
 from animarl_algos.evaluation.collect import collect_rollouts
 from animarl_algos.learner.callbacks import evaluate_individuals
 from animarl_algos.recipes.registry import DQN

@@ -153,7 +153,7 @@ def test_views_and_options_of_free_animals() -> None:
 
 def test_a_what_if_of_free_animals_asks_for_no_goal() -> None:
     from animarl_algos.whatif.answer import quantities_of
-    from animarl_envs.demos.units import RECORDED_SCALE
+    from animarl_envs.demos.summary import RECORDED_SCALE
 
     for animals, asked in ((1, ["speed"]), (4, ["speed", "nearest neighbour"])):
         species = make_scenario("custom", demos=group(animals)).species

@@ -14,8 +14,8 @@ from animarl_envs.demos.packaged import load_packaged
 from animarl_envs.errors import InputError
 from animarl_envs.scenario import Scenario, make_scenario
 from animarl_envs.species import SPECIES, Species, get_species
+from animarl_envs.species.base import Reading
 from animarl_envs.species.options import change_world, with_options
-from animarl_envs.species.scales import Reading
 from animarl_envs.worlds import demonstration_observations, make_world, observation_components
 from animarl_envs.worlds.base import World
 from animarl_envs.worlds.chase.world import observe

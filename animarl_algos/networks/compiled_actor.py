@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_algos.networks.kernels.gru_kernels import sigmoid_float32, tanh_float32
+from animarl_algos.networks.kernels import sigmoid_float32, tanh_float32
 from animarl_algos.networks.networks import StackedQNetwork
 from animarl_envs.compiling import jit
 
