@@ -4,7 +4,7 @@ The focus of a pursuer is the target; the focus of the target is its nearest pur
 each frame (ties: the lower index). Where one pursues several, the focus of each target is the
 pursuer, that of the pursuer its nearest target. A searcher must not be told where the source is:
 its focus is the fixed upwind direction. Where nobody is pursued each animal has its own course:
-where it has been going over about a second, averaged over :data:`COURSE_STEPS` steps.
+where it has been going over the last second (:data:`COURSE`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.compiling import jit
+from animarl_envs.compiling import jit, part
 
 UPWIND = (-1.0, 0.0)
 """Where the wind comes from, arena frame: the source is the origin, the moth starts at +x."""
@@ -22,8 +22,8 @@ UPWIND = (-1.0, 0.0)
 FALLBACK = (1.0, 0.0)
 """Focus direction at zero distance, and of an animal that has not moved yet."""
 
-COURSE_STEPS = 6
-"""Steps over which a course is averaged, exponentially. With that of the last step alone, speeds
+COURSE = 1.0
+"""Time over which a course is averaged, exponentially [s]. With that of the last step alone, speeds
 would lie on a lattice: all thrusts would be along or across the velocity."""
 
 
@@ -32,7 +32,21 @@ def is_free(roles: Sequence[str]) -> bool:
     return "target" not in roles and "searcher" not in roles
 
 
-def courses(velocities: NDArray[np.floating], steps: NDArray[np.integer]) -> NDArray[np.float64]:
+def share_of(seconds: float, dt: float) -> float:
+    """The share of a step of ``dt`` [s] in an exponential mean over so many seconds."""
+    return min(1.0, dt / seconds)
+
+
+@part
+def averaged(mean, value, share, steps):  # type: ignore[no-untyped-def]
+    """An exponential mean, ``steps`` after its first value, with one more: the first few count
+    alike, until one of them is a ``share`` of all."""
+    return mean + max(share, 1.0 / (1.0 + steps)) * (value - mean)
+
+
+def courses(
+    velocities: NDArray[np.floating], steps: NDArray[np.integer], dt: float
+) -> NDArray[np.float64]:
     """Unit vectors ``(frames, individuals, 2)`` along the course of each free animal.
 
     Parameters
@@ -41,23 +55,23 @@ def courses(velocities: NDArray[np.floating], steps: NDArray[np.integer]) -> NDA
         ``(frames, individuals, 2)``, episodes end to end [arena unit / s].
     steps
         ``(frames,)`` since the start of each episode.
+    dt
+        Duration of a step [s].
     """
     mean: NDArray[np.float64] = np.array(velocities, dtype=np.float64)
-    _average(mean, np.asarray(steps, dtype=np.int64))
+    _average(mean, np.asarray(steps, dtype=np.int64), share_of(COURSE, dt))
     length = np.hypot(mean[..., 0], mean[..., 1])[..., None]
     return np.where(length > 0, mean / np.where(length > 0, length, 1.0), np.array(FALLBACK))
 
 
 @jit
-def _average(mean, steps):  # type: ignore[no-untyped-def]
+def _average(mean, steps, share):  # type: ignore[no-untyped-def]
     """Average velocities with those before, in place."""
     for t in range(1, len(mean)):
         if steps[t] > 0:
             for i in range(mean.shape[1]):
                 for x in range(2):
-                    mean[t, i, x] = (
-                        mean[t - 1, i, x] + (mean[t, i, x] - mean[t - 1, i, x]) / COURSE_STEPS
-                    )
+                    mean[t, i, x] = averaged(mean[t - 1, i, x], mean[t, i, x], share, steps[t])
 
 
 def focus_directions(
@@ -65,11 +79,12 @@ def focus_directions(
     roles: Sequence[str],
     velocities: NDArray[np.floating] | None = None,
     steps: NDArray[np.integer] | None = None,
+    dt: float = 0.0,
 ) -> NDArray[np.float64]:
     """Unit vectors towards the focus of each individual.
 
-    That of a free animal is its course, by its ``velocities`` and the ``steps`` since the start
-    (:func:`courses`); without them it has not moved yet.
+    That of a free animal is its course, by its ``velocities``, the ``steps`` since the start and
+    their duration (:func:`courses`); without them it has not moved yet.
 
     Parameters
     ----------
@@ -84,7 +99,7 @@ def focus_directions(
     ``(..., individuals, 2)``, arena frame; ``FALLBACK`` where the distance is zero.
     """
     if is_free(roles) and velocities is not None and steps is not None:
-        return courses(velocities, steps)
+        return courses(velocities, steps, dt)
     points: NDArray[np.float64] = np.asarray(positions, dtype=np.float64)
     out = np.empty_like(points)
     for i, candidates in enumerate(foci(roles)):

@@ -174,7 +174,8 @@ class Demonstrations(Episodes):
 
     def focus(self) -> NDArray[np.float64]:
         """Unit vectors towards the focus at all frames, ``(frames, individuals, 2)``."""
-        return focus_directions(self.positions, self.roles, self.velocities(), self.steps())
+        velocities, steps = self.velocities(), self.steps()
+        return focus_directions(self.positions, self.roles, velocities, steps, self.dt)
 
     def headings(self) -> NDArray[np.float64] | None:
         """Recorded headings ``(frames, individuals)``, counter-clockwise from x [rad].

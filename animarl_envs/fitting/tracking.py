@@ -19,7 +19,16 @@ from animarl_envs.compiling import jit
 from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.errors import InputError
 from animarl_envs.fitting.transitions import step_frames
-from animarl_envs.focus import COURSE_STEPS, FALLBACK, UPWIND, foci, focus_directions, is_free
+from animarl_envs.focus import (
+    COURSE,
+    FALLBACK,
+    UPWIND,
+    averaged,
+    foci,
+    focus_directions,
+    is_free,
+    share_of,
+)
 from animarl_envs.kinematics import next_velocity, rebound
 from animarl_envs.locomotion import Locomotion, apply_actions
 
@@ -99,6 +108,7 @@ def track(
         _follow(
             t, starts, recorded, velocity, candidates, otherwise, damping, thrust, pushes, demos.dt,
             float(horizon), position_now, velocity_now, paths, speeds, forced, actions, course,
+            share_of(COURSE, demos.dt),
         )  # fmt: skip
         if arena.rebound:
             rebound(field, position_now, velocity_now)
@@ -120,7 +130,7 @@ def one_step_misses(
     recorded, recorded_velocity = demos.positions, demos.velocities()
     positions = recorded if tracking is None else tracking.positions
     velocities = recorded_velocity if tracking is None else tracking.velocities
-    focus = focus_directions(positions, demos.roles, velocities, demos.steps())
+    focus = focus_directions(positions, demos.roles, velocities, demos.steps(), dt)
     misses = np.zeros((*positions.shape[:2], locomotion[0].num_actions))
     for i, own in enumerate(locomotion):
         for action in range(own.num_actions):
@@ -183,7 +193,7 @@ def _foci(roles: Sequence[str]) -> tuple[NDArray[np.bool_], Floats]:
 @jit
 def _follow(  # type: ignore[no-untyped-def]
     t, starts, recorded, recorded_velocity, candidates, otherwise, damping, thrust, pushes, dt,
-    horizon, position, velocity, paths, speeds, forced, actions, course,
+    horizon, position, velocity, paths, speeds, forced, actions, course, share,
 ):  # fmt: skip
     """Write down state ``t`` of every episode and lead it to the next, ``(K, 2, episodes)``.
 
@@ -207,7 +217,7 @@ def _follow(  # type: ignore[no-untyped-def]
             towards[i] = otherwise[i]
             if len(course):
                 for x in range(2):
-                    course[i, x, b] += (velocity[i, x, b] - course[i, x, b]) / COURSE_STEPS
+                    course[i, x, b] = averaged(course[i, x, b], velocity[i, x, b], share, t)
                 length = np.hypot(course[i, 0, b], course[i, 1, b])
                 if length > 0.0:
                     towards[i, 0] = course[i, 0, b] / length

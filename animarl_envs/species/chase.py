@@ -71,6 +71,11 @@ class ChaseSpecies(Species):
         return min(self.neighbours, others) if self.free else others
 
     @property
+    def senses_steps(self) -> bool:
+        """Whether averages over steps are seen; those of free animals are over seconds."""
+        return self.senses_past and not self.free
+
+    @property
     def roles(self) -> tuple[str, ...]:
         if self.free:
             return ("pursuer",) * self.num_individuals

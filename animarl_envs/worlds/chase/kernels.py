@@ -129,7 +129,7 @@ def advance(asked, state):  # type: ignore[no-untyped-def]
     if state.driven:
         drive(drivers, actions, position, velocity, towards, damping, thrust, pushes, dt, field,
               lone)  # fmt: skip
-    remember(velocity, state.past)
+    remember(velocity, step_count, state.senses, state.past)
     move(actions, towards, damping, thrust, pushes, dt, position, velocity, acceleration)
     if state.walled:
         rebound(field, position, velocity)

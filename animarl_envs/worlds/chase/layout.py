@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from animarl_envs.focus import COURSE_STEPS
+from animarl_envs.focus import COURSE, share_of
 from animarl_envs.locomotion import residual
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.base import ObservationComponent
@@ -30,9 +30,11 @@ COMPASS = "senses_compass"
 REST = 0.3  # added to the speed [u dt] before its logarithm is taken
 HARDEST = 4.0  # accelerations are seen up to so many times the thrust
 NEAR = 0.1  # added to distances before they are inverted [arena size]
-PAST = (2, COURSE_STEPS, 20)
-"""Steps over which velocities before the present one are averaged, exponentially; the last by free
-animals alone, which would forget where they were going."""
+PAST = (2, 6)
+"""Steps over which velocities before the present one are averaged, exponentially."""
+MEMORY = (0.5, COURSE, 5.0, 20.0)
+"""The same of free animals, which would forget where they were going [s]: of their velocity, of how
+their course turns, and of their speed."""
 HARMONICS = (2, 3, 4)  # of a direction, where it is seen as finely as actions divide the circle
 FAINT = 0.1  # a vector of this length [u dt, or u] counts half in its direction
 BODY, REACH = 0.03, 0.1  # distances kept by animals that follow a wall [arena size]
@@ -88,11 +90,21 @@ def _scaled(velocity: str, speed: str, sense: str = "") -> list[Group]:
 
 
 _OWN = _scaled("own velocity", "own speed")
-_MEANS = [f"mean velocity over {over} steps" for over in PAST]
-_SHORT, _LONG, _LONGEST = (
-    _scaled(mean, mean, sense)
-    for mean, sense in zip(_MEANS, ("senses_past", "senses_past", "free"))
+_SHORT, _LONG = (
+    _scaled(mean, mean, "senses_steps")
+    for mean in (f"mean velocity over {over} steps" for over in PAST)
 )
+_MEMORY = [
+    group
+    for over in MEMORY
+    for group in (
+        *_scaled(*(f"mean velocity over {over:g} s",) * 2, "free"),
+        Group(f"-mean turn of the course over {over:g} s", "any", "rad / s", "turn", sense="free"),
+        Group(f"log of (mean speed over {over:g} s / (u dt) + 0.3)", "any", "1", "log speed",
+              sense="free"),
+    )
+]  # fmt: skip
+RECALLED = len(_MEMORY) // len(MEMORY)  # groups of each time
 _BOTH = (PAPER, FULL)
 _WALL = "tanh of distance to the wall /"
 
@@ -124,7 +136,10 @@ class Seen(IntEnum):
     TIME = Group("log of (1 + steps since the start)", "any", "1", "log steps", sense="senses_time")
     FINE_SHORT, COARSE_SHORT, LOG_SHORT = _SHORT
     FINE_LONG, COARSE_LONG, LOG_LONG = _LONG
-    FINE_LONGEST, COARSE_LONGEST, LOG_LONGEST = _LONGEST
+    FINE_MEMORY, COARSE_MEMORY, LOG_MEMORY, TURN_MEMORY, SPEED_MEMORY = _MEMORY[:RECALLED]
+    _F1, _C1, _L1, _T1, _S1 = _MEMORY[RECALLED : 2 * RECALLED]
+    _F2, _C2, _L2, _T2, _S2 = _MEMORY[2 * RECALLED : 3 * RECALLED]
+    _F3, _C3, _L3, _T3, _S3 = _MEMORY[3 * RECALLED :]
     HEADING = Group("own heading {cosine|sine}", EGO, "1", "unit", sense="senses_heading")
     COURSE = Group(_directions("own velocity"), EGO, "1", "unit", sense="senses_course")
     PUSH = Group(_directions("own acceleration"), EGO, "1", "unit", sense="senses_course")
@@ -181,10 +196,17 @@ def rows(species: ChaseSpecies) -> Iterator[tuple[int, Seen, Group]]:
 
 
 def past_scales(species: ChaseSpecies) -> int:
-    """How many averages of past velocities are seen."""
+    """How many averages of the past there are: of free animals velocities, then turn and speed."""
     if species.free:
-        return len(PAST)
-    return len(PAST) - 1 if species.senses_past and species.observation == FULL else 0
+        return 2 * len(MEMORY)
+    return len(PAST) if species.senses_steps and species.observation == FULL else 0
+
+
+def past_shares(species: ChaseSpecies) -> NDArray[np.float64]:
+    """The share of a step in each average."""
+    if species.free:
+        return np.array([share_of(seconds, species.dt) for seconds in MEMORY])
+    return 1.0 / np.array(PAST)
 
 
 def first_rows(species: ChaseSpecies) -> NDArray[np.int64]:
@@ -251,7 +273,7 @@ def ranges(
         "place": reach, "speed": top, "own speed": top * max(1.0, *scales.own_velocity),
         "fine": math.tanh(relative), "coarse": math.tanh(relative / 3.0), "acceleration": push,
         "unit": 1.0, "offset": 2.0 * radius, "difference": 2.0 * top, "angle": math.pi,
-        "centre": radius,
+        "centre": radius, "turn": math.pi / species.dt,
     }  # fmt: skip
     return {name: (-most, most) for name, most in around.items()} | {
         "log speed": (math.log(REST), math.log(relative + REST)),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from animarl_envs.arena import SHAPE_CODES
 from animarl_envs.compiling import jit, part
-from animarl_envs.focus import COURSE_STEPS, FALLBACK
+from animarl_envs.focus import COURSE, FALLBACK, averaged
 from animarl_envs.species import ChaseSpecies
 from animarl_envs.worlds.chase.headings import face, observe_headings
 from animarl_envs.worlds.chase.layout import (
@@ -23,12 +23,15 @@ from animarl_envs.worlds.chase.layout import (
     BODY,
     FAINT,
     HARDEST,
+    MEMORY,
     NEAR,
-    PAST,
     REACH,
+    RECALLED,
     REST,
     Seen,
     first_rows,
+    past_scales,
+    past_shares,
 )
 from animarl_envs.worlds.chase.neighbours import (
     APART,
@@ -42,10 +45,8 @@ from animarl_envs.worlds.chase.neighbours import (
 )
 from animarl_envs.worlds.streams import angle_of, log_of, tanh_of, tanh_tripled
 
-FINE_PAST, COARSE_PAST, LOG_PAST = (
-    int(each) for each in (Seen.FINE_SHORT, Seen.COARSE_SHORT, Seen.LOG_SHORT)
-)
-COURSE = PAST.index(COURSE_STEPS)
+FINE_PAST, FINE_MEMORY = int(Seen.FINE_SHORT), int(Seen.FINE_MEMORY)
+ON_COURSE, SPANS = MEMORY.index(COURSE), len(MEMORY)
 SQUARE = SHAPE_CODES["square"]
 
 
@@ -64,6 +65,8 @@ class Senses(NamedTuple):
     edge: float  # half side or radius [arena unit]
     limit: int  # of an episode [steps]
     free: bool  # each has its course for its focus, and sees its nearest few
+    shares: NDArray[np.float64]  # of a step in each average of the past
+    dt: float  # [s]
 
 
 def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
@@ -82,6 +85,8 @@ def senses_of(species: ChaseSpecies, observers: NDArray[np.bool_]) -> Senses:
         arena.edge,
         scales.time_limit,
         species.free,
+        past_shares(species),
+        species.dt,
     )
 
 
@@ -97,7 +102,11 @@ def observe(  # type: ignore[no-untyped-def]
     ``steps`` ``(B,)`` count from the start. The first of the others is the focus; see
     :data:`animarl_envs.focus.FALLBACK` for distance zero.
     """
-    first, observers, stride, _, _, own_velocity, near, scales, shape, edge, limit, free = senses
+    first, observers, stride, own_velocity = (
+        senses.first, senses.observers, senses.stride, senses.own_velocity,
+    )  # fmt: skip
+    near, scales, shape, edge = senses.near, senses.scales, senses.shape, senses.edge
+    free = senses.free
     others = neighbours.others
     turning = first[0, Seen.HEADING] != ABSENT
     if turning:
@@ -105,7 +114,7 @@ def observe(  # type: ignore[no-untyped-def]
     lay_out(position, velocity, observers, neighbours)
     for i in range(position.shape[0]):
         if free:
-            _go_on(i, velocity, past, towards)
+            _go_on(i, velocity, past, steps, senses.shares, towards)
         if not observers[i]:
             if not free:
                 find_focus(i, position, others)
@@ -118,7 +127,7 @@ def observe(  # type: ignore[no-untyped-def]
             _face(i, others, towards)
         observe_own(
             i, position, velocity, acceleration, past, steps, towards, first, stride[i],
-            own_velocity[i], limit, observation,
+            own_velocity[i], senses.limit, observation,
         )  # fmt: skip
         faced = 0 if free else 1  # how many of the others lie straight ahead by definition
         _observe_others(
@@ -143,12 +152,12 @@ def _face(i, others, towards):  # type: ignore[no-untyped-def]
 
 
 @part
-def _go_on(i, velocity, past, towards):  # type: ignore[no-untyped-def]
+def _go_on(i, velocity, past, steps, shares, towards):  # type: ignore[no-untyped-def]
     """The unit vector along the course: the mean velocity, the present one included."""
     for b in range(velocity.shape[2]):
-        mx, my = past[COURSE, i, 0, b], past[COURSE, i, 1, b]
-        dx = mx + (velocity[i, 0, b] - mx) / COURSE_STEPS
-        dy = my + (velocity[i, 1, b] - my) / COURSE_STEPS
+        mx, my = past[ON_COURSE, i, 0, b], past[ON_COURSE, i, 1, b]
+        dx = averaged(mx, velocity[i, 0, b], shares[ON_COURSE], steps[b])
+        dy = averaged(my, velocity[i, 1, b], shares[ON_COURSE], steps[b])
         length = math.sqrt(dx * dx + dy * dy)
         towards[i, 0, b] = dx / length if length > 0.0 else FALLBACK[0]
         towards[i, 1, b] = dy / length if length > 0.0 else FALLBACK[1]
@@ -291,13 +300,30 @@ def observe_own(  # type: ignore[no-untyped-def]
     if at != ABSENT:  # recordings may go on beyond the limit
         for b in range(B):
             observation[i, at, b] = log_of(np.float32(1 + min(steps[b], limit)))
-    for scale in range(past.shape[0]):
-        at = 3 * scale
-        _observe_scales(
-            i, past[scale], towards, first[0, FINE_PAST + at],
-            first[0, COARSE_PAST + at], first[0, LOG_PAST + at], stride,
-            observation,
-        )  # fmt: skip
+    _recall(i, past, towards, first, stride, observation)
+
+
+@part
+def _recall(i, past, towards, first, stride, observation):  # type: ignore[no-untyped-def]
+    """Own velocity in the past; of free animals their turning and their speed, too."""
+    if first[0, FINE_PAST] != ABSENT:
+        for scale in range(past.shape[0]):
+            at = FINE_PAST + 3 * scale
+            _observe_scales(
+                i, past[scale], towards, first[0, at], first[0, at + 1], first[0, at + 2], stride,
+                observation,
+            )  # fmt: skip
+    if first[0, FINE_MEMORY] != ABSENT:
+        for scale in range(SPANS):
+            at = FINE_MEMORY + RECALLED * scale
+            _observe_scales(
+                i, past[scale], towards, first[0, at], first[0, at + 1], first[0, at + 2], stride,
+                observation,
+            )  # fmt: skip
+            for b in range(past.shape[3]):
+                turn, speed = past[SPANS + scale, i, 0, b], past[SPANS + scale, i, 1, b]
+                observation[i, first[0, at + 3], b] = turn
+                observation[i, first[0, at + 4], b] = log_of(np.float32(speed / stride + REST))
 
 
 @part
@@ -389,26 +415,76 @@ def observe_wall(  # type: ignore[no-untyped-def]
 
 
 @part
-def remember(velocity, past):  # type: ignore[no-untyped-def]
-    """Update the mean velocities with the present one, before a step."""
+def remember(velocity, steps, senses, past):  # type: ignore[no-untyped-def]
+    """Update the averages with the present, before step number ``steps`` ``(B,)`` is taken."""
+    if senses.free:
+        for i in range(velocity.shape[0]):
+            for b in range(velocity.shape[2]):
+                _remember(i, b, b, velocity, steps[b] - 1, senses, past)
+        return
     for scale in range(past.shape[0]):
-        share = 1.0 / PAST[scale]
         for i in range(velocity.shape[0]):
             for x in range(2):
                 for b in range(velocity.shape[2]):
-                    past[scale, i, x, b] += share * (velocity[i, x, b] - past[scale, i, x, b])
+                    past[scale, i, x, b] = averaged(
+                        past[scale, i, x, b], velocity[i, x, b], senses.shares[scale], np.inf
+                    )
+
+
+@part
+def _remember(i, at, to, velocity, steps, senses, past):  # type: ignore[no-untyped-def]
+    """The averages of a free animal in copy ``to``: those of ``at``, and its present motion."""
+    vx, vy = velocity[i, 0, at], velocity[i, 1, at]
+    mx, my = past[ON_COURSE, i, 0, at], past[ON_COURSE, i, 1, at]
+    nx = averaged(mx, vx, senses.shares[ON_COURSE], steps)
+    ny = averaged(my, vy, senses.shares[ON_COURSE], steps)
+    turned = angle_of(np.float32(mx * nx + my * ny), np.float32(mx * ny - my * nx)) / senses.dt
+    speed = math.sqrt(vx * vx + vy * vy)
+    for scale in range(SPANS):
+        share, more = senses.shares[scale], SPANS + scale
+        past[scale, i, 0, to] = averaged(past[scale, i, 0, at], vx, share, steps)
+        past[scale, i, 1, to] = averaged(past[scale, i, 1, at], vy, share, steps)
+        past[more, i, 0, to] = averaged(past[more, i, 0, at], turned, share, steps)
+        past[more, i, 1, to] = averaged(past[more, i, 1, at], speed, share, steps)
+
+
+def first_past(
+    velocity: NDArray[np.float64], mask: NDArray[np.bool_], past: NDArray[np.float64]
+) -> None:
+    """Set the averages ``(scales, K, 2, B)`` where episodes begin: nothing was before."""
+    now = velocity[..., mask]
+    past[..., mask] = now
+    if len(past) == 2 * SPANS:
+        past[SPANS:, :, 0, mask] = 0.0
+        past[SPANS:, :, 1, mask] = np.hypot(now[:, 0], now[:, 1])
+
+
+def remembered(
+    species: ChaseSpecies, velocity: NDArray[np.float64], steps: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Averages ``(scales, K, 2, frames)`` of recorded velocities ``(K, 2, frames)``.
+
+    ``steps`` ``(frames,)`` count from the start of each episode.
+    """
+    past = np.zeros((past_scales(species), *velocity.shape))
+    if len(past):
+        first_past(velocity, steps == 0, past)
+        _remember_frames(velocity, steps, senses_of(species, np.zeros(0, dtype=bool)), past)
+    return past
 
 
 @jit
-def remembered(velocity, steps, past):  # type: ignore[no-untyped-def]
-    """Compute mean velocities of recorded frames ``(K, 2, frames)``; episodes begin at step 0."""
-    for scale in range(past.shape[0]):
-        share = 1.0 / PAST[scale]
-        for i in range(velocity.shape[0]):
-            for x in range(2):
-                for t in range(velocity.shape[2]):
-                    mean = velocity[i, x, t]
-                    if steps[t] > 0:
-                        mean = past[scale, i, x, t - 1]
-                        mean += share * (velocity[i, x, t - 1] - mean)
-                    past[scale, i, x, t] = mean
+def _remember_frames(velocity, steps, senses, past):  # type: ignore[no-untyped-def]
+    for i in range(velocity.shape[0]):
+        for t in range(1, velocity.shape[2]):
+            if steps[t] == 0:
+                continue
+            if senses.free:
+                _remember(i, t - 1, t, velocity, steps[t - 1], senses, past)
+                continue
+            for scale in range(past.shape[0]):
+                for x in range(2):
+                    past[scale, i, x, t] = averaged(
+                        past[scale, i, x, t - 1], velocity[i, x, t - 1], senses.shares[scale],
+                        np.inf,
+                    )  # fmt: skip

@@ -48,7 +48,9 @@ class ChaseWorld(World):
         ``u dt`` are those of ``species.scales``.
     past
         ``(B, scales, K, 2)``: velocities before the present one, exponential means over the steps
-        of ``layout.PAST`` [arena unit / s]; no scales where the species does not sense them.
+        of ``layout.PAST`` [arena unit / s]; no scales where the species does not sense them. Of
+        free animals over the times of ``layout.MEMORY``, and then by the same times how their
+        course turned [rad / s] and their speed.
     towards
         ``(B, K, 2)``, unit vectors towards the focus.
     heading, turn
@@ -125,7 +127,7 @@ class ChaseWorld(World):
     def _start(self, mask: NDArray[np.bool_]) -> None:
         kernels.start(mask, self._reference)
         if len(self._past):
-            self._past[..., mask] = self._velocity[..., mask]
+            senses.first_past(self._velocity, mask, self._past)
         if self._species.has_headings:
             self._wake(mask)
         senses.observe(
@@ -179,8 +181,7 @@ def observe(
         np.ascontiguousarray(each.transpose(1, 2, 0), dtype=np.float64)
         for each in (position, velocity, acceleration)
     )
-    past = np.zeros((past_scales(species), K, 2, frames))
-    senses.remembered(velocity, steps, past)
+    past = senses.remembered(species, velocity, steps)
     everybody = senses.senses_of(species, np.ones(K, dtype=bool))
     senses.observe(
         position, velocity, acceleration, past, steps, towards, bodies,

@@ -14,7 +14,7 @@ from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.episode import UNFINISHED
 from animarl_envs.errors import InputError
 from animarl_envs.fitting import joint_locomotion, track
-from animarl_envs.focus import COURSE_STEPS
+from animarl_envs.focus import COURSE
 from animarl_envs.scenario import make_scenario
 from animarl_envs.worlds import demonstration_observations, make_world, observation_components
 from tools.packaged_data import shoal
@@ -62,8 +62,8 @@ def test_world_labels_and_tracking_have_one_focus(animals: int) -> None:
     # A course is the exponential mean of the velocities so far.
     velocity = scenario.demos.velocities()[first : first + 5, 0]
     mean = velocity[0]
-    for one in velocity[1:]:
-        mean = mean + (one - mean) / COURSE_STEPS
+    for before, one in enumerate(velocity[1:], start=1):  # the first few count alike
+        mean = mean + (one - mean) * max(DT / COURSE, 1.0 / (1.0 + before))
     np.testing.assert_allclose(focus[first + 4, 0], mean / np.linalg.norm(mean))
 
 
