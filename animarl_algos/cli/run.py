@@ -40,6 +40,11 @@ OTHERS = {
     "env": option("env", str | None, None, typer.Option(
         help="Environment id, such as AnimaRL/Fly-v0: another way to give --species.",
     )),
+    "folds": option("folds", int | None, None, typer.Option(
+        min=0,
+        help="Cross-validate in so many folds, 0: never; by default in 5 where the test split has "
+        "fewer than 10 recordings, and all splits together have 10 or more.",
+    )),
     "out": option("out", Path, Path("runs/run"), typer.Option(
         help="Run folder; made if absent, continued if killed.",
     )),
@@ -78,7 +83,7 @@ def _options(names: str) -> list[inspect.Parameter]:
 
 @asks_for(_options(
     "file env species algo preset steps seed out source copies focal policy device config "
-    "fit_method thrusts acting repetitions baselines settings"
+    "fit_method thrusts acting repetitions folds baselines settings"
 ))  # fmt: skip
 def run_command(**given: Any) -> None:
     """Fit, pretrain, adapt, evaluate and report: recordings in, simulator and page out.
@@ -101,6 +106,7 @@ def run_command(**given: Any) -> None:
     from animarl_algos.report.words import Words
     from animarl_algos.runs import pipeline
     from animarl_algos.runs.evaluating import far_acting_rules
+    from animarl_algos.runs.folds import number_of_folds
     from animarl_envs.fitting.result import doubts
 
     console = PlainConsole(WIDTH)
@@ -113,13 +119,23 @@ def run_command(**given: Any) -> None:
             console.print(f"WARNING: {sentence}", style="bold yellow")
 
     run = _open(given)
+    folds = number_of_folds(run.demos, given["folds"])
     begin("1/4", "fitting locomotion")
     fit = pipeline.fit(run)
     console.print(format_fit_table(fit, run.demos))
     warn(doubts(fit, run.demos))
     begin("2/4", f"training {run.settings.algo.upper()}")
     pipeline.learn_all(run)
-    begin("3/4", "evaluating on the test split")
+    tested = "the test split"
+    if folds:
+        tested = f"all recordings, each by a simulator that was trained without it ({folds} folds)"
+        if given["folds"] is None:
+            console.print(
+                "The test split has fewer than 10 recordings, too few for a verdict: training "
+                f"{folds} times more to cross-validate (--folds 0: not at all)"
+            )
+        pipeline.cross_validate(run, folds)
+    begin("3/4", f"evaluating on {tested}")
     evaluation = pipeline.evaluate_run(run)
     warn([*implausible(evaluation.verdict), *far_acting_rules(run)])
     console.print(evaluation_table(evaluation))
@@ -196,10 +212,13 @@ def parse_settings(given: list[str] | None) -> dict[str, Any]:
 def _open(given: dict[str, Any]) -> Run:
     """Return the run folder that a command's options ask for; refused before it is made."""
     from animarl_algos.runs import pipeline
+    from animarl_algos.runs.folds import number_of_folds
 
     species = asked_species(given["env"], given["species"])
     with suggest_import_on_error(given["file"], takes=(SOURCE,)):
         demos = pipeline.load_demonstrations(given["file"], given["source"], species)
+    if given.get("folds"):
+        number_of_folds(demos, given["folds"])
     if species is None:
         species = demos.species if demos.species in SPECIES else CUSTOM
     overrides = parse_settings(given["settings"])

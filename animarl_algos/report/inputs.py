@@ -119,6 +119,8 @@ class ReportInputs(PageInputs):
         Training seeds, and when the page was made.
     episodes
         Number of demonstrations per split, where the run knows them.
+    folds
+        Of a cross-validation, in which all recordings were tested; 0 for none.
     warnings
         What was doubtful while the run was made; said beside the verdict.
 
@@ -138,6 +140,7 @@ class ReportInputs(PageInputs):
     seeds: tuple[int, ...] = ()
     created: str = ""
     episodes: Mapping[str, int] = field(default_factory=dict)
+    folds: int = 0
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

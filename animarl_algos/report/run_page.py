@@ -57,7 +57,7 @@ def run_page(inputs: ReportInputs) -> Page:
     demos = inputs.demos
     facts = [
         ("Species", demos.species),
-        ("Evaluated on", f"{demos.num_episodes} demonstrations"),
+        ("Evaluated on", f"{demos.num_episodes} demonstrations{_in_folds(inputs.folds)}"),
         ("Method", method_label(inputs.learner)),
         ("Training seeds", ", ".join(map(str, inputs.seeds)) or NOTHING),
     ]
@@ -74,6 +74,10 @@ def run_page(inputs: ReportInputs) -> Page:
         ],
         methods=list(map(method_label, inputs.rollouts)),
     )
+
+
+def _in_folds(folds: int) -> str:
+    return f", cross-validated in {folds} folds" if folds else ""
 
 
 def write_report(inputs: ReportInputs, out: str | Path) -> Path:

@@ -25,6 +25,7 @@ from animarl_algos.losses.terms import OfflineLoss, Selection
 from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.inputs import ReportInputs
 from animarl_algos.report.run_page import run_page
+from animarl_algos.runs.folds import all_tested, joined_rollouts, joined_tracking, trained_folds
 from animarl_algos.runs.run import DECISIONS, Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import BEHAVIOUR_CLONING
@@ -93,25 +94,35 @@ def evaluate_rollouts(
     learner: str,
     seed: int,
     demos: Demonstrations | None = None,
+    folds: Sequence[Run] = (),
 ) -> Evaluation:
     """Return rollouts measured and compared with the test recordings of a run.
 
     Beside them stand the recordings as the fitted locomotion follows them, as they are and with one
-    action in ten at random. ``demos`` are others to compare with, whose starts ``rollouts`` had.
+    action in ten at random. ``demos`` are others to compare with, whose starts ``rollouts`` had;
+    ``folds`` those of a cross-validation, in which all recordings are tested.
     """
     known, species = run.demos, run.species
-    test, others = demos, known
-    if test is None:
-        test = known.select(split="test")
-        others = known.select(episodes=np.flatnonzero(known.split != "test"))
-    moving = test, species.locomotion, species.arena
+    test: Demonstrations | None = demos
+    others: Demonstrations | None = known
+    if folds:
+        test, others = all_tested(known), None
+        floor, perturbed = (joined_tracking(folds, share, seed) for share in (0.0, 0.1))
+    else:
+        if test is None:
+            test = known.select(split="test")
+            others = known.select(episodes=np.flatnonzero(known.split != "test"))
+        floor, perturbed = (
+            track(test, species.locomotion, species.arena, random_share=share, seed=seed)
+            for share in (0.0, 0.1)
+        )
     return evaluate(
         rollouts,
         test,
         seed=seed,
         planned_flip=species.planned_flip,
-        floor=track(*moving),
-        perturbed=track(*moving, random_share=0.1, seed=seed),
+        floor=floor,
+        perturbed=perturbed,
         learner=learner,
         references=others,
     )
@@ -185,6 +196,7 @@ class EvaluatedRuns:
     rollouts: dict[str, Rollouts]
     evaluation: Evaluation
     lacking: tuple[str, ...]
+    folds: int = 0
 
 
 def compare_runs(
@@ -211,9 +223,15 @@ def compare_runs(
     """
     runs = RunSet.open(folders)
     new = None if demos is None else _new_recordings(runs, demos)
+    folds = [trained_folds(run) for run in runs.runs] if new is None else [()]
+    crossed = {len(some) for some in folds} == {len(folds[0])} != {0}
     test = runs.demos.select(split="test") if new is None else new
+    if crossed:
+        test = all_tested(runs.demos)
 
     def rollouts_of(run: Run) -> dict[str, Rollouts]:
+        if crossed:
+            return joined_rollouts(trained_folds(run))
         if new is None:
             return _stored_rollouts(run, runs)
         own, scenario = method_name(run.settings.algo), run.starting_from("test", demos=new)
@@ -225,8 +243,11 @@ def compare_runs(
 
     rollouts = _join(runs, rollouts_of)
     learner = next(iter(runs.methods))
-    evaluation = evaluate_rollouts(runs.first, rollouts, learner=learner, seed=0, demos=new)
-    return EvaluatedRuns(runs, test, rollouts, evaluation, tuple(_absent(runs, rollouts)))
+    evaluation = evaluate_rollouts(
+        runs.first, rollouts, learner=learner, seed=0, demos=new, folds=folds[0] if crossed else ()
+    )
+    lacks = tuple(_absent(runs, rollouts))
+    return EvaluatedRuns(runs, test, rollouts, evaluation, lacks, len(folds[0]) if crossed else 0)
 
 
 def _new_recordings(runs: RunSet, demos: Demonstrations) -> Demonstrations:
@@ -328,7 +349,8 @@ def evaluate_runs(
         evaluation,
         settings,
         made_by,
-        test=None if demos is None else found.test,
+        test=found.test if demos is not None or found.folds else None,
+        folds=found.folds,
     )
     tables = {name: getattr(evaluation, name) for name in TABLES}
     with all_files_or_none(out) as part:
@@ -346,6 +368,7 @@ def report_inputs(
     command: str,
     created: str = "",
     test: Demonstrations | None = None,
+    folds: int = 0,
 ) -> ReportInputs:
     """Return what a page shows; without its date it can be made again, byte for byte."""
     demos, first, known = runs.demos, runs.first, runs.page_inputs()
@@ -363,6 +386,7 @@ def report_inputs(
         seeds=tuple(sorted({run.settings.seed for run in runs.runs})),
         command=command,
         created=created,
+        folds=folds,
         episodes={split: int((demos.split == split).sum()) for split in SPLITS},
         warnings=tuple(sentence for run in runs.runs for sentence in run_warnings(run)),
         **known,

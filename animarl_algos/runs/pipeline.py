@@ -32,6 +32,7 @@ from animarl_algos.recipes.registry import named_recipe
 from animarl_algos.report.page import PAGE_FILE
 from animarl_algos.report.run_page import write_report
 from animarl_algos.runs.evaluating import evaluate_rollouts, report_inputs, roll_out
+from animarl_algos.runs.folds import all_tested, begin_folds, joined_rollouts, trained_folds
 from animarl_algos.runs.run import Run, method_name
 from animarl_algos.runs.run_set import RunSet
 from animarl_algos.runs.run_settings import AUTO, CHOSEN, RunSettings, checked_species
@@ -157,11 +158,27 @@ def learn_all(run: Run, *, progress_bar: bool = True) -> None:
         learn(run, algo, progress_bar=progress_bar)
 
 
+def cross_validate(run: Run, folds: int, *, progress_bar: bool = True) -> None:
+    """Train the learners of a run anew for every fold, without its test recordings."""
+    with run.lock():
+        for number, fold in enumerate(begin_folds(run, folds), 1):
+            with run.timed(f"fold {number} of {folds}"):
+                learn_all(fold, progress_bar=progress_bar)
+
+
 def evaluate_run(run: Run) -> Evaluation:
-    """Stage 4: rollouts on the test split, measured and compared with the recordings."""
+    """Stage 4: rollouts on the test split, measured and compared with the recordings.
+
+    Of a run that was cross-validated, those of all folds are compared, with all recordings.
+    """
     with run.lock(), run.timed("evaluation"):
         learner, seed = method_name(run.settings.algo), run.settings.seed
-        evaluation = evaluate_rollouts(run, roll_out(run), learner=learner, seed=seed)
+        rollouts, folds = roll_out(run), trained_folds(run)
+        for fold in folds:
+            roll_out(fold)
+        if folds:
+            rollouts = joined_rollouts(folds)
+        evaluation = evaluate_rollouts(run, rollouts, learner=learner, seed=seed, folds=folds)
         evaluation.save(run.path / "evaluation")
     return evaluation
 
@@ -169,13 +186,15 @@ def evaluate_run(run: Run) -> Evaluation:
 def report(run: Run) -> Path:
     """Stage 5: the page to show."""
     with run.lock():
-        record = run.record
+        record, folds = run.record, trained_folds(run)
         inputs = report_inputs(
             RunSet({method_name(run.settings.algo): (run,)}),
-            run.rollouts(),
+            joined_rollouts(folds) if folds else run.rollouts(),
             Evaluation.load(run.path / "evaluation"),
             {"run": record["settings"], "learner": record["learner"]},
             record["command"],
             datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+            all_tested(run.demos) if folds else None,
+            len(folds),
         )
         return write_report(inputs, run.path / PAGE_FILE)

@@ -7,6 +7,7 @@ checkpoints/        the last whole checkpoint of each learner
 policies/           final weights of each learner (tensors only), and the rule that it acts by
 logs/               learning curves: CSV and TensorBoard
 rollouts/           on the test split, by method
+folds/              of a cross-validation: a run folder for each fold
 evaluation/         tables, and the verdict
 wall_time.json      seconds by stage
 report.html

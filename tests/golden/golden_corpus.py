@@ -285,7 +285,7 @@ def run_folder(species: str) -> dict[str, Any]:
         animarl(
             "run", file, "--species", species, "--algo", RUNS[species], "--steps", 40,
             "--copies", 2, "--thrusts", 1, "--acting", "boltzmann:0.5", "--repetitions", 2,
-            "--no-baselines", "--set", "offline_epochs=1",
+            "--no-baselines", "--folds", 0, "--set", "offline_epochs=1",
             "--set", "offline_kwargs={sequence_length: 8, updates_per_epoch: 3}",
             "--set", "policy_kwargs={hidden: 16, depth: 1}", "--out", out,
         )  # fmt: skip

@@ -22,8 +22,10 @@ from small_runs import few
 
 from animarl_algos.cli.watch import prepare
 from animarl_algos.evaluation.rollouts import Rollouts
+from animarl_algos.runs.folds import joined_rollouts, number_of_folds, trained_folds
 from animarl_algos.runs.run import Run
 from animarl_envs.demos.demonstrations import Demonstrations
+from animarl_envs.demos.packaged import load_packaged
 
 TINY = ["--steps", "300", "--copies", "4", "--set", "offline_epochs=1"]
 
@@ -38,7 +40,7 @@ def test_from_a_file_to_a_report_and_again(
     animarl: Callable[..., Done], small: Path, tmp_path: Path
 ) -> None:
     command = ["run", small, "--species", "agent", "--algo", "dqdil-pt", *TINY, "--no-baselines"]
-    command += ["--repetitions", "2", "--out", "run"]
+    command += ["--repetitions", "2", "--folds", "0", "--out", "run"]
     done = animarl(*command)
     assert done.returncode == 0, done.stderr
     assert "run/report.html" in done.stdout
@@ -62,6 +64,47 @@ def test_from_a_file_to_a_report_and_again(
 
     for name in ("evaluate", "report"):
         assert animarl(name, "run").returncode == 0
+
+
+def test_the_verdict_of_few_test_recordings_is_cross_validated(
+    animarl: Callable[..., Done], small: Path, tmp_path: Path
+) -> None:
+    """Each of sixteen recordings is tested once, by a simulator that was trained without it."""
+    words = ["run", small, "--species", "agent", "--set", "offline_epochs=1", "--thrusts", "1"]
+    words += ["--set", "offline_kwargs={updates_per_epoch: 3}", "--acting", "boltzmann:0.5"]
+    words += ["--repetitions", "2", "--no-baselines"]
+    done = animarl(*words, "--out", "run")
+    assert done.returncode == 0, done.stderr
+    assert "fewer than 10 recordings" in done.stdout and "16 starts" in done.stdout
+    run = Run(tmp_path / "run")
+    folds = trained_folds(run)
+    tested = [fold.demos.recording[fold.demos.split == "test"].tolist() for fold in folds]
+    assert len(folds) == 5
+    assert sorted(name for names in tested for name in names) == sorted(run.demos.recording)
+    for fold, names in zip(folds, tested):
+        assert not set(names) & set(fold.learnable_demos.recording)
+    rollouts = joined_rollouts(folds)["SOFT-BC"]
+    assert np.bincount(rollouts.demo).tolist() == [4] * 16  # two of each cue
+    first = run.demos.positions[run.demos.offsets[:-1]]
+    assert np.array_equal(rollouts.positions[rollouts.offsets[:-1]], first[rollouts.demo])
+    assert "16 demonstrations, cross-validated in 5 folds" in (run.path / "report.html").read_text()
+
+    both = animarl("evaluate", "run", "--out", "both")
+    assert both.returncode == 0 and "16 starts" in both.stdout, both.stderr
+    other = animarl(*words, "--folds", "4", "--out", "run")
+    assert other.returncode == 2 and "cross-validated in 5 folds already" in other.stderr
+
+
+@pytest.mark.parametrize(
+    ("test", "all_of_them", "asked", "folds"),
+    [(9, 30, None, 5), (10, 30, None, 0), (3, 9, None, 0), (9, 30, 0, 0), (12, 30, 3, 3)],
+)
+def test_folds_are_dealt_where_they_make_a_verdict_possible(
+    test: int, all_of_them: int, asked: int | None, folds: int
+) -> None:
+    demos = load_packaged("agent").select(episodes=np.arange(all_of_them))
+    split = np.where(np.arange(all_of_them) < test, "test", "train")
+    assert number_of_folds(replace(demos, split=split), asked) == folds
 
 
 def test_train_by_environment_and_preset_then_more(
@@ -127,7 +170,20 @@ def test_one_individual_learns_and_is_evaluated(
 ) -> None:
     """The others replay their recording in training and in evaluation alike."""
     done = animarl(
-        *("run", str(small), "--algo", "dqn", "--steps", "200", "--focal", "prey", "--copies", "4"),
+        *(
+            "run",
+            str(small),
+            "--algo",
+            "dqn",
+            "--steps",
+            "200",
+            "--focal",
+            "prey",
+            "--copies",
+            "4",
+            "--folds",
+            "0",
+        ),
         *("--policy", "MlpPolicy", "--repetitions", "1", "--set", "offline_epochs=0"),
         *("--no-baselines", "--device", "cpu"),
     )
@@ -235,6 +291,7 @@ def test_bad_files_are_refused_in_one_sentence(
         (["run", "packaged", "--algo", "sarsa"], "sarsa"),
         (["run", "packaged", "--species", "dodo"], "dodo"),
         (["run", "packaged", "--steps", "0"], "steps"),
+        (["run", "packaged", "--folds", "2"], "2 folds of 500"),
         (["run", "packaged", "--set", "learning_rat=1"], "learning_rat"),
         (["run", "packaged", "--set", "oops"], "KEY=VALUE"),
         (["evaluate", "nowhere"], "nowhere"),
