@@ -3,6 +3,7 @@
     python benchmarks/whatif_truth.py --quick
     python benchmarks/whatif_truth.py --out docs/results/whatif
     python benchmarks/whatif_truth.py --only agent --seed 0
+    python benchmarks/whatif_truth.py --only larvae --out docs/results/whatif/larvae
 
 A clone is asked with ``animarl whatif``'s code. The truth is known where a program or a trained
 team made the recordings: the packaged agents (their teams), flies and newts (their courtship),
@@ -14,6 +15,11 @@ interval over starts and training seeds. An answer counts as wrong where its mis
 and larger than half of the true shift. Rows whose true shift is not clear of zero have no sign and
 no relative error. Clones are trained on training and validation episodes, and both sides start from
 test episodes; the thresholds of the warning were chosen elsewhere.
+
+``larvae`` is a treatment of real animals, fed against protein-deprived. Half of the animals of each
+group are kept aside. A clone of the others is told the other condition from starts of those kept
+aside, and the shift stands beside the true difference of these. The null is the shift of clones
+that learned from permuted conditions.
 """
 
 from __future__ import annotations
@@ -40,10 +46,12 @@ from animarl_algos import load_run
 from animarl_algos.benchmark.methods import ProgrammedPolicy
 from animarl_algos.evaluation import Rollouts, collect_rollouts
 from animarl_algos.evaluation.teams import teams_of
+from animarl_algos.runs.counterfactual import permuted_runs
 from animarl_algos.runs.run import Run
 from animarl_algos.whatif.answer import ask, mean_over_starts, quantities_of
 from animarl_algos.whatif.changes import Scenario, parse_scenarios
 from animarl_algos.whatif.extrapolation import Caution
+from animarl_envs.demos.demonstrations import Demonstrations
 from animarl_envs.demos.summary import unit_of
 from animarl_envs.files import all_files_or_none
 from animarl_envs.scenario import make_scenario
@@ -55,6 +63,8 @@ from benchmarks.true_programs import Courtship
 
 DATA = Path(os.environ.get("ANIMARL_DATA", Path(__file__).parents[2] / "shared" / "data"))
 RECORDED = "recorded-agents"
+LARVAE = "larvae"
+FOOD = ("fed", "deprived")
 ANIMARL = (sys.executable, "-m", "animarl_algos.cli.main")
 TRUE_REPETITIONS = 10
 WRONG = 0.5  # of the true shift
@@ -158,6 +168,8 @@ def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:
         folder = cells / f"{name}-{seed}"
         if not (folder / "policies").exists():
             what = ["packaged", "--species", name]
+            if name == LARVAE:
+                what = [str(halved_larvae(cells))]
             if name == RECORDED:
                 from benchmarks.counterfactual import recorded
 
@@ -168,6 +180,60 @@ def trained_runs(name: str, seeds: list[int], cells: Path) -> list[Run]:
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         runs.append(load_run(folder))
     return runs
+
+
+def halved_larvae(cells: Path) -> Path:
+    """Import fed and deprived larvae, with half of each group kept aside as test episodes."""
+    file, everybody = cells / "larvae.npz", cells / "all-larvae.npz"
+    if not file.exists():
+        tables = sorted(map(str, (DATA / "larvae_fed_deprived").glob("*.csv.gz")))
+        pattern = f"(?P<condition>{'|'.join(FOOD)})"
+        command = [*ANIMARL, "import", *tables, "--target", "none", "--name-pattern", pattern]
+        subprocess.run([*command, "--out", str(everybody)], check=True, stdout=subprocess.DEVNULL)
+        demos, rng = Demonstrations.load(everybody), np.random.default_rng(0)
+        split = demos.split.copy()
+        for condition in (0, 1):
+            test, rest = np.array_split(
+                rng.permutation(np.flatnonzero(demos.condition == condition)), 2
+            )
+            split[test], split[rest], split[rest[::10]] = "test", "train", "val"
+        replace(demos, split=split).save(file)
+    return file
+
+
+def larvae(seeds: list[int], cells: Path, permutations: int) -> pd.DataFrame:
+    """Return the shift of a flipped cue beside the difference of animals kept aside [% of it]."""
+    runs = trained_runs(LARVAE, seeds, cells)
+    nulls = permuted_runs(
+        runs[0], cells / "larvae-permuted", permutations, lambda done: print(f"permuted: {done}")
+    )
+    changes = [f"condition={name}" for name in FOOD]
+    found = ask(runs, changes, repetitions=1, separately=True, permuted=nulls)
+    (speed,) = quantities_of(runs[0].scenario.species, unit_of(runs[0].demos))
+    names = runs[0].scenario.species.conditions
+    parts = []
+    for told, answer in zip(FOOD, found.answers, strict=True):
+        (row,) = answer.table.to_dict("records")
+        part = {"told": told, "seeds": len(runs), "permutations": permutations}
+        for key in ("shift", "low", "high", "null_low", "null_high"):
+            part[key] = 100 * row[key] / row["baseline"]
+        part["p"] = row["p"]
+        for where in ("test", "train"):
+            demos = runs[0].demos.select(split=where)
+            values = speed.values(Rollouts.from_demonstrations(demos))
+            groups = [
+                values[(demos.condition == names.index(told)) == own] for own in (True, False)
+            ]
+            true = np.mean(groups[0]) - np.mean(groups[1])
+            error = np.sqrt(sum(np.var(one, ddof=1) / len(one) for one in groups))
+            for key, value in (
+                ("", true),
+                ("_low", true - 1.96 * error),
+                ("_high", true + 1.96 * error),
+            ):
+                part[f"true_{where}{key}"] = 100 * value / np.mean(groups[1])
+        parts.append(part)
+    return pd.DataFrame(parts)
 
 
 def answered(
@@ -273,10 +339,18 @@ def main(
     quick: Annotated[
         bool, typer.Option("--quick", help="Packaged models, few changes, nothing trained.")
     ] = False,
+    permutations: Annotated[int, typer.Option(help="Of the conditions of larvae.")] = 20,
     out: Annotated[Path | None, typer.Option(help="Folder for the tables.")] = None,
 ) -> None:
     """Print what was predicted beside what is true."""
     console = Console(width=110)
+    if only == [LARVAE]:
+        table = larvae(seed or [0, 1, 2], cells, permutations)
+        console.print(table.T.to_string(float_format=lambda value: f"{value:.2f}"))
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            table.to_csv(out / "larvae.csv", index=False, float_format="%.4g")
+        return
     agents = DATA / "agents_collab_hunting"
     changes = QUICK if quick else CHANGES
     parts = []

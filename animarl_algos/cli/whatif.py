@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,9 +65,10 @@ def whatif_command(
     from rich.console import Console
 
     from animarl_algos.runs.pretrained import load_run
+    from animarl_algos.runs.run_files import versions
     from animarl_algos.whatif.answer import ask
+    from animarl_algos.whatif.answer_page import save_answers
     from animarl_algos.whatif.changes import CONDITION, parse_scenarios
-    from animarl_algos.whatif.figure import save_answers
 
     console = Console()
     loaded = [load_run(run) for run in runs]
@@ -95,8 +97,14 @@ def whatif_command(
         on_baseline=lambda table: _print_unchanged(console, table),
         on_answer=lambda answer: _print(console, answer),
     )
-    save_answers(found, out)
-    console.print(f"Tables, figures and words: {out}", highlight=False)
+    given = {"--repetitions": repetitions, "--permutations": permutations}
+    command = [
+        "animarl", "whatif", *map(str, runs), *(f"--change={text}" for text in change),
+        *(f"{name}={value}" for name, value in given.items()),
+        *["--separately"] * separately, *["--knows"] * knows,
+    ]  # fmt: skip
+    save_answers(found, out, command=shlex.join(command), versions=versions())
+    console.print(f"Tables, words, figures and the page report.html: {out}", highlight=False)
 
 
 @helps(

@@ -75,6 +75,7 @@ class Row(NamedTuple):
     cells: Sequence[str]
     strong: bool = False
     faint: bool = False
+    hatched: bool = False
 
 
 class Group(NamedTuple):

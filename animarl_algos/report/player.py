@@ -112,33 +112,45 @@ def play(
     demos, stage = inputs.demos, inputs.stage
     numbers = sum(t.path.size for s in scenes for t in s.tracks.values())
     stride = max(1, -(-numbers * 8 // (3 * BUDGET)))  # two bytes a number, four characters for 3
-    names = {colour.hex: colour.name for colour in style.COLOURS}
-    arena = stage.arena
     data = {
         "dt": demos.dt * stride,
         "unit": inputs.words.unit.name,
-        "arena": {"shape": arena.shape, "size": arena.size, "walls": arena.rebound},
-        "contact": stage.contact_radius,
-        "individuals": [
-            {"name": name, "role": role, "colour": names[look.colour], "mark": look.marker}
-            for name, role, look in zip(
-                demos.individuals, demos.roles, style.looks(demos.roles), strict=True
-            )
-        ],
+        **_world(stage),
         "views": list(views),
         "scenes": [_packed(scene, stage, stride) for scene in scenes],
     }
     return Player(data, inputs.words.say(said) + _surroundings(stage))
 
 
-def view(key: str, left: str, first: str, right: str, second: str) -> dict[str, Any]:
-    """Return two panels side by side: a title and a kind of track for each."""
+def view(
+    key: str, left: str, first: str, right: str, second: str, changed: Stage | None = None
+) -> dict[str, Any]:
+    """Return two panels side by side: a title and a kind of track for each.
+
+    ``changed`` is where the second one moves and who they are, if that differs.
+    """
     return {
         "key": key,
         "title": f"{right} beside {left}",
         "panels": [
             {"track": first, "title": capitalised(left)},
-            {"track": second, "title": capitalised(right)},
+            {"track": second, "title": capitalised(right)}
+            | ({} if changed is None else {"world": _world(changed)}),
+        ],
+    }
+
+
+def _world(stage: Stage) -> dict[str, Any]:
+    """What is drawn besides the paths, as plain data."""
+    arena, names = stage.arena, {colour.hex: colour.name for colour in style.COLOURS}
+    return {
+        "arena": {"shape": arena.shape, "size": arena.size, "walls": arena.rebound},
+        "contact": stage.contact_radius,
+        "individuals": [
+            {"name": name, "role": role, "colour": names[look.colour], "mark": look.marker}
+            for name, role, look in zip(
+                stage.names, stage.roles, style.looks(stage.roles), strict=True
+            )
         ],
     }
 

@@ -26,6 +26,7 @@ from animarl_envs.focus import distances_to_target, is_free
 from animarl_envs.scenario import Scenario as World
 from animarl_envs.species import Species
 from animarl_envs.species.base import Reading
+from animarl_envs.species.options import change_world
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -92,6 +93,8 @@ class Answer:
         Factors on thrusts that wanted speeds took, by individual.
     rollouts
         In the changed world, all runs.
+    species
+        The changed world.
     """
 
     scenario: Scenario
@@ -100,14 +103,30 @@ class Answer:
     reason: str
     thrusts: Mapping[str, float]
     rollouts: Rollouts
+    species: Species
 
 
 @dataclass(frozen=True, eq=False)
 class WhatIf:
-    """Baseline and answers of all scenarios."""
+    """Baseline and answers of all scenarios.
+
+    Parameters
+    ----------
+    demos, species
+        The starts, and the unchanged world.
+    runs, repetitions
+        Training seeds, and rollouts from each start and of each of them.
+    reading
+        What policies perceive of a changed body.
+    """
 
     baseline: Rollouts
     answers: tuple[Answer, ...]
+    demos: Demonstrations
+    species: Species
+    runs: int
+    repetitions: int
+    reading: Reading
 
     @property
     def table(self) -> pd.DataFrame:
@@ -115,6 +134,10 @@ class WhatIf:
         import pandas as pd
 
         return pd.concat([answer.table for answer in self.answers], ignore_index=True)
+
+    def quantities(self) -> Iterator[Quantity]:
+        """Yield what is asked of every answer."""
+        return quantities_of(self.species, unit_of(self.demos))
 
 
 def ask(
@@ -177,13 +200,13 @@ def ask(
         answers.append(asker.answer(scenario, nulls if scenario.condition is not None else ()))
         if on_answer is not None:
             on_answer(answers[-1])
-    return WhatIf(asker.baseline, tuple(answers))
+    return WhatIf(
+        asker.baseline, tuple(answers), asker.test, species, len(runs), repetitions, reading
+    )
 
 
 def _check(scenario: Scenario, run: TrainedRun, unit: Unit) -> None:
     """Refuse what cannot be made before anything is simulated."""
-    from animarl_envs.species.options import change_world
-
     change_world(run.scenario.species, **scenario.options(run.scenario.species, unit))
     sensed = run.scenario.species.condition_is_sensed
     if scenario.condition is not None and not sensed and not run.told_condition:
@@ -238,7 +261,10 @@ class _Asker:
             row["finding"] = bool(clear and large and beyond_chance and warning != Caution.RED)
         import pandas as pd
 
-        return Answer(scenario, pd.DataFrame(rows), warning, reason, thrusts, changed)
+        return Answer(
+            scenario, pd.DataFrame(rows), warning, reason, thrusts, changed,
+            change_world(self.species, **options),
+        )  # fmt: skip
 
     def unchanged(self) -> pd.DataFrame:
         """Return each quantity of the recordings and of the unchanged world."""

@@ -36,9 +36,9 @@ function readScenes(data) {
   return data.scenes.map((scene) => ({
     ...scene,
     cache: {},
-    track(kind) {
+    track(kind, count) {
       if (!scene.tracks[kind]) return null;
-      this.cache[kind] ??= new Track(scene.tracks[kind], scene.box, data.individuals.length);
+      this.cache[kind] ??= new Track(scene.tracks[kind], scene.box, count);
       return this.cache[kind];
     },
   }));

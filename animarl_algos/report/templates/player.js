@@ -38,7 +38,7 @@ class Player {
 
   /** Frames of the longest track that is shown. */
   get frames() {
-    return Math.max(...this.stages.map((stage) => this.scene.track(stage.kind)?.frames ?? 1));
+    return Math.max(...this.stages.map(({ kind, data }) => this.scene.track(kind, data.individuals.length)?.frames ?? 1));
   }
 
   setView(index) {

@@ -27,8 +27,8 @@ function drawMark(context, mark, x, y, size) {
 }
 
 class Stage {
-  constructor({ title, track }, data) {
-    this.data = data;
+  constructor({ title, track, world = {} }, data) {
+    this.data = { ...data, ...world }; // a panel may show another world
     this.kind = track;
     this.title = title;
     this.element = document.createElement("figure");
@@ -44,7 +44,7 @@ class Stage {
 
   /** Draw a scene's track up to a frame. */
   draw(scene, frame) {
-    const track = scene.track(this.kind);
+    const track = scene.track(this.kind, this.data.individuals.length);
     const side = Math.min(this.canvas.clientWidth, this.canvas.clientHeight) || 300;
     const dots = window.devicePixelRatio || 1;
     if (this.canvas.width !== Math.round(side * dots)) {

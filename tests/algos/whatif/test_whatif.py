@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from browser import chromium
 from commands import animarl
 
 from animarl_algos import load_run
 from animarl_algos.runs.counterfactual import permute_conditions, permuted_runs
 from animarl_algos.runs.run import Run
-from animarl_algos.whatif.answer import WhatIf, ask
+from animarl_algos.whatif.answer import ask
+from animarl_algos.whatif.answer_page import answer_page, words
 from animarl_algos.whatif.changes import parse_change, parse_scenarios
 from animarl_algos.whatif.extrapolation import InputRange, WatchedPolicy
-from animarl_algos.whatif.figure import words
 from animarl_envs.demos.summary import Unit
 from animarl_envs.errors import InputError
 from animarl_envs.species import get_species
@@ -189,9 +190,11 @@ def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
     assert "contact=0.15" in said and "reached" in said
     table = pd.read_csv(out / "whatif.csv")
     assert len(table) == 7 and table["covers"].eq("starts, for this network").all()
-    names = {file.name for file in out.iterdir()}
+    names = {str(file.relative_to(out)) for file in out.rglob("*.*")}
+    shifts = "figures/figures-01-shift-of-every-quantity-by-change"
     assert names == {
-        "whatif.csv", "whatif.parquet", "README.md", "shifts.svg", "shifts.pdf", "shifts.png",
+        "whatif.csv", "whatif.parquet", "README.md", "report.html",
+        *(f"{shifts}.{kind}" for kind in ("svg", "pdf", "png")),
     }  # fmt: skip
     assert "nobody learns" in (out / "README.md").read_text()
     again = tmp_path / "again"
@@ -201,6 +204,40 @@ def test_the_command_writes_tables_figures_and_words(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be changed"):
         animarl("whatif", "agent", "--change", "wings=x2", "--out", tmp_path / "no")
     assert not (tmp_path / "no").exists()
+
+
+def test_the_page_plays_both_worlds_and_hatches_a_guess(chase: Run, tmp_path: Path) -> None:
+    pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = ask([chase], ["arena=x3", "contact=x1.5"], repetitions=1, separately=True)
+    page = answer_page(found, "animarl whatif agent")
+    assert page.lead is not None and page.lead.colour == "red" and page.player is not None
+    absurd, near, _ = page.player.data["views"]
+    assert absurd["title"].startswith("arena=x3 (a guess) beside unchanged")
+    worlds = [view["panels"][1]["world"] for view in (absurd, near)]
+    assert [one["arena"]["size"] for one in worlds] == [3.0, 1.0]
+    assert worlds[1]["contact"] == pytest.approx(1.5 * page.player.data["contact"])
+    page.write(tmp_path)
+    said: list[str] = []
+    with chromium() as browser:
+        opened = browser.new_page(reduced_motion="reduce")
+        opened.on("console", lambda message: said.append(message.text))
+        opened.on("pageerror", lambda error: said.append(str(error)))
+        opened.goto((tmp_path / "report.html").as_uri())
+        assert "1 of 2 changes" in opened.inner_text(".lead .headline")
+        assert opened.locator("tr.hatched").count() == 7
+        assert "arena=x3: This answer is a guess." in opened.inner_text("#short")
+        assert "nobody learns" in opened.inner_text(".lead")
+        panels = "#panels canvas"
+        drawn = "all => all.map(one => one.toDataURL())"
+        wide = opened.eval_on_selector_all(panels, drawn)
+        opened.select_option("#view", "1")
+        same, other = opened.eval_on_selector_all(panels, drawn)
+        assert same == wide[0] and other != wide[1]  # the other world is another
+        opened.keyboard.press("Tab")
+        opened.focus("#panels")
+        opened.keyboard.press("End")
+        assert opened.input_value("#time") == opened.get_attribute("#time", "max")
+    assert said == []
 
 
 def test_conditions_are_permuted_among_recordings_within_splits() -> None:
@@ -225,12 +262,13 @@ def test_conditions_are_permuted_among_recordings_within_splits() -> None:
 def test_a_cue_is_no_finding_where_permuted_conditions_shift_as_far(chase: Run) -> None:
     (alone,) = ask([chase], ["condition=shared"], repetitions=1).answers
     assert alone.table["p"].isna().all()
-    (answer,) = ask([chase], ["condition=shared"], repetitions=1, permuted=[chase] * 3).answers
+    found = ask([chase], ["condition=shared"], repetitions=1, permuted=[chase] * 3)
+    (answer,) = found.answers
     rows = answer.table.set_index("quantity")
     # The same network is its own null here, so nothing is beyond it.
     assert (rows["p"] == 1.0).all() and not rows["finding"].any()
     assert rows["null_low"].to_numpy() == pytest.approx(rows["shift"].to_numpy())
-    assert "networks of permuted conditions" in words(WhatIf(answer.rollouts, (answer,)))
+    assert "networks of permuted conditions" in words(found)
 
 
 def test_permutations_need_a_condition_that_can_be_permuted(tmp_path: Path) -> None:
@@ -270,8 +308,11 @@ def test_a_whatif_of_five_scenarios_costs_half_a_minute_at_most(tmp_path: Path) 
         _, first, whole = ran.stdout.splitlines()[-1].split()
         assert float(first) < 5.0 and float(whole) < 30.0  # of processor time
         assert "unchanged world" in ran.stdout.splitlines()[0]
-    for file in (tmp_path / "first").iterdir():
-        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes(), file.name
+    names = [file.relative_to(tmp_path / "first") for file in (tmp_path / "first").rglob("*.*")]
+    assert len(names) == 10  # a sweep has a figure of dose and response besides
+    for name in names:
+        first, again = (tmp_path / part / name for part in ("first", "again"))
+        assert first.read_bytes() == again.read_bytes(), name
 
 
 @pytest.mark.slow
