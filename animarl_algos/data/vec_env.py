@@ -28,7 +28,7 @@ from animarl_envs.species import Species
 from animarl_envs.views.common import check_actions, observation_space
 from animarl_envs.worlds import make_world
 from animarl_envs.worlds.base import World
-from animarl_envs.wrappers.condition_flag import Cue, check_cue, cue_of, with_flag
+from animarl_envs.wrappers import Cue, check_cue, cue_of, with_flag
 
 SCENARIO_OPTIONS = ("condition", "start", "observation_noise", "observation_delay")
 OWN_OPTIONS = (

@@ -74,7 +74,7 @@ BUDGETS = {
     "animarl_algos.evaluation": 5_878,
     "animarl_algos.learner": 3_116,
     "animarl_algos.losses": 617,
-    "animarl_algos.networks": 1_797,
+    "animarl_algos.networks": 1_790,
     "animarl_algos.recipes": 204,
     "animarl_algos.replay": 991,
     "animarl_algos.report": 3_388,
@@ -89,7 +89,7 @@ BUDGETS = {
     "animarl_envs.species": 1_151,
     "animarl_envs.views": 899,
     "animarl_envs.worlds": 4_006,
-    "animarl_envs.wrappers": 289,
+    "animarl_envs.wrappers": 270,
 }
 """Most lines of each folder, lowered as it shrinks; all of them together are to be 32,000."""
 

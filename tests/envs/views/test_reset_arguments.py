@@ -11,7 +11,7 @@ import pytest
 import animarl_envs
 from animarl_algos.data.vec_env import SlotVecEnv
 from animarl_envs.errors import InputError
-from animarl_envs.wrappers.dtw_reward import DTWReward
+from animarl_envs.wrappers import DTWReward
 
 HUGE = 2**200
 
