@@ -23,47 +23,48 @@ CUSTOM_NUMBERS = [
     (
         "`contact_radius`",
         "the distance at which the import ended episodes (or `contact_radius` in the provenance); "
-        "else that at which recorded contacts ended (their 0.9 quantile); else a thousandth of the "
-        "arena's size: where no recorded episode ended by contact, none should that is simulated",
+        "or else the 0.9 quantile of the distances at which recorded contacts ended; or else a "
+        "thousandth of the arena's size, so that simulated episodes do not end by contact either",
     ),
     (
         "`conditions`",
-        "those that occur, as names (`conditions` in the provenance): they change no reward unless "
-        "you say `shared_reward=True`",
+        "those that occur, with their names (`conditions` in the provenance); they do not change "
+        "the reward unless you set `shared_reward=True`",
     ),
     ("`rebound`", "walls, if the arena is a disc or a square"),
     (
         "`turning`, `senses_heading`",
-        "where headings are recorded (`animarl import --heading thorax,head`): a fit to those of "
-        "each individual, unless the direction of travel predicts the next heading better; they "
-        "are perceived if one individual has such a fit",
+        "recorded headings (`animarl import --heading thorax,head`): fitted for each individual, "
+        "unless the direction of travel predicts the next heading better. Headings are perceived "
+        "if one individual has such a fit",
     ),
     ("`start_half_side`, `warmup`", "half the arena's size; 0 steps"),
 ]
 CUSTOM = (
-    "Any file of demonstrations is an environment at once: one or more pursuers and a target, one "
-    "pursuer and its targets, or one searcher. `animarl import` makes the file from a tracker's "
-    "(`--target NAME` names the target, `--target auto` finds the individual that is approached, "
-    "`--pursuer NAME` names one that pursues all others). `animarl run demos.npz` learns from it, "
+    "Any file of demonstrations is an environment: pursuers and a target, one pursuer and its "
+    "targets, one searcher, or animals without a target. `animarl import` makes the file from your "
+    "tracks. `--target NAME` names the target, `--target auto` takes the individual that the "
+    "others approach, `--target none` says that nobody is pursued, and `--pursuer NAME` names one "
+    "that pursues all others. `animarl run demos.npz` trains on the file, and "
     "`animarl watch AnimaRL/Custom-v0 --demos demos.npz` shows it."
 )
 
 
 FLOCK = """## One pursuer, several targets
 
-A dog and its flock: `animarl import flock.csv --fps 25 --pursuer dog --out flock.npz`, or rows of
-`recording, individual, role` in the table of `--metadata`; without recordings `num_targets=5`. The
-targets come first, the pursuer last.
+For a dog and its flock, use `animarl import flock.csv --fps 25 --pursuer dog --out flock.npz`, or
+rows of `recording, individual, role` in the table of `--metadata`. Without recordings, set
+`num_targets=5`. Targets are listed first, the pursuer last.
 
-- The focus of each target is the pursuer; that of the pursuer is its nearest target, chosen anew at
-  each step.
-- The first touch of any target ends the episode, for all; `info["outcome"]` is k for target k - 1.
-- The pursuer gets +1 for it; each target dt for every step in which it is not touched. Who leaves
-  the boundary gets -10.
-- By their scripts the pursuer goes straight at the nearest target and each target runs from the
-  pursuer; they do not keep together, as recorded or trained flocks may.
-- Who is named `focal` acts; by default the pursuer. Path lengths and distances of reports are the
-  pursuer's."""
+- The focus of each target is the pursuer. The focus of the pursuer is its nearest target at each
+  step.
+- The first touch of a target ends the episode for all. `info["outcome"]` is k for target k - 1.
+- The pursuer then gets +1. Each target gets dt for every step before. Leaving the boundary costs
+  10.
+- With their scripts, the pursuer goes straight at the nearest target and each target runs from the
+  pursuer. Scripted targets do not keep together, as recorded or trained flocks may.
+- You control the pursuer, or the individual named by `focal`. Path lengths and distances in reports
+  are the pursuer's."""
 
 
 def custom_page() -> str:
@@ -74,14 +75,14 @@ def custom_page() -> str:
         NOTICE,
         CUSTOM,
         f"```python\n{script('custom_demonstrations.py')[1]}\n```",
-        "Where its numbers come from: if the file names a species of the suite (`animarl import "
-        "--species fly`), its numbers hold where the file is silent; otherwise:",
+        "The numbers of the environment come from the file. If it names a species of the suite "
+        "(`animarl import --species fly`), that species supplies what the file lacks. Otherwise:",
         markdown_table(("number", "from"), CUSTOM_NUMBERS),
-        "All but names and roles are options as well: `contact_radius=0.1` overrides the rules. A "
-        "searcher gets the silkmoth's senses, plume and conditions. Files of flies, newts, "
-        "silkmoths or agents can be given to those environments too, `gym.make(\"AnimaRL/Fly-v0\", "
-        "demos=\"demos.npz\")`: names, number and time step are then the file's, all else is "
-        "the species'.",
+        "All but names and roles are options too: `contact_radius=0.1` overrides the table. A "
+        "searcher gets the silkmoth's senses, plume and conditions. You can also give a file of "
+        "flies, newts, silkmoths or agents to their own environment: "
+        "`gym.make(\"AnimaRL/Fly-v0\", demos=\"demos.npz\")`. Names, number and time step are "
+        "then the file's; everything else is the species'.",
         FLOCK,
         "## A species without demonstrations",
         doc,

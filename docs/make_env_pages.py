@@ -63,9 +63,9 @@ def page(species: Species) -> str:
         "## Ends of an episode",
         ends(species),
         "## Options",
-        "These are keyword arguments of `gym.make`, `gym.make_vec` and `animarl_envs.parallel_env` "
-        '(except `focal` and `others`). `info["scenario"]` at reset shows the values in force, '
-        "of all individuals the attribute `scenario_data`. "
+        "Options are keyword arguments of `gym.make`, `gym.make_vec` and "
+        "`animarl_envs.parallel_env` (there without `focal` and `others`). "
+        '`info["scenario"]` at reset and the attribute `scenario_data` hold the values in use. '
         '`reset(options={"demo": 3})` starts from demonstration 3.',
         options(species),
         "## Usage",
@@ -85,52 +85,54 @@ def kind(species: Species) -> str:
 
 
 FOCUS = {
-    "free": "the course of each animal, its velocity averaged over about six steps",
-    "chase": "the focus of a pursuer is the target, that of the target the nearest pursuer; a "
-    "single pursuer of several targets has the nearest target as focus, and they have it",
-    "search": "the direction upwind, -x, since the moth is not told where the source is",
+    "free": "The focus of an animal is the direction in which it moves: its velocity, averaged "
+    "over about six steps.",
+    "chase": "The focus of a pursuer is the nearest target. The focus of a target is the nearest "
+    "pursuer.",
+    "search": "The focus is upwind (-x), because the moth does not know where the source is.",
 }
 ORDER = {
-    "free": " The others, if there are any, follow by distance, the nearest first.",
-    "chase": " The others follow in this order: first the target (or the single pursuer of several "
-    "targets), then the others by distance.",
+    "free": " Other animals, if there are any, are listed by distance, the nearest first.",
+    "chase": " The first of the others is the target (or the single pursuer of several targets). "
+    "All others are listed by distance, the nearest first.",
 }
 OTHER_OBSERVATION = {
     "chase": (
-        '`observation="paper"` has the components of the paper instead. Three of them are '
-        "constant or copies, because the frame points at the focus.",
+        '`observation="paper"` has the components of the paper instead. Three of them are constant '
+        "or copies, because the frame points at the focus.",
     )
 }
 ACTIONS = (
-    "`Discrete({count})`: a unit acceleration in the egocentric frame towards the focus ({focus}), "
-    "or none. The velocity follows by v' = (1 - d) v + u a dt, the position by p' = p + v' dt."
+    "`Discrete({count})`: an acceleration a of length 1, at an angle from the focus, or none. "
+    "{focus} The next velocity is v' = (1 - d) v + u a dt and the next position p' = p + v' dt."
 )
 
 
 OUTCOMES = {
     "free": (
-        '`info["outcome"]`: 0 for the time limit (and while the episode lasts), -2 if an animal '
-        "left. Recordings that were cut have -3."
+        '`info["outcome"]` is 0 at the time limit (and before the end), -2 if an animal left, and '
+        "-3 for recordings that were cut."
     ),
     "chase": (
-        '`info["outcome"]`: k above 0 for contact by individual k - 1 (of several targets: with '
-        "it), 0 for the time limit (and while the episode lasts), -1 if the target left, -2 if a "
-        "pursuer left. Recordings that were cut for another reason have -3."
+        '`info["outcome"]` is k > 0 for contact by pursuer k - 1 (or, with several targets, of '
+        "target k - 1), 0 at the time limit (and before the end), -1 if the target left, -2 if a "
+        "pursuer left, and -3 for recordings that were cut for another reason."
     ),
     "search": (
-        '`info["outcome"]`: 1 for the source, 0 for the time limit (and while the episode lasts). '
-        "Recordings that were cut for another reason have -3."
+        '`info["outcome"]` is 1 at the source, 0 at the time limit (and before the end), and -3 '
+        "for recordings that were cut for another reason."
     ),
 }
 REWARDS_FREE = (
-    "None by default: nobody is pursued. With `shoaling_reward=True` every step within the contact "
-    "radius of another animal pays its duration [s]. Where the edge is open, leaving costs "
-    "`boundary_penalty`. The wrapper `DTWReward` pays for staying near the demonstration."
+    "There is no reward by default, because nobody is pursued. With `shoaling_reward=True` every "
+    "step within the contact radius of another animal pays its duration [s]. Without walls, "
+    "leaving the arena costs `boundary_penalty`. The wrapper `DTWReward` rewards staying near the "
+    "demonstration."
 )
 WRAPPERS = (
-    "`animarl_envs.wrappers` has each wrapper for the single, the vector (`...Vector`) and the "
+    "`animarl_envs.wrappers` has every wrapper for the single, the vector (`...Vector`) and the "
     "parallel view (`...Parallel`). `DTWReward` rewards staying near the demonstration. "
-    "`ConditionFlag` adds the experimental condition to the observation, true or flipped."
+    "`ConditionFlag` adds the experimental condition, or the other one, to the observation."
 )
 
 
@@ -147,7 +149,7 @@ def facts(species: Species) -> str:
         ),
         ("decision step", f"{species.dt:g} s"),
         ("time limit", f"{species.time_limit} steps, {species.time_limit * species.dt:g} s"),
-        ("warm-up", f"{species.warmup} steps replayed from the demonstration, where there is one"),
+        ("warm-up", f"{species.warmup} steps replayed from the demonstration, if there is one"),
     ]
     rows += [
         (f"condition {k}", name) for k, name in enumerate(species.conditions)
@@ -279,7 +281,7 @@ def usage(species: Species) -> str:
     env_id = animarl_envs.environment_id(species.name)
     last, coast = species.individuals[-1], species.num_actions - 1
     condition = ", condition=1" if species.conditions else ""
-    return f"""One individual; the others replay, follow a script or a policy:
+    return f"""You control one individual; others replay recordings or follow a script or policy:
 
 ```python
 import gymnasium as gym
@@ -307,12 +309,12 @@ actions = {{name: everyone.action_space(name).sample() for name in everyone.agen
 observations, rewards, terminated, truncated, infos = everyone.step(actions)
 ```
 
-They are registered with PettingZoo too: `pettingzoo.make("parallel", "{env_id}")`.
+PettingZoo knows the environment too: `pettingzoo.make("parallel", "{env_id}")`.
 
-Watch it: `animarl watch {env_id} --out clip.gif`. Play it with
-`gymnasium.utils.play.play(gym.make("{env_id}", render_mode="rgb_array"), noop={coast})`:
-w goes towards the focus, a to the left of it, s away, d to the right, q, e, z, c and pairs of keys
-in between."""
+To watch it, run `animarl watch {env_id} --out clip.gif`. To play it, call
+`gymnasium.utils.play.play(gym.make("{env_id}", render_mode="rgb_array"), noop={coast})`.
+The key w goes towards the focus, a to its left, s away and d to its right; q, e, z, c and pairs of
+keys go in between."""
 
 
 def pages() -> dict[str, str]:

@@ -12,16 +12,20 @@ POSITIVE = "a positive number"
 NOT_NEGATIVE = "zero or a positive number"
 
 NOTES: dict[str, tuple[str, str]] = {
-    "focal": ("a name of an individual", "the individual that acts; by default the first pursuer"),
+    "focal": (
+        "a name of an individual",
+        "the one that you control; by default the first pursuer",
+    ),
     "others": (
         "`'replay'`, `'scripted'`, `'coast'`, a function from observations to actions, or a "
         "mapping from names to these",
-        "what moves the others; by default their demonstration, without one their script",
+        "how the others move; by default they replay their demonstration, or follow their script "
+        "if there is none",
     ),
     "render_mode": ("`'rgb_array'`, `'human'`, `None`", "pictures as arrays or in a window"),
     "demos": (
         "`'packaged'`, a file, a `Demonstrations`, `None`",
-        "recorded episodes that episodes start from and are compared with",
+        "demonstrations: episodes start from them and are compared with them",
     ),
     "split": (
         "`'train'`, `'val'`, `'test'`, `None`",
@@ -30,7 +34,7 @@ NOTES: dict[str, tuple[str, str]] = {
     "condition": ("`0`, `1`, `'demo'`", "experimental condition; `'demo'`: the demonstration's"),
     "start": (
         "`'demo'`, `'uniform'`, an array (individuals, 2)",
-        "first positions; by default the demonstration's, if there are any",
+        "first positions; by default those of the demonstration, if there is one",
     ),
     "observation_noise": (NOT_NEGATIVE, "standard deviation of noise on every component"),
     "observation_delay": ("a whole number of steps", "how old the returned observation is"),
@@ -50,12 +54,13 @@ NOTES: dict[str, tuple[str, str]] = {
     "locomotion": (
         "a `Locomotion`; or by name a `Locomotion`, `{'damping': d, 'thrust': u, 'magnitudes': "
         "(1.5, 0.5)}` or a factor on u",
-        "d, u and the multiples of u of the individuals; M multiples make 12 M + 1 actions",
+        "damping d, thrust u and thrust magnitudes (multiples of u); M magnitudes make 12 M + 1 "
+        "actions",
     ),
     "thrusts": (
         f"a whole number, 1 to {MOST_THRUSTS}",
-        "number M of thrust magnitudes: fixed multiples of u (of 3: 1.75, 1, 0.5); fitted for your "
-        "own animals",
+        "number of thrust magnitudes: fixed multiples of u (3: 1.75, 1 and 0.5); for your own "
+        "animals they are fitted",
     ),
     "contact_radius": (POSITIVE, "distance below which there is contact"),
     "dt": (POSITIVE, "decision step [s]"),
@@ -64,17 +69,18 @@ NOTES: dict[str, tuple[str, str]] = {
     "conditions": ("none or two names", "names of conditions 0 and 1"),
     "observation": (
         "`'full'`, `'paper'`",
-        "all components listed above, or those of the paper, of which some are constant",
+        "all components listed above, or those of the paper (some of them are constant)",
     ),
     "sense_scales": (
         "`SenseScales` or `None`",
-        "scales of a policy that was trained in another world; `None`: those of this one",
+        "scales of the inputs of a policy that was trained in another world; `None`: those of this "
+        "world",
     ),
     "mirror_symmetric": ("`True`, `False`", "whether learners may mirror its episodes at random"),
     "bodies": ("one or two names", "drawing of all individuals, or of pursuers and target"),
     "planned_flip": (
         "`(0, 1)`, `(1, 0)`, `None`",
-        "condition of the world, and the one that policies are told in the paper's counterfactual",
+        "the paper's counterfactual: true condition of the world, and condition that policies get",
     ),
     "boundary_penalty": ("a number", "reward of leaving the boundary"),
     "name": ("a word", "its name"),
@@ -91,7 +97,7 @@ NOTES: dict[str, tuple[str, str]] = {
 CHASE_ONLY: dict[str, tuple[str, str]] = {
     "num_pursuers": (
         "a whole number, at least 1",
-        "number of pursuers; with demonstrations the first ones; with more than recorded, starts "
+        "number of pursuers; with fewer than recorded, the first ones are used; with more, starts "
         'are random (`start="uniform"`)',
     ),
     "num_targets": (
@@ -101,7 +107,8 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
     ),
     "lone_pursuer": (
         "`True`, `False`",
-        "the last individual pursues all others, as `num_targets` and a flock's demonstrations say",
+        "the last individual pursues all others; set by `num_targets` and by a flock's "
+        "demonstrations",
     ),
     "start_half_side": (POSITIVE, "starts without a demonstration are uniform in this square"),
     "senses_centre": (
@@ -110,17 +117,17 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
     ),
     "senses_compass": (
         "`True`, `False`",
-        "add places, velocities and directions in the frame of the arena; without them nothing in "
+        "add places, velocities and directions in the frame of the arena; otherwise nothing in "
         "`'full'` depends on where north is",
     ),
     "senses_course": (
         "`True`, `False`",
-        "add in which of the 12 directions it goes and thrusts, by harmonics",
+        "add in which of the 12 directions it moves and thrusts (harmonics of the direction)",
     ),
     "senses_heading": (
         "`True`, `False`",
-        "add where its own body and those of the others point; default of your own animals if a "
-        "body does not point where it walks",
+        "add where its own body and those of the others point; on for your own animals if a body "
+        "does not point where it walks",
     ),
     "turning": (
         "by name or one for each: a `Turning`, `{'persistence': p, 'gain': g, 'slip': s, 'speed': "
@@ -130,35 +137,35 @@ CHASE_ONLY: dict[str, tuple[str, str]] = {
     ),
     "senses_past": (
         "`True`, `False`",
-        "add the own velocity averaged over the last steps; default of your animals with several "
+        "add its own velocity averaged over the last steps; on for your own animals with several "
         "thrusts",
     ),
     "senses_time": (
         "`True`, `False`",
-        "add the time since the start; default of your own animals if each episode begins with a "
+        "add the time since the start; on for your own animals if each episode begins with a "
         "separation",
     ),
-    "shared_reward": ("`True`, `False`", "whether in condition 1 a capture pays every pursuer"),
+    "shared_reward": ("`True`, `False`", "whether a capture in condition 1 pays every pursuer"),
     "free": (
         "`True`, `False`",
-        "nobody is pursued: each goes its own way, contact ends nothing; default of your own "
-        "animals without a target",
+        "nobody is pursued, and contact does not end an episode; on for your own animals without a "
+        "target",
     ),
     "neighbours": (
         "a whole number, at least 0",
-        "how many of the others a free animal sees, the nearest",
+        "how many of its nearest neighbours a free animal sees",
     ),
     "shoaling_reward": (
         "`True`, `False`",
-        "whether time within the contact radius of another pays a free animal [s]",
+        "whether a free animal is paid for time within the contact radius of another [s]",
     ),
 }
 
 FREE_ONLY: dict[str, tuple[str, str]] = {
     "num_pursuers": (
         "a whole number, at least 1",
-        "number of animals; with demonstrations the first ones, or more where starts are random "
-        '(`start="uniform"`)',
+        "number of animals; with fewer than recorded, the first ones are used; with more, starts "
+        'are random (`start="uniform"`)',
     ),
 }
 

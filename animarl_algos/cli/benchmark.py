@@ -45,14 +45,14 @@ app = typer.Typer(invoke_without_command=True, rich_markup_mode="markdown")
 @helps(
     preset="smoke (minutes), short (default trainings) or paper.",
     config="A YAML file of your own instead of a preset.",
-    out="Folder of the results; what is finished in it is kept.",
+    out="Folder of the results; finished pieces in it are kept.",
     species="Only these of the matrix; repeatable.",
     only="Only these rows or cells, such as 'agent/soft-bc' or '*/dqn/0'.",
     method="Your own method, NAME=module:factory; repeatable.",
     engine="local: processes of this machine; ray: tasks of a Ray cluster.",
-    processes="So many of engine local, one thread each.",
+    processes="Number of processes of engine local, one thread each.",
     address="Address of the Ray cluster; auto: RAY_ADDRESS, or a cluster on this machine.",
-    show=typer.Option("--list", help="Say what there is to do, and do nothing."),
+    show=typer.Option("--list", help="List what would be done, and stop."),
 )
 def benchmark_command(
     context: typer.Context,
@@ -69,8 +69,8 @@ def benchmark_command(
 ) -> None:
     """Train, roll out and score every method on every species with every seed.
 
-    Given again, the command goes on where it was; finished cells are never run again. The exit
-    code is 1 where something failed: the leaderboard is written without it.
+    The same command continues a benchmark that was stopped; finished cells are not run again. If
+    something failed, the exit code is 1, and the leaderboard is written without it.
 
     Examples:
 
@@ -126,7 +126,7 @@ def benchmark_command(
 @app.command("score")
 @helps(file="A submission: one JSON with rollouts.")
 def score_command(file: Path) -> None:
-    """Check and score somebody's rollouts; none of their code is run.
+    """Check and score a file of rollouts; no code of its author is run.
 
     Example:
 

@@ -30,7 +30,8 @@ app = typer.Typer(
     **SETTINGS,
 )
 DemosArgument = Annotated[
-    str, typer.Argument(help="A demonstrations file, or agent, fly, newt, silkmoth (packaged).")
+    str,
+    typer.Argument(help="A demonstrations file, or a packaged set, such as agent or shoal."),
 ]
 SHOWN_WARNINGS = 20
 OutOption = Annotated[Path, typer.Option("--out", help="Where to write.")]
@@ -57,7 +58,7 @@ def sources_command() -> None:
 
 @app.command("show")
 def show_command(file: DemosArgument) -> None:
-    """Say what a file holds: individuals, episodes, durations, speeds, outcomes, provenance.
+    """Show a file: individuals, episodes, durations, speeds, outcomes, provenance.
 
     Examples:
 
@@ -71,9 +72,9 @@ def show_command(file: DemosArgument) -> None:
 @app.command("check")
 def check_command(
     file: DemosArgument,
-    out: Annotated[Path | None, typer.Option(help="Table per episode (.csv).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Table of episodes to write (.csv).")] = None,
 ) -> None:
-    """Validate a file, name suspicious episodes, and write the table per episode.
+    """Validate a file, list suspicious episodes, and write a table of episodes.
 
     Example:
 
@@ -105,7 +106,7 @@ def split_command(
     fractions: Annotated[str, typer.Option(help="Shares of train, val, test.")] = "0.8,0.1,0.1",
     seed: Annotated[int, typer.Option(help="Seed of the new splits.")] = 0,
 ) -> None:
-    """Deal episodes to train, val and test again; recordings are not torn apart by default.
+    """Assign episodes to train, val and test again; by default recordings stay together.
 
     Examples:
 
@@ -135,7 +136,7 @@ def merge_command(
         ),
     ] = None,
 ) -> None:
-    """Put files of demonstrations of the same animals in the same arena together.
+    """Join files of demonstrations of the same animals in the same arena.
 
     Splits stay as they are; 'animarl data split' deals again.
 

@@ -21,10 +21,10 @@ OUT = "Folder for tables, figures and report.html."
 @helps(
     runs=RUNS,
     out=OUT,
-    acting="Without --out: how policies act, greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
-    "default as the run says.",
-    demos="With --out: other recordings of the same animals to judge the trained policies on, an "
-    ".npz of 'animarl import' or the name of a packaged set.",
+    acting="Without --out: acting rule, greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
+    "default the run's.",
+    demos="With --out: other recordings of the same animals to evaluate on, an .npz of 'animarl "
+    "import' or the name of a packaged set.",
 )
 def evaluate_command(
     runs: list[Path],
@@ -32,11 +32,11 @@ def evaluate_command(
     acting: str | None = None,
     demos: str | None = None,
 ) -> None:
-    """Compare runs with the recordings that they share: methods and seeds together.
+    """Compare trained runs with their recordings and with each other.
 
-    With --out the rollouts that the runs hold are compared, and the runs stay as they are. Without
-    it one run is rolled out again on its test split, and evaluated in its own folder. Nothing is
-    ever trained: what a run lacks is said with the command that adds it.
+    With --out, the saved rollouts of all runs are compared, and the runs are not changed. Without
+    it, one run is rolled out again on its test split and evaluated in its own folder. Nothing is
+    trained: if a run lacks something, the command that adds it is printed.
 
     Examples:
 
@@ -85,9 +85,9 @@ def evaluate_command(
 @helps(
     runs=RUNS,
     out=OUT,
-    truth="Folder of the recorded agents' weights (indiv/p1_2.4.pth, ...): the truth of their "
-    "counterfactual. That of the packaged agents is known without it.",
-    repetitions=Option(min=1, help="Rollouts from each start; by default as the runs."),
+    truth="Folder of the published agents' weights (indiv/p1_2.4.pth, ...), to compute the true "
+    "effect; not needed for the packaged agents.",
+    repetitions=Option(min=1, help="Rollouts from each start; by default the runs'."),
 )
 def counterfactual_command(
     runs: list[Path],
@@ -95,11 +95,11 @@ def counterfactual_command(
     truth: Path | None = None,
     repetitions: int | None = None,
 ) -> None:
-    """Predict the effect of the condition, beside its true effect and beside chance.
+    """Predict the effect of the condition, and compare it with the true effect and with chance.
 
-    Every policy is told the other condition in the same world. For chases the truth is what teams
-    trained under the other condition do, for a search what the same policy does with the other
-    senses.
+    Every policy gets the other condition as input, in the same world. The true effect of a chase
+    is what teams trained under the other condition do. That of a search is what the same policy
+    does with the other senses.
 
     Example:
 
@@ -139,11 +139,11 @@ def inspect_command(run: Path, episode: int, out: Path = Path("out/inspect")) ->
     out=Option(help="Folder of the model."),
     demonstrations=Option(
         "--with-demonstrations",
-        help="Copy the recordings too: whoever loads the model needs them.",
+        help="Include the recordings; a model cannot be loaded without them.",
     ),
 )
 def export_command(run: Path, out: Path, demonstrations: bool = False) -> None:
-    """Write a run's trained policy with a model card: weights as safetensors, the rest as JSON.
+    """Export a trained policy with a model card; weights are safetensors, the rest is JSON.
 
     The folder loads like the run: animarl watch --model FOLDER, or in Python
     animarl_algos.load_pretrained(FOLDER).

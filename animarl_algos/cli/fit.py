@@ -70,15 +70,15 @@ STATE_COLUMNS: dict[str, tuple[str, Callable[[Any], str]]] = {
 
 @helps(
     file="Demonstrations, a file that a reader knows, or a packaged set.",
-    source="Reader; by default found by a look at the file.",
-    species="Take the onset threshold of this species.",
-    method="joint (default), onset (the paper's), both, or noise: noisy tracks.",
+    source="Reader; by default found by content.",
+    species="Use the onset threshold of this species.",
+    method="joint (default), onset (the paper's), both, or noise (for noisy tracks).",
     thrusts="Compare numbers of thrust magnitudes, such as 1,2,3,5 (joint fit).",
     states="Compare numbers of states, such as 1,2,3 (rest and go), by held-out likelihood.",
-    split="Episodes the parameters come from: train, val, test or all.",
+    split="Episodes to fit: train, val, test or all.",
     bootstrap="Resamples of episodes for the intervals.",
     seed="Seed of the resampling.",
-    out="Save the table: .csv, or .json to use it again.",
+    out="File for the table: .csv, or .json to use it again.",
 )
 def fit_command(
     file: str,

@@ -107,7 +107,7 @@ app = typer.Typer(
 
 @app.callback()
 def animarl() -> None:
-    """Recorded animals become a simulator: fit, train, evaluate, report."""
+    """Build simulators of animals from their tracks, and ask them what if."""
 
 
 def say_warning(message: Warning | str, *_: Any, **__: Any) -> None:

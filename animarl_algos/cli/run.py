@@ -46,7 +46,7 @@ OTHERS = {
         "fewer than 10 recordings, and all splits together have 10 or more.",
     )),
     "out": option("out", Path, Path("runs/run"), typer.Option(
-        help="Run folder; made if absent, continued if killed.",
+        help="Run folder; an unfinished run in it is continued.",
     )),
     "policy": option("policy", str | None, None, typer.Option(
         help="GruPolicy (with a memory) or MlpPolicy (without); by default the preset's.",
@@ -86,9 +86,9 @@ def _options(names: str) -> list[inspect.Parameter]:
     "fit_method thrusts acting repetitions folds baselines settings"
 ))  # fmt: skip
 def run_command(**given: Any) -> None:
-    """Fit, pretrain, adapt, evaluate and report: recordings in, simulator and page out.
+    """Build a simulator from recordings: fit, train, evaluate, report.
 
-    A run that was killed goes on when the same command is given again.
+    To continue a run that was stopped, give the same command again.
 
     Examples:
 
@@ -150,7 +150,7 @@ def run_command(**given: Any) -> None:
     "config fit_method thrusts acting settings"
 ))  # fmt: skip
 def train_command(context: typer.Context, **given: Any) -> None:
-    """Train only: fit the locomotion and learn. A run that was killed is resumed exactly.
+    """Fit the locomotion and train; the same command continues a run that was stopped.
 
     Examples:
 

@@ -41,14 +41,14 @@ Actor = Callable[[World, bool], NDArray[np.integer]]
     model="The trained policy: a run's folder, or a packaged model by name, such as fly.",
     out="Clip to write, .gif or .mp4; without it, a window opens.",
     seed="Seed of the episodes and the policies.",
-    acting="How the policies of --model act: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by "
-    "default as the run says.",
+    acting="Acting rule of --model: greedy, boltzmann:TEMPERATURE or epsilon:SHARE; by default "
+    "the run's.",
     episodes=Option(min=1, help="Number of episodes."),
-    steps=Option(min=1, help="Most steps of an episode; by default to its end."),
-    focal="The model drives this individual only: by default all that it learned.",
+    steps=Option(min=1, help="Longest episode, in steps; by default to its end."),
+    focal="The model drives only this individual; by default all that it learned.",
     beside="Show the recordings on the left and the model from the same starts on the right.",
-    by="What moves individuals without a model: their demonstration (default, where there is "
-    "one) or their script.",
+    by="What moves individuals without a model: their demonstration (default, if there is one) "
+    "or their script.",
     condition="0, 1, or that of the demonstration.",
     demos="Demonstrations: packaged, none, or a file.",
     split="Episodes to start from: train, val, test or all.",
@@ -74,8 +74,7 @@ def watch_command(
 ) -> None:
     """Watch animals move: recorded, scripted or driven by a trained model.
 
-    Without --model everybody follows the paired demonstration, or the script of the species:
-    chasers and an evader, a programmed moth.
+    Without --model all individuals replay a demonstration, or follow the script of the species.
 
     Examples:
 

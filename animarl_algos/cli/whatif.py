@@ -24,15 +24,15 @@ COLOURS = {"none": "green", "some": "yellow", "red": "red"}
 
 @helps(
     runs="Run folders (training seeds of one learner), or 'fly'.",
-    change=typer.Option(help="NAME=VALUE, such as prey.speed=+20%. Several hold together."),
-    out="Folder for tables, figures and words.",
+    change=typer.Option(help="NAME=VALUE, such as prey.speed=+20%; repeatable, applied together."),
+    out="Folder for tables, figures and text.",
     repetitions=typer.Option(min=1, help="Rollouts from each start."),
-    separately=typer.Option("--separately", help="Ask each change by itself."),
+    separately=typer.Option("--separately", help="Apply each change by itself."),
     permutations=typer.Option(
-        min=0, help="For a condition: train so many networks on permuted conditions, as the null."
+        min=0, help="For a condition: train this many networks with shuffled conditions, as a null."
     ),
     knows=typer.Option(
-        "--knows", help="Individuals know their changed body; by default they act by habit."
+        "--knows", help="Individuals perceive their changed body; by default they act as before."
     ),
 )
 def whatif_command(
@@ -44,13 +44,13 @@ def whatif_command(
     permutations: int = 0,
     knows: bool = False,
 ) -> None:
-    """Ask trained runs what would happen in a changed world.
+    """Predict what would happen in a changed world.
 
-    The policies act as they learned to; nobody learns anew. Every answer is paired with the
-    unchanged world, has a 95 % interval, and is marked where policies see what they never saw.
+    The policies are not trained again. Every answer is a difference from the unchanged world with
+    a 95 % interval, and a warning if inputs leave the range of training.
 
     Values: a factor (x1.2), a change (+20%), a value with its unit (60s, 0.15), or a sweep
-    (-20%..+20%/5). Speed is achieved speed: the thrust that it takes is found and printed.
+    (-20%..+20%/5). Speed is the achieved mean speed: the thrust for it is found and printed.
 
     Examples:
 
@@ -104,7 +104,7 @@ def whatif_command(
         *["--separately"] * separately, *["--knows"] * knows,
     ]  # fmt: skip
     save_answers(found, out, command=shlex.join(command), versions=versions())
-    console.print(f"Tables, words, figures and the page report.html: {out}", highlight=False)
+    console.print(f"Tables, text, figures and the page report.html: {out}", highlight=False)
 
 
 @helps(

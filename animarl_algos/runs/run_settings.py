@@ -49,31 +49,31 @@ class RunSettings(PipelineSettings):
     """
 
     file: str = PACKAGED
-    """A file of recorded episodes, or 'packaged': those that come with the species."""
+    """Demonstrations (.npz of 'animarl import'), or 'packaged': those of the species."""
     source: str | None = None
-    """Format of FILE ('animarl data sources'); by default recognised."""
+    """Format of FILE ('animarl data sources'); by default found by content."""
     species: str
-    """agent, fly, newt, silkmoth or custom; by default what FILE says."""
+    """agent, fly, newt, silkmoth, solo, shoal or custom; by default that of FILE."""
     algo: str = "soft-bc"
     """soft-bc, iq-learn, bc, dqn, dqaas, dqdil, dqdil-pt, dqcil, dqcil-pt; qr-dqn and so on."""
     preset: Literal["paper", "default"] = "default"
-    """Settings of zoo_configs: paper (the paper's) or default (tuned)."""
+    """Settings: paper (the paper's) or default (tuned)."""
     config: str | None = None
     """YAML file to read instead of zoo_configs/ALGO.yml."""
     steps: int = Field(ge=1)
-    """Environment steps, after the offline epochs; by default the preset's."""
+    """Environment steps of the online phase; by default the preset's."""
     seed: int = Field(0, ge=0, le=2**32 - 1)
-    """Root of all randomness."""
+    """Random seed; the same seed gives the same results."""
     copies: int = Field(16, ge=1)
     """Worlds simulated side by side; by default the preset's."""
     focal: str | None = None
-    """Only this individual learns, the others replay; default: all."""
+    """Only this individual learns, and the others replay; default: all learn."""
     device: str = "cpu"
     """cpu (default) or cuda."""
     repetitions: int = Field(5, ge=1)
     """Rollouts per test demonstration."""
     baselines: bool = True
-    """Also train BC and evaluate an untrained network and chance."""
+    """Compare with BC, an untrained network and random actions."""
     checkpoint_every: int = Field(20_000, ge=1)
     """Steps between two checkpoints."""
     overrides: dict[str, Any] = Field(default_factory=dict)

@@ -30,7 +30,7 @@ class Splitting:
     """
 
     by: Literal["auto", "recording", "episode", "group"] = option(
-        "auto", "split_by", "auto, recording, episode or group."
+        "auto", "split_by", "What is kept together: auto, recording, episode or group."
     )
     pattern: str | None = option(None, "split_pattern", "group: regular expression with a (group).")
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)

@@ -36,26 +36,26 @@ class Cleaning:
     """What is done to the tracks of every recording."""
 
     keypoint: str = option(
-        CENTROID, "keypoint", "Body part, or centroid, the mean of those that are seen."
+        CENTROID, "keypoint", "Body part that is the position; default: mean of the visible ones."
     )
     heading: tuple[str, str] | None = option(
-        None, "heading", "Bodies point from one keypoint to another: thorax,head."
+        None, "heading", "Two keypoints; bodies point from the first to the second: thorax,head."
     )
     min_confidence: float | None = option(
         None, "min_confidence",
-        "Keypoints below it count as not tracked. Default: 0.6 of likelihoods; 0: all are used.",
+        "Keypoints with less count as not tracked; default: 0.6 for likelihoods; 0 keeps all.",
         "a number",
     )  # fmt: skip
     max_gap: float = option(
-        0.0, "max_gap", "Fill gaps up to so many seconds by straight lines; longer ones cut.",
+        0.0, "max_gap", "Fill gaps up to this many seconds linearly; longer gaps cut.",
         "zero or positive", "s",
     )  # fmt: skip
     smoothing_cutoff: float | None = option(
-        None, "smoothing", "Low-pass cutoff in Hz (Butterworth, order 1, zero phase); 0: none.",
+        None, "smoothing", "Low-pass cutoff in Hz (Butterworth, zero phase); 0: none.",
         "zero or positive", "Hz",
     )  # fmt: skip
     drop_jumps: bool = option(
-        False, "drop_jumps/keep_jumps", "Make gaps of jumps, or only flag them."
+        False, "drop_jumps/keep_jumps", "Turn jumps into gaps, or only flag them."
     )
 
     def __post_init__(self) -> None:
@@ -293,18 +293,18 @@ class Scaling:
     """How positions become arena units."""
 
     shape: Literal["square", "disc", "open"] = option(
-        "square", "arena", "square, disc (half side or radius 1) or open (only the unit changes)."
+        "square", "arena", "square (half side 1), disc (radius 1) or open (no edge)."
     )
     width: float | None = option(
-        None, "arena_width", "Side or diameter in the file's unit; default: extent.",
+        None, "arena_width", "Side or diameter in the file's unit; default: extent of the tracks.",
         "a positive number",
     )  # fmt: skip
     centre: tuple[float, float] | None = option(
-        None, "centre", "Of the arena, x,y in the file's unit; default: of extent, or the source."
+        None, "centre", "Centre x,y of the arena in the file's unit; default: found."
     )
-    each: bool = option(False, "scale_each", "Each recording by its own extent, not all by one.")
+    each: bool = option(False, "scale_each", "Scale each recording by its own extent.")
     px_per_cm: float | None = option(
-        None, "px_per_cm", "The file's units to 1 cm; all lengths then are in cm.",
+        None, "px_per_cm", "The file's units per cm; all lengths are then in cm.",
         "a positive number",
     )  # fmt: skip
     units_per_arena_unit: float | None = option(
@@ -312,7 +312,7 @@ class Scaling:
         "Open arena: the file's units per arena unit; default: half the extent, 1 for a source.",
         "a positive number",
     )  # fmt: skip
-    boundary: float = option(1.1, "boundary", "Beyond it an individual is out, in arena units.")
+    boundary: float = option(1.1, "boundary", "Individuals beyond it are out, in arena units.")
     flip_y: bool | None = option(
         None, "", "Whether y is turned upwards; default: if it grows downwards in the file."
     )

@@ -38,32 +38,32 @@ class Cutting:
     """Where episodes begin and end, by the distance of the nearest pursuer to the target."""
 
     mode: Literal["whole", "approach", "events"] = option(
-        "whole", "cut", "whole: each stretch without gaps; approach: from farther to closer; "
-        "events: by a table.",
+        "whole", "cut", "whole: each stretch without gaps; approach: from --farther-than to "
+        "--closer-than; events: by the table of --events.",
     )  # fmt: skip
     farther_than: float | None = option(
-        None, "farther_than", "An approach starts here, in arena units."
+        None, "farther_than", "Distance at which an approach starts, in arena units."
     )
     closer_than: float | None = option(
-        None, "closer_than", "An approach ends here, in arena units."
+        None, "closer_than", "Distance at which an approach ends, in arena units."
     )
     start: Literal["separation", "approach"] = option(
-        "separation", "start", "An approach starts at the separation, the first frame farther away "
-        "since the last contact, or at the approach: the last one.",
+        "separation", "start", "approach: start at the separation (first frame that far away since "
+        "the last contact) or at the approach (the last such frame).",
     )  # fmt: skip
     contact: float | None = option(
-        None, "contact", "whole, events: ends within this, in arena units; 0: none; default: as "
-        "the recordings end.", "zero or positive",
+        None, "contact", "whole, events: distance of contact, in arena units; 0: no contact; "
+        "default: found from how recordings end.", "zero or positive",
     )  # fmt: skip
     piece: float | None = option(
-        None, "piece", "whole: cut into pieces, s; default: ten of a lone recording; inf: never.",
+        None, "piece", "whole: cut into pieces of so many seconds; inf: never.",
         "positive", "s",
     )  # fmt: skip
     longest: float = option(math.inf, "longest", "Leave longer episodes out, s.", "positive", "s")
-    keep_last: float = option(math.inf, "keep_last", "Keep the last seconds.", "positive", "s")
+    keep_last: float = option(math.inf, "keep_last", "Keep only the last seconds.", "positive", "s")
     shortest: float = option(0.0, "shortest", "Leave shorter ones out, s.", "zero or positive", "s")
     events: str | None = option(
-        None, "events", "Table: recording, start, end [s], and condition and outcome if known."
+        None, "events", "Table: recording, start, end [s]; optional: condition, outcome."
     )
 
     def __post_init__(self) -> None:

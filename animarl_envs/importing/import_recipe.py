@@ -23,44 +23,44 @@ NOT_STATED = "not stated"  # the licence, where nobody said
 class ImportRecipe:
     """From files to demonstrations; each entry says what it is, and how the command calls it."""
 
-    source: str | None = option(None, "", "Name of the reader; default: by a look at each file.")
+    source: str | None = option(None, "", "Name of the reader; default: found by content.")
     options: Mapping[str, Any] = option(
         dict, "option", "An option of the reader, as name=value (YAML)."
     )
     individuals: tuple[str, ...] | None = option(
-        None, "individuals", "Which, in order: a,b,c; rename by a=male,b=female."
+        None, "individuals", "Which individuals, in order: a,b,c. To rename: a=male,b=female."
     )
     rename: Mapping[str, str] = option(dict, "", "Other names of individuals.")
     merge_individuals: bool = option(
-        False, "merge_individuals", "One file per animal: put together."
+        False, "merge_individuals", "The files hold one animal each: join them."
     )
     target: str | None = option(
-        None, "target", "The pursued individual; auto (default): who is approached; none."
+        None, "target", "The pursued individual; auto (default): found by approaches; none."
     )
-    pursuer: str | None = option(None, "pursuer", "The only pursuer: all others are its targets.")
+    pursuer: str | None = option(None, "pursuer", "The only pursuer; all others are its targets.")
     searcher: bool = option(False, "", "Whether they search a source at the origin, not a target.")
     frame_rate: float | None = option(
-        None, "fps", "Frames a second of the recording.", "a positive number", "Hz"
+        None, "fps", "Frame rate of the recording.", "a positive number", "Hz"
     )
     decision_rate: float | None = option(
-        None, "decision_rate", "Samples a second of the demonstrations.", "a positive number", "Hz"
+        None, "decision_rate", "Frame rate of the demonstrations.", "a positive number", "Hz"
     )
     keep_last_frame: bool = option(
         False, "", "Whether an episode's last frame is kept though it falls between decisions; "
         "velocities then know the shorter interval, and fits leave that step out.",
     )  # fmt: skip
     metadata: str | None = option(
-        None, "metadata", "Table of recordings: recording, and condition, split, target, "
-        "px_per_cm, or a row for each individual and role.",
+        None, "metadata", "Table with the column recording, and any of condition, split, "
+        "target, px_per_cm; or with a row for each individual and its role.",
     )  # fmt: skip
     name_pattern: str | None = option(
-        None, "name_pattern", r"The same by groups in names of recordings: "
-        r"(?P\<condition>sham|drug) or (?P\<split>train|test).",
+        None, "name_pattern", r"Condition or split from the names of recordings, by a named "
+        r"group: (?P\<condition>sham|drug) or (?P\<split>train|test).",
     )  # fmt: skip
-    species: str = option(CUSTOM, "species", "Species they belong to.")
-    condition: int | None = option(None, "condition", "0 or 1, of all episodes.")
+    species: str = option(CUSTOM, "species", "Species of the recordings.")
+    condition: int | None = option(None, "condition", "Condition of all episodes: 0 or 1.")
     licence: str = option(NOT_STATED, "licence", "Licence of the recordings.")
-    synthetic: bool = option(False, "synthetic", "No animal was recorded: say so everywhere.")
+    synthetic: bool = option(False, "synthetic", "No animal was recorded; results then say so.")
     cleaning: Cleaning = option(Cleaning, "", "See :class:`Cleaning`.")
     scaling: Scaling = option(Scaling, "", "See :class:`Scaling`.")
     cutting: Cutting = option(Cutting, "", "See :class:`Cutting`.")

@@ -1,7 +1,7 @@
 """Two males courting a female Japanese fire-bellied newt (paper, "Newt dataset").
 
-The published d and u were computed with 30 Hz differences over 0.1 s, which makes them about three
-times too slow; they are kept as the defaults because nothing better is public. Fit your own.
+With the published d and u the newts are about three times too slow, because they were computed with
+30 Hz differences over 0.1 s. They are the defaults because nothing better is public. Fit your own.
 
 The packaged demonstrations are synthetic, not recorded: see ``docs/data/packaged_courtship.md``.
 """

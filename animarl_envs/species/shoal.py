@@ -1,9 +1,9 @@
 """Twelve fish that swim together in a round tank.
 
-Nobody is pursued; ``shoaling_reward=True`` pays a fish for time within the contact radius, a body
-length, of another. The packaged demonstrations are synthetic, after Couzin et al. (2002): see
-``tools/packaged_data/shoal.py``. Damping, thrust and magnitudes are fitted to them (joint fit of
-the training split); an arena unit is 10 body lengths.
+Nobody is pursued. ``shoaling_reward=True`` rewards a fish for time within a body length (the
+contact radius) of another. The packaged demonstrations are synthetic, after Couzin et al. (2002):
+see ``tools/packaged_data/shoal.py``. Damping, thrust and magnitudes are fitted to them (joint fit
+of the training split). An arena unit is 10 body lengths.
 """
 
 from animarl_envs.arena import Arena

@@ -1,11 +1,11 @@
 """A silkmoth searching an odour source (paper, "Silkmoth dataset").
 
-The published d and u imply a terminal speed of 0.050 m/s, where recorded moths stay below 0.036;
-they are kept as the defaults. Fit your own.
+The published d and u imply a terminal speed of 0.050 m/s, but recorded moths stay below 0.036 m/s.
+They are the defaults because the packaged demonstrations use them. Fit your own.
 
-The packaged demonstrations are of a programmed moth, whose body points where it walks, and so does
-that of this species. Recorded moths walk sideways as well: ``turning=RECORDED_TURNING`` gives the
-species their bodies, and a species made from recorded headings turns as fitted to them.
+The packaged demonstrations are of a programmed moth, and its body points where it walks. Recorded
+moths also walk sideways: ``turning=RECORDED_TURNING`` simulates this. If your own recordings have
+headings, turning is fitted to them.
 
 The packaged demonstrations are synthetic, not recorded: see ``docs/data/packaged_silkmoth.md``.
 """

@@ -1,8 +1,8 @@
 """A larva that crawls alone in the open, by runs and turns.
 
-Nobody is pursued and nothing is paid for. The packaged demonstrations are synthetic, after Davies
+Nobody is pursued, and there is no reward. The packaged demonstrations are synthetic, after Davies
 et al. (2015): see ``tools/packaged_data/larva.py``. Damping, thrust and magnitudes are fitted to
-them (joint fit of the training split); an arena unit is 20 mm.
+them (joint fit of the training split). An arena unit is 20 mm.
 """
 
 from animarl_envs.arena import Arena
