@@ -185,6 +185,10 @@ SEARCH_ONLY: dict[str, tuple[str, str]] = {
         "a `Turning`, `{'persistence': p, 'gain': g, 'slip': s, 'speed': v}`, `None`",
         "how the body turns; `None`: it points where it walks",
     ),
+    "traits": (
+        "`Traits` or `None`",
+        "how searchers differ from each other; `None`: they are alike; fitted for your own animals",
+    ),
     "flow_threshold": (NOT_NEGATIVE, "yaw rates below it give no visual flow [rad/s]"),
     "flow_limit": (POSITIVE, "visual flow is clipped here [rad/s]"),
     "rest_speed": (NOT_NEGATIVE, "without `turning`, the heading is kept when slower"),
