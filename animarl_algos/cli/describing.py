@@ -256,6 +256,11 @@ def found_by_itself(demos: Demonstrations) -> list[str]:
             "ends most recordings, so it is taken for contact: otherwise give --contact DISTANCE, "
             "or --contact 0 for none"
         )
+    elif demos.provenance.get("ends") == "film" and recipe.get("cutting", {}).get("ends") == "auto":
+        found.append(
+            "the end of a recording is taken for the end of the film, after which the animals "
+            "went on: otherwise give --ends contact, or --ends left if an animal left the field"
+        )
     least = [one.get("confidence_of_at_least") for one in _cleaning(demos).values()]
     limits = [one for one in least if one is not None]
     if limits and recipe.get("cleaning", {}).get("min_confidence") is None:

@@ -129,6 +129,8 @@ def summarise(demos: Demonstrations) -> dict[str, Any]:
             f"({np.mean(outcome == code):.3f})"
             for code in np.unique(outcome)[::-1]
         }
+    if "ends" in demos.provenance:
+        found["recordings end by"] = str(demos.provenance["ends"])
     cleaning = demos.provenance.get("cleaning")
     if isinstance(cleaning, dict):
         for key in TRACKING:

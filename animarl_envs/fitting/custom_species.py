@@ -73,7 +73,8 @@ def species_of(
           0.9 quantile), else a thousandth of the arena's size: where no recorded episode ended by
           contact, none should that is simulated, however near bodies without extent may come;
         - conditions: those that occur, as names only: no reward differs between them;
-        - the edge of a disc or a square is a wall (``rebound``);
+        - the edge of a disc or a square is a wall (``rebound``), unless recordings end because
+          an animal left;
         - own velocity averaged over the last steps is seen (``senses_past``) by those with several
           thrusts: who has one is an artificial agent, mostly, that goes by the present;
         - the time since the start is seen where the import began every episode at a separation
@@ -141,7 +142,8 @@ def arena_of(demos: Demonstrations, base: str | None = None) -> Arena:
     name = base or demos.species
     if demos.arena.shape == "open":
         return demos.arena
-    walled = get_species(name).arena.rebound if name in SPECIES else True
+    left = demos.provenance.get("ends") == "left"
+    walled = get_species(name).arena.rebound if name in SPECIES else not left
     return replace(demos.arena, rebound=walled)
 
 

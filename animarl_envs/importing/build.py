@@ -18,6 +18,7 @@ from animarl_envs.importing.cleaning import Floats, clean, resample, runs, scale
 from animarl_envs.importing.cutting import (
     FEWEST_PIECES,
     Cut,
+    Cutting,
     check_events,
     cut_episodes,
     find_contact_distance,
@@ -126,6 +127,7 @@ def demonstrations_from_tracks(
                 one.recording: scale.to_dict() for one, scale in zip(cleaned, scales, strict=True)
             },
             "cleaning": done,
+            "ends": _ends(cutting, cleaned, joined("outcome")),
             **({} if contact == recipe.cutting.contact else {"contact_radius": contact}),
             **sessions.told(),
         },
@@ -162,7 +164,7 @@ def _contact(
     Stretches too short for an episode say nothing about how recordings end.
     """
     cutting = recipe.cutting
-    stated = cutting.contact is not None or cutting.piece is not None
+    stated = cutting.contact is not None or cutting.piece is not None or cutting.ends != "auto"
     if cutting.mode != "whole" or stated or TARGET not in roles:
         return cutting.contact
     stretches = []
@@ -176,6 +178,15 @@ def _contact(
             if stop - start - 1 >= shortest
         ]
     return find_contact_distance(stretches)
+
+
+def _ends(cutting: Cutting, cleaned: Sequence[Tracks], outcome: NDArray[Any]) -> str:
+    """Return what the ends of recordings mean: as stated, by the files, or as was found."""
+    if any(tracks.outcome is not None for tracks in cleaned):
+        return "as the files say"
+    if cutting.ends != "auto":
+        return cutting.ends
+    return "contact" if (outcome > 0).any() else "film"
 
 
 def _cuts(

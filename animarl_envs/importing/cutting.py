@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from animarl_envs.checks import check_options, option
-from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
 from animarl_envs.errors import InputError, require
 from animarl_envs.focus import distances_to_target
 from animarl_envs.importing.cleaning import Floats, runs
@@ -55,6 +55,11 @@ class Cutting:
         None, "contact", "whole, events: distance of contact, in arena units; 0: no contact; "
         "default: found from how recordings end.", "zero or positive",
     )  # fmt: skip
+    ends: Literal["auto", "contact", "left", "film"] = option(
+        "auto", "ends", "whole, events: what the end of a recording means: contact; left: an "
+        "animal left the field; film: nothing, it was stopped; default: contact where most "
+        "recordings end within one distance, else film.",
+    )  # fmt: skip
     piece: float | None = option(
         None, "piece", "whole: cut into pieces of so many seconds; inf: never.",
         "positive", "s",
@@ -79,6 +84,14 @@ class Cutting:
                 f"farther_than is {far} and closer_than {near}: the first must be the larger, both "
                 "positive",
             )
+        require(
+            self.ends == "auto" or self.mode != "approach",
+            f"ends is {self.ends!r} but an approach ends by contact: leave --ends out",
+        )
+        require(
+            not (self.contact and self.ends in ("left", "film")),
+            f"contact is {self.contact} and ends {self.ends!r}: give one of them",
+        )
         given = self.mode != "events" or self.events is not None
         require(given, "cutting by events needs a table: give its path")
 
@@ -109,14 +122,23 @@ def cut_episodes(
     """
     found: list[Cut] = []
     distance = distances_to_target(bodies, roles)
+    require(
+        settings.ends != "contact" or np.isfinite(distance).any(),
+        f"{recording}: its end is no contact without a target: name the target, or give --ends "
+        "left or film",
+    )
     if settings.mode == "events":
-        found = _from_table(bodies, distance, frame_rate, settings, recording)
+        found = _from_table(bodies, distance, roles, frame_rate, settings, recording)
     else:
         for start, stop in runs(np.isfinite(bodies).all(axis=(1, 2))):
             if settings.mode == "approach":
                 found += _approaches(distance[start:stop], settings, start, recording)
             else:
                 found.append(_until_contact(distance[start:stop], settings.contact, start))
+        if found and found[-1].outcome == UNFINISHED:
+            last = found[-1].stop - 1
+            end = _meaning(settings.ends, bodies[last], distance[last], roles)
+            found[-1] = replace(found[-1], outcome=end)
     kept = []
     for cut in found:
         duration = (cut.stop - cut.start - 1) / frame_rate
@@ -177,6 +199,19 @@ def _until_contact(distance: Floats, contact: float | None, offset: int) -> Cut:
     return Cut(offset, offset + len(distance), UNFINISHED)
 
 
+def _meaning(ends: str, positions: Floats, distance: Floats, roles: Sequence[str]) -> int:
+    """Return the outcome of a recording by its last frame, as far as ``ends`` says what it means.
+
+    Whoever is farthest from the centre then is taken for the one that left.
+    """
+    if ends == "contact":
+        return _toucher(distance)
+    if ends != "left":
+        return UNFINISHED
+    farthest = int(np.linalg.norm(positions, axis=1).argmax())
+    return TARGET_OUT if roles[farthest] == "target" else PURSUER_OUT
+
+
 def _closer(distance: Floats, limit: float) -> NDArray[np.bool_]:
     """Which distances are smaller; those that differ in rounding alone, by the unit, are not."""
     return np.asarray(distance < limit * (1 - ROUNDING))
@@ -191,7 +226,12 @@ def _toucher(distance: Floats) -> int:
 
 
 def _from_table(
-    bodies: Floats, distance: Floats, frame_rate: float, settings: Cutting, recording: str
+    bodies: Floats,
+    distance: Floats,
+    roles: Sequence[str],
+    frame_rate: float,
+    settings: Cutting,
+    recording: str,
 ) -> list[Cut]:
     assert settings.events is not None
     path, found = Path(settings.events), []
@@ -219,6 +259,8 @@ def _from_table(
         )
         if outcome is None:
             outcome = _until_contact(distance[stop - 1 : stop], settings.contact, 0).outcome
+        if outcome == UNFINISHED:
+            outcome = _meaning(settings.ends, bodies[stop - 1], distance[stop - 1], roles)
         found.append(Cut(start, stop, outcome, condition))
     return found
 

@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from animarl_algos.evaluation.prepared import censored
+from animarl_algos.evaluation.rollouts import Rollouts
 from animarl_envs.demos import assign_splits
-from animarl_envs.demos.episode import UNFINISHED
+from animarl_envs.demos.episode import PURSUER_OUT, TARGET_OUT, UNFINISHED
 from animarl_envs.demos.splits import Splitting
+from animarl_envs.demos.summary import summarise
 from animarl_envs.errors import InputError
+from animarl_envs.fitting.custom_species import arena_of
 from animarl_envs.importing.build import demonstrations_from_tracks
 from animarl_envs.importing.cleaning import (
     Cleaning,
@@ -168,6 +172,48 @@ def test_whole_recordings_break_at_gaps_and_end_at_contact() -> None:
     assert [(c.start, c.stop) for c in cuts] == [(0, 50), (51, 61)]
     touched = cut_episodes(bodies[:50], CHASE, 10.0, Cutting(contact=0.2))
     assert touched[0].outcome == 1 and bodies[touched[0].stop - 1, 0, 0] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("ends", "outcome"),
+    [("auto", UNFINISHED), ("film", UNFINISHED), ("contact", 1), ("left", PURSUER_OUT)],
+)
+def test_what_ends_mean_is_said_and_mere_ends_are_censored(ends: str, outcome: int) -> None:
+    """Of two stretches of a recording the last one alone knows how the recording ended."""
+    bodies = approach_path()[:56]  # 0.2 apart at the end
+    bodies[30] = np.nan
+    settings = Cutting(ends=ends)  # type: ignore[arg-type]
+    cuts = cut_episodes(bodies, CHASE, 10.0, settings)
+    assert [cut.outcome for cut in cuts] == [UNFINISHED, outcome]
+    scaling = Scaling(width=4.0, centre=(0.0, 0.0))
+    recipe = ImportRecipe(target="animal_1", cutting=settings, scaling=scaling)
+    demos = demonstrations_from_tracks([tracks(bodies)], recipe)
+    assert demos.outcome.tolist() == [UNFINISHED, outcome]
+    known = "film" if ends == "auto" else ends
+    assert demos.provenance["ends"] == known == summarise(demos)["recordings end by"]
+    assert arena_of(demos).rebound == (ends != "left")  # who left must be able to leave
+    ended = Rollouts.from_demonstrations(demos)
+    longer = replace(
+        ended, positions=np.concatenate([ended.positions, ended.positions[-1:]]),
+        lengths=ended.lengths + [0, 1], outcome=np.zeros(2, dtype=np.int8),
+    )  # fmt: skip
+    stopped = censored(longer, demos)
+    assert stopped.lengths[1] - demos.lengths[1] == (0 if known == "film" else 1)
+
+
+def test_the_target_that_left_is_told_from_the_pursuer() -> None:
+    bodies = approach_path()
+    bodies[-1, 1, 0] = 3.0
+    assert cut_episodes(bodies, CHASE, 10.0, Cutting(ends="left"))[0].outcome == TARGET_OUT
+
+
+def test_ends_that_do_not_go_with_the_cut_are_refused() -> None:
+    with pytest.raises(InputError, match="leave --ends out"):
+        Cutting(mode="approach", farther_than=0.5, closer_than=0.2, ends="film")
+    with pytest.raises(InputError, match=r"contact is 0.1 and ends 'left': give one"):
+        Cutting(contact=0.1, ends="left")
+    with pytest.raises(InputError, match="r: its end is no contact without a target"):
+        cut_episodes(wave(0.2, 30.0), ("pursuer",), 10.0, Cutting(ends="contact"), "r")
 
 
 def test_a_lone_long_recording_is_cut_in_pieces_without_losing_a_step() -> None:
